@@ -108,6 +108,7 @@ def traced(
     start = time.perf_counter()
     image1, image2 = load_image(path1), load_image(path2)
     camera1, camera2 = cameras.resolve(image1, image2)
+    image1, image2 = image1.oriented(camera1.orientation), image2.oriented(camera2.orientation)
     read_seconds = time.perf_counter() - start
     from dgc_pose.pose import pose_of_pair  # heavy; unusable input is refused without it
     from dgc_pose.trace import Trace

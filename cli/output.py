@@ -21,6 +21,8 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
         lines += _pose_lines(pose.R, pose.t)
+    if priors is not None:
+        lines += _orientation_lines(*priors)
     lines += _camera_lines(pose, priors)
     inliers = "are inliers" if pose.success else "agree with the best essential matrix"
     share = f"{100 * pose.inlier_ratio:.1f} %"
@@ -69,6 +71,16 @@ _SOURCES = {
 }
 
 
+def _orientation_lines(*cameras: Camera) -> list[str]:
+    """What is to be known of images that were turned."""
+    return [
+        f"image {n}: EXIF orientation {camera.orientation} is applied: the pose is of the upright "
+        "image"
+        for n, camera in enumerate(cameras, start=1)
+        if camera.orientation != 1
+    ]
+
+
 def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> list[str]:
     """The cameras whose focal length is not known exactly; one line if one camera took both."""
     if pose.camera1 is None or pose.camera2 is None:
@@ -81,14 +93,18 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
 
 
 def _camera_text(camera: Camera, prior: Camera) -> str:
-    if camera.focal_std == 0:
+    if camera.exact:
         return ""
     text = f"f = {_focal_text(camera)}"
     if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
         text += f", {_focal_text(prior)}"
     x, y = camera.K[:2, 2].tolist()
     text += f"; principal point ({x:.1f}, {y:.1f})"
-    return text if camera.centre_std == 0 else f"{text} +- {camera.centre_std:.1f}"
+    text += f" +- {camera.centre_std:.1f}" if camera.centre_std else ""
+    if camera.lens_std and camera.distortion is not None:
+        first, second = camera.distortion.coefficients
+        text += f"; lens k1 {first:.3f} +- {camera.lens_std:.3f}, k2 {second:.3f}"
+    return text
 
 
 def _focal_text(camera: Camera) -> str:

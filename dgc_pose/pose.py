@@ -110,6 +110,7 @@ def estimate_relative_pose(
     first, second = in_threads(lambda image: load_image(*image), named)
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     prior1, prior2 = pair_cameras(K1, K, first, second, ("K1", name))
+    first, second = first.oriented(prior1.orientation), second.oriented(prior2.orientation)
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
     matcher = load_matcher() if matcher is None else matcher

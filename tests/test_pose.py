@@ -28,7 +28,6 @@ from dgc_pose import (
     load_matcher,
 )
 from dgc_pose.cameras.pair_list import bundled_pair
-from dgc_pose.cameras.prior import auto_camera, auto_cameras
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
@@ -98,15 +97,38 @@ def test_an_orientation_that_is_not_applied_is_told_once_and_of_a_K_that_was_giv
         photo.save(path, exif=exif)
     first, second = map(load_image, paths)
     known = Camera(np.array([[70.0, 0, 35], [0, 70, 35], [0, 0, 1]]))
-    cases = [
-        ((known, known), 1),
-        (auto_cameras(first, second), 0),
-        ((auto_camera(first), known), 1),
-    ]
-    for cameras, count in cases:
+    for cameras, count in [((known, known), 1), ((), 0), ((None, known), 1)]:
         pose = estimate_relative_pose(first, second, *cameras, matcher=SiftMatcher())
         told = [text for text in pose.warnings if "EXIF orientation 6 is not applied" in text]
         assert len(told) == count
+
+
+STORED_K = np.array([[70.0, 0, 39.5], [0, 70, 29.5], [0, 0, 1]])
+UPRIGHT_K = np.array([[70.0, 0, 29.5], [0, 70, 39.5], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("K", "upright"),
+    [
+        (None, True),
+        (UPRIGHT_K, True),
+        (Camera(UPRIGHT_K, (60, 80)), True),
+        (STORED_K, False),
+        (Camera(STORED_K, (80, 60)), False),
+    ],
+)
+def test_an_orientation_is_applied_without_a_K_and_with_one_of_the_upright_image(
+    tmp_path: Path, K: Any, upright: bool
+) -> None:
+    photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
+    exif[0x0112] = 6
+    photo.save(tmp_path / "a.jpg", exif=exif)
+    path = tmp_path / "a.jpg"
+    trace = estimate_relative_pose(path, path, K, K, matcher=SiftMatcher(), trace=True)
+    for image, camera in ((trace.image1, trace.prior1), (trace.image2, trace.prior2)):
+        assert image.size == ((60, 80) if upright else (80, 60))
+        assert camera.orientation == (6 if upright else 1) and not camera.warnings
+        np.testing.assert_array_equal(camera.K[:2, 2], (UPRIGHT_K if upright else STORED_K)[:2, 2])
 
 
 @pytest.mark.parametrize(

@@ -23,12 +23,19 @@ from dgc_pose.cameras.checks import checked_camera, times
 from dgc_pose.cameras.formats import colmap
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_camera, auto_cameras, with_orientation
+from dgc_pose.cameras.prior import (
+    LENS_STD,
+    Sharing,
+    auto_camera,
+    auto_cameras,
+    is_of_upright,
+    with_orientation,
+)
 from dgc_pose.errors import ArgumentName, InputError, shortened
+from dgc_pose.images.image import Image, upright_header
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
-    from dgc_pose.images.image import Image
 
 _LENS = ",lens"  # after a K whose lens is not known
 _SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
@@ -67,7 +74,7 @@ class Calibration:
 
         Raises InputError if there is none, or if it is for another size.
         """
-        camera = self.named(root, name) or self._of_part(root / name, part) or self.common
+        camera = self.stated(root, name, part)
         if camera is not None:
             label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
             return _fitted(camera, self.details, image.size, label)
@@ -78,6 +85,10 @@ class Calibration:
             other = f": another of its cameras is {self.where}:{last}" if last else ""
             raise InputError(f"{self.where} has no camera for {name}{other}")
         raise InputError(f"no camera for {name}: give", ArgumentName("K"), "or auto in its place")
+
+    def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
+        """The camera of an image as the text or file states it; None without one."""
+        return self.named(root, name) or self._of_part(root / name, part) or self.common
 
     def lacks(self, root: Path, name: str) -> bool:
         """Whether an image may take a camera from elsewhere, such as a list of pairs."""
@@ -186,6 +197,9 @@ def pair_cameras(
 ) -> tuple[Camera, Camera]:
     """The cameras of two images, each from a Camera, an array (3, 3), or a text or path as of --K.
 
+    An EXIF orientation is to be applied to an image without a K, and to one whose K fits the
+    upright image alone: the camera has it as its `orientation`, and is that of the upright image.
+
     None is "auto"; if both are, by `auto_cameras`. A value without an identity gets that of its
     argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable or
     does not fit the image.
@@ -196,13 +210,24 @@ def pair_cameras(
         if sharings[0] != sharings[1]:
             raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
         _require_K(details, names[0])
-        return auto_cameras(image1, image2, sharings[0])
+        upright = auto_cameras(upright_header(image1), upright_header(image2), sharings[0])
+        first, second = (
+            replace(camera, orientation=image.orientation)
+            for camera, image in zip(upright, (image1, image2), strict=True)
+        )
+        return first, second
     cameras = []
     for number, image in enumerate((image1, image2)):
         of_K = KDetails() if sharings[number] is not None else details
         calibration = _calibration(values[number], names[number], of_K)
-        camera = calibration.camera(Path(), image.name, image, f"K{number + 1}")
-        cameras.append(with_orientation(camera, image))
+        part = f"K{number + 1}"
+        stated = calibration.stated(Path(), image.name, part)
+        if stated is None or is_of_upright(stated, details.size, image):
+            camera = calibration.camera(Path(), image.name, upright_header(image), part)
+            cameras.append(replace(camera, orientation=image.orientation))
+        else:
+            camera = calibration.camera(Path(), image.name, image, part)
+            cameras.append(with_orientation(camera, image))
     return cameras[0], cameras[1]
 
 
@@ -308,6 +333,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "focal_std": camera.focal_std,
         "centre_std_px": camera.centre_std,
         "lens_std": camera.lens_std,
+        "orientation": camera.orientation,
         "focal_source": camera.focal_source,
         "identity": camera.identity,
     }

@@ -36,6 +36,8 @@ class Camera:
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
         lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
             distortion; 0: the lens is known. The estimation fits it like the focal lengths.
+        orientation: EXIF orientation, 1 to 8, of the pixels as stored, if K is of the upright
+            image; else 1.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
             image, or the matches.
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
@@ -49,6 +51,7 @@ class Camera:
     focal_std: float = 0.0
     centre_std: float = 0.0
     lens_std: float = 0.0
+    orientation: int = 1
     focal_source: FocalSource = "given"
     identity: str | None = None
 

@@ -22,10 +22,10 @@ def checked_camera(camera: Camera, size: Size, name: str) -> Camera:
     """The camera of an image of `size` (width, height), with warnings.
 
     Raises InputError, naming the argument `name`, if the camera's size differs; if its principal
-    point lies outside the image, or, of a camera without a size, in the middle of one of far more
-    or fewer pixels; or if a pinhole's field of view is above `MAX_FIELD_OF_VIEW_DEG`. Warns if the
-    principal point is that of an image of another size or turned by 90 degrees, or is far from the
-    middle; and if the field of view is below `MIN_FIELD_OF_VIEW_DEG`.
+    point lies outside the image, or, of a camera without a size, in the middle of the image turned
+    by 90 degrees or of one of far more or fewer pixels; or if a pinhole's field of view is above
+    `MAX_FIELD_OF_VIEW_DEG`. Warns if the principal point is that of an image of another size, or is
+    far from the middle; and if the field of view is below `MIN_FIELD_OF_VIEW_DEG`.
     """
     if camera.size is not None and camera.size != size:
         raise InputError(
@@ -42,7 +42,11 @@ def checked_camera(camera: Camera, size: Size, name: str) -> Camera:
             f"{centre}, the middle of an image of about {times(of_K)}, and the image has "
             f"{times(size)}{_hint(of_K, size, name)}"
         )
-        is_possible = is_possible and _alike(max(of_K), max(size), _MAX_POSSIBLE_SCALE)
+        is_possible = (
+            is_possible
+            and _relation(of_K, size) == "scaled"
+            and _alike(max(of_K), max(size), _MAX_POSSIBLE_SCALE)
+        )
     elif not is_possible:
         warnings.append(f"{centre}, outside the image of {times(size)}")
     elif max(abs((x + 0.5) / size[0] - 0.5), abs((y + 0.5) / size[1] - 0.5)) > _MAX_USUAL_OFFSET:

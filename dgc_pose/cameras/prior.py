@@ -19,7 +19,14 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
+from dgc_pose.images.header import (
+    EXCHANGING,
+    EXIF_DIRECTORY,
+    FOCAL_LENGTH,
+    MAKE,
+    MODEL,
+    Exif,
+)
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
@@ -159,10 +166,17 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
     return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
 
 
+def is_of_upright(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> bool:
+    """Whether K is certainly of the image with its EXIF orientation applied, and not of the pixels
+    as stored: by the size that it is for, or else by its principal point."""
+    return _fits(camera, size, image) == (False, True)
+
+
 def with_orientation(camera: Camera, image: Image | Header) -> Camera:
     """The camera with a warning if an EXIF orientation is not applied: a K that was given may be
     for the upright image, unless its size or its principal point excludes that."""
-    if image.orientation == 1 or camera.focal_source != "given" or _is_as_stored(camera, image):
+    of_stored = _fits(camera, None, image) == (True, False)
+    if image.orientation == 1 or camera.focal_source != "given" or of_stored:
         return camera
     warning = (
         f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
@@ -170,17 +184,20 @@ def with_orientation(camera: Camera, image: Image | Header) -> Camera:
     return replace(camera, warnings=(*camera.warnings, warning))
 
 
-def _is_as_stored(camera: Camera, image: Image | Header) -> bool:
-    """Whether K is certainly of the pixels as stored, and not of the image rotated by a quarter."""
-    if image.orientation < 5:  # 5 to 8 exchange width and height
-        return False
-    if camera.size is not None and camera.size[0] != camera.size[1]:
-        return camera.size == image.size
-    offsets = [
-        float(np.abs((camera.K[:2, 2] + 0.5) / size - 0.5).max())
-        for size in (image.size, image.size[::-1])
-    ]
-    return offsets[0] < _MAX_CENTRE_OFFSET < offsets[1]
+def _fits(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> tuple[bool, bool]:
+    """Whether K may be of the pixels as stored, and of the upright image. size: (width, height)
+    that K is for, besides that of the camera."""
+    if image.orientation not in EXCHANGING:
+        return True, True
+    size = size or camera.size
+    if size is not None:
+        shape = math.log(size[0] / size[1]) * math.log(image.size[0] / image.size[1])
+        return shape >= 0, shape <= 0
+    stored, upright = (
+        float(np.abs((camera.K[:2, 2] + 0.5) / side - 0.5).max()) < _MAX_CENTRE_OFFSET
+        for side in (image.size, image.size[::-1])
+    )
+    return stored, upright
 
 
 def _whole(exif: Exif, size: tuple[int, int]) -> _Whole | None:

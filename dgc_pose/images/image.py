@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +15,7 @@ import numpy as np
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.files.inputs import read_as, read_bytes, read_start
-from dgc_pose.images.header import Exif, Header, UnreadableFormatError, read_header
+from dgc_pose.images.header import EXCHANGING, Exif, Header, UnreadableFormatError, read_header
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class Image:
         stored_size: Size (width, height) as stored, if `pixels` were resized after reading; None if
             they were not.
         exif: The camera by the file's EXIF data.
-        orientation: Orientation by EXIF, 1 to 8, which is not applied to `pixels`; 1 is upright.
+        orientation: Orientation by EXIF, 1 to 8, that is still to be applied to `pixels`; 1: none.
     """
 
     pixels: np.ndarray
@@ -62,9 +62,24 @@ class Image:
         """(width, height) in pixels."""
         return self.pixels.shape[1], self.pixels.shape[0]
 
+    def oriented(self, orientation: int) -> Image:
+        """The image with an EXIF orientation, 1 to 8, applied."""
+        if orientation == 1:
+            return self
+        pixels = self.pixels
+        if orientation in EXCHANGING:
+            pixels = pixels.transpose(1, 0, 2)
+        # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
+        pixels = pixels[:: -1 if orientation in (3, 4, 7, 8) else 1]
+        pixels = pixels[:, :: -1 if orientation in (2, 3, 6, 7) else 1]
+        return replace(self, pixels=np.ascontiguousarray(pixels), orientation=1)
+
 
 def load_image(
-    source: str | os.PathLike[str] | np.ndarray | torch.Tensor | Image, name: str = "image"
+    source: str | os.PathLike[str] | np.ndarray | torch.Tensor | Image,
+    name: str = "image",
+    *,
+    upright: bool = False,
 ) -> Image:
     """An image as 8-bit RGB.
 
@@ -76,16 +91,16 @@ def load_image(
     255, and all others (16 bit, 12 bit in 16, other floats) are rescaled from the minimum and
     maximum of the image, over all colours together, to 0 and 255.
 
-    Files give their pixels as stored, to which K refers: an EXIF orientation is not applied. HEIC
-    has a rotation of its own, which is part of decoding: K refers to the result.
+    Files give their pixels as stored; `upright` applies an EXIF orientation. HEIC has a rotation of
+    its own, which is part of decoding.
 
     Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt or
     too large; InputError, with `name`, if an array has the wrong shape, is empty or not finite.
     """
-    if isinstance(source, Image):
-        return source
     if isinstance(source, str | os.PathLike):
-        return _read_file(Path(source))
+        source = _read_file(Path(source))
+    if isinstance(source, Image):
+        return source.oriented(source.orientation if upright else 1)
     array = as_numpy(source, name)
     if is_tensor(source):
         if array.ndim == 4 and array.shape[0] == 1:
@@ -106,6 +121,12 @@ def _read_file(path: Path) -> Image:
                 array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
             rgb = _to_rgb8(array, str(path))
         return Image(rgb, str(path), exif=header.exif, orientation=header.orientation)
+
+
+def upright_header(image: Image | Header) -> Header:
+    """The header of an image with its EXIF orientation applied."""
+    size = image.size[::-1] if image.orientation in EXCHANGING else image.size
+    return Header("", size, exif=image.exif)
 
 
 def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The images that were sent: files under names of ours, in a folder that goes with the server.
 
-The browser gets our pixels, not the file: it could not read a TIFF, and would apply an orientation
-tag that the pose does not.
+The browser gets our pixels, not the file, which may be a TIFF. They are upright: an EXIF
+orientation is applied.
 """
 
 import base64
@@ -62,7 +62,7 @@ class ImageStore:
 
 
 def preview(path: Path, max_pixels: int) -> dict[str, Any]:
-    """Size (width, height) and EXIF orientation of an image, and a picture for the browser.
+    """Size (width, height) of an upright image, and a picture for the browser.
 
     Raises ImageError, without the path, if it cannot be read or has too many pixels.
     """
@@ -73,14 +73,13 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
                 f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
                 "(--max-megapixels of dgc-pose serve)"
             )
-        image = load_image(path)
+        image = load_image(path, upright=True)
     except DgcPoseError as error:
         # The path is none of the client's business.
         raise ImageError(str(error).replace(str(path), "the file")) from None
     return {
         "size": list(image.size),
         "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
-        "orientation": image.orientation,
     }
 
 

@@ -221,7 +221,6 @@ def test_a_usual_K_passes(camera: Camera) -> None:
             "--K1 has its principal point at (639.5, 479.5), the middle of an image of about "
             "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
         ),
-        ("1400,1400,599.5,799.5", "1200x1600, and the image has 1600x1200: K is of the image turn"),
         ("1400,1400,300,599.5", "at (300, 599.5), far from the middle of the image of 1600x1200"),
         ("PINHOLE,1600,1200,700,700,400,300", "at (399.5, 299.5), far from the middle"),
         ("95000,95000,799.5,599.5", "a focal length of 95000 pixels, which is a field of view of"),
@@ -237,6 +236,7 @@ def test_a_K_that_may_be_of_another_image_has_a_warning(text: str, warning: str)
     [
         ("2800,2800,1599.5,1199.5", "the middle of an image of about 3200x2400"),
         ("700,700,399.5,299.5", "800x600, and the image has 1600x1200: --K-size 800x600 scales it"),
+        ("1400,1400,599.5,799.5", "K is of the image turned by 90 degrees"),
         ("1400,1400,1700,300", "at (1700, 300), outside the image of 1600x1200"),
         ("1400,1400,-10,600", "at (-10, 600), outside the image"),
         ("35,35,799.5,599.5", "a focal length of 35 pixels, which is a field of view of 175 deg"),

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras, with_orientation
+from dgc_pose.cameras.prior import (
+    SIZE_STD,
+    auto_camera,
+    auto_cameras,
+    is_of_upright,
+    with_orientation,
+)
 from dgc_pose.images.header import Exif, Header
 
 SIZE = (4000, 3000)  # a diagonal of 5000
@@ -200,3 +206,4 @@ def test_a_warning_of_the_orientation_for_a_K_that_may_be_for_the_upright_image(
     assert warnings[0] == "a" and len(warnings) == 1 + warns
     assert all(f"orientation {orientation} is not applied" in text for text in warnings[1:])
     assert with_orientation(auto_camera(image), image).warnings == ()
+    assert not is_of_upright(Camera(K, size), None, image) or centre == (1490, 2010)

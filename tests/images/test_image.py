@@ -12,7 +12,14 @@ import pytest
 import torch
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.images.image import Image, image_size, load_image, read_pixels, resize
+from dgc_pose.images.image import (
+    Image,
+    image_size,
+    load_image,
+    read_pixels,
+    resize,
+    upright_header,
+)
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
 
@@ -55,9 +62,22 @@ def test_exif_orientation_is_not_applied_and_kept(
         turned = load_image(save(tmp_path / f"turned.{suffix}", rgb, orientation))
         np.testing.assert_array_equal(turned.pixels, upright.pixels)
         assert (upright.orientation, turned.orientation) == (1, orientation)
+        assert load_image(turned).size == (70, 50)  # an `Image` as it is
     assert load_image(save(tmp_path / "upright.tiff", rgb, 1)).size == (70, 50)
     with pytest.raises(ImageError, match=r"turned\.tiff is a TIFF with orientation tag \d:"):
         load_image(save(tmp_path / "turned.tiff", rgb, orientation))
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_an_upright_image_is_as_pillow_shows_it(
+    tmp_path: Path, rgb: np.ndarray, orientation: int
+) -> None:
+    path = save(tmp_path / "turned.png", rgb, orientation)
+    image = load_image(path, upright=True)
+    with PIL.Image.open(path) as stored:
+        np.testing.assert_array_equal(image.pixels, PIL.ImageOps.exif_transpose(stored))
+    assert image.orientation == 1 and image.pixels.flags.c_contiguous
+    assert upright_header(load_image(path)).size == image.size
 
 
 @pytest.mark.parametrize(("suffix", "top"), [("png", 65535), ("tiff", 4095)])

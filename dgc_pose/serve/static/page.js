@@ -63,8 +63,7 @@ function show(index, image) {
   at(`picture${index + 1}`).alt = image.name;
   at(`picture${index + 1}`).hidden = false;
   const [width, height] = image.size;
-  const note = image.orientation === 1 ? "" : `, EXIF orientation ${image.orientation} not applied`;
-  at(`caption${index + 1}`).textContent = `${image.name}, ${width} x ${height}${note}`;
+  at(`caption${index + 1}`).textContent = `${image.name}, ${width} x ${height}`;
   at("estimate").disabled = images.includes(null);
   compare();
 }
