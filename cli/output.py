@@ -8,6 +8,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.probability import calibrated_focal_std
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
@@ -23,7 +24,7 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         lines += _pose_lines(pose.R, pose.t)
     if priors is not None:
         lines += _orientation_lines(*priors)
-    lines += _camera_lines(pose, priors)
+    lines += [*_camera_lines(pose, priors), *_check_lines(pose)]
     inliers = "are inliers" if pose.success else "agree with the best essential matrix"
     share = f"{100 * pose.inlier_ratio:.1f} %"
     lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
@@ -78,6 +79,17 @@ def _orientation_lines(*cameras: Camera) -> list[str]:
         "image"
         for n, camera in enumerate(cameras, start=1)
         if camera.orientation != 1
+    ]
+
+
+def _check_lines(pose: RelativePose) -> list[str]:
+    """What the matches say of exact focal lengths."""
+    check = None if pose.evidence is None or not pose.success else pose.evidence.focal_check
+    if check is None:
+        return []
+    deviation = calibrated_focal_std(check.std) * check.factor
+    return [
+        f"the matches suggest {check.factor:.2f} +- {deviation:.2f} times the focal length of K"
     ]
 
 

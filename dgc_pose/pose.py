@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation.camera_fit import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
@@ -234,7 +235,8 @@ def focal_agrees(pose: RelativePose) -> bool:
     if pose.evidence is None:
         return False
     check = pose.evidence.focal_check
-    return check is None or abs(math.log(check.factor)) < _FOCAL_AGREES_STD * check.std
+    most = 0.0 if check is None else max(AGREEING_LOG_FOCAL, _FOCAL_AGREES_STD * check.std)
+    return check is None or abs(math.log(check.factor)) < most
 
 
 def in_doubt(pose: RelativePose) -> bool:

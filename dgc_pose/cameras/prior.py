@@ -49,7 +49,7 @@ _BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
 # which side of the images it holds for; cameras' makers agreed on the diagonal (CIPA DCG-001), and
 # by the width it would be 4 % less at 4:3. Pixels that the correction of distortion and shake
 # leaves out, and the focus, are a few per cent too.
-_FILM_FOCAL_STD = 0.06
+_FILM_FOCAL_STD = 0.08
 _ROUNDING_STD_MM = 0.29  # deviation of a number that is rounded to an integer
 # The lens and the resolution of the sensor are nominal; the focus changes the focal length.
 _SENSOR_RESOLUTION_STD = 0.06

@@ -71,7 +71,7 @@ _EXPLAINED_SHARE = 0.8  # share of inliers beyond which no other focal length ex
 _MORE = 1.2  # of the inliers that another focal length must have to be a start
 _CHECK_SAMPLED = 400  # matches that are fitted first
 _CHECK_ITERATIONS = 30  # of their fit
-_AGREEING_LOG_FOCAL = 0.05  # of ln f: if these suggest no more, the focal lengths are right
+AGREEING_LOG_FOCAL = 0.05  # of ln f: if these suggest no more, no others are fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +278,7 @@ def check_focals(
     cameras: tuple[Camera, Camera],
     options: EstimationOptions,
 ) -> FocalCheck | None:
-    """The factor of the focal lengths that the matches suggest; None if it is 1 or not determined.
+    """The factor of the focal lengths that the matches suggest; None if they do not determine any.
 
     problem: of the matches, normalised by the cameras. first: the pose that these give.
     """
@@ -294,12 +294,11 @@ def check_focals(
         # The pose of a wrong K may be a local minimum.
         other = solved_start(problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
-        pose = other
+        pose = joint.fitted(other)
     else:
         pose = _of_sample(joint, pose)
-        if abs(joint.deviations(pose)[0]) < _AGREEING_LOG_FOCAL:
-            return None
-    pose = joint.fitted(pose)
+        if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
+            pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating(loose1, deviations[:SIZE]), deviating(loose2, deviations[SIZE:])
     fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)

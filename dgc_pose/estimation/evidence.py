@@ -33,7 +33,7 @@ _MIN_ROUNDS = 8  # in each a point has another wrong partner
 class FocalCheck(NamedTuple):
     """The focal lengths that the matches suggest, where K is exact."""
 
-    factor: float  # of both that they suggest
+    factor: float  # of both, over those of K
     std: float  # of its logarithm, by the jackknife
     angle_deg: float  # between the pose with these and the pose with K, the larger of R and t
     error_90_deg: float  # nine times in ten the former is off by less, by the jackknife
@@ -65,8 +65,8 @@ class Evidence:
         jackknife_translation_90_deg: The same of the direction of t.
         jackknife_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
             K is exact.
-        focal_check: What the matches suggest instead of an exact K; None if they agree with it, or
-            if it was not checked.
+        focal_check: The focal lengths that the matches suggest, where K is exact; None if they
+            suggest none, and of a plane.
         residual: Median epipolar error of the inliers, over the threshold.
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         hull_cells: Area of the inliers' convex hull in grid cells, the smaller of both images.

@@ -13,6 +13,8 @@ from dgc_pose.matches import Matches
 
 _DEFAULTS = EstimationOptions()
 THRESHOLD_FACTOR = 2.0  # the threshold over the matches' `error_px`
+# Of what two radial coefficients leave of a lens that is not known, over the longer side.
+_LENS_ERROR = 0.001
 _GRID = 24  # cells along the longer side of an image
 
 
@@ -57,7 +59,11 @@ class TwoViewProblem:
             "duplicates": len(finite) - len(index),
             "their distortion cannot be undone": int((~undone).sum()),
         }
-        pixels = options.threshold_px or THRESHOLD_FACTOR * matches.error_px
+        pixels = options.threshold_px or max(
+            THRESHOLD_FACTOR * matches.error_px,
+            *(_LENS_ERROR * max(c.size or (0,)) for c in (camera1, camera2) if c.lens_std),
+            0.0,
+        )
         return cls(
             points1=points1,
             points2=points2,
