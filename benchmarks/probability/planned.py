@@ -16,6 +16,7 @@ from dgc_pose.benchmarks.posed_pairs import (
     posed_pair,
     require_images,
 )
+from dgc_pose.benchmarks.probability.altered import altered
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
@@ -59,13 +60,17 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         "textureless": _textureless,
     }
     if entry.kind in makers:
-        make = makers[entry.kind](folders, entry)
-        return [PlannedPair(entry, k, entry.name, partial(make, k)) for k in range(entry.pairs)]
-    pairs = _listed(entry, folders[0], lists)
-    require_images(pairs)
-    listed = ListedPairs(pairs)
-    scenes = (Path(p.name1).parts[0] if entry.scene_by_folder else entry.name for p in pairs)
-    return [PlannedPair(entry, k, scene, partial(listed.pair, k)) for k, scene in enumerate(scenes)]
+        make, scenes = makers[entry.kind](folders, entry), entry.pairs * [entry.name]
+    else:
+        pairs = _listed(entry, folders[0], lists)
+        require_images(pairs)
+        make = ListedPairs(pairs).pair
+        scenes = [Path(p.name1).parts[0] if entry.scene_by_folder else entry.name for p in pairs]
+    return [PlannedPair(entry, k, name, _maker(entry, make, k)) for k, name in enumerate(scenes)]
+
+
+def _maker(entry: PlanEntry, make: Maker, number: int) -> Callable[[], PosedPair]:
+    return (lambda: altered(make(number), number)) if entry.altered else partial(make, number)
 
 
 def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:

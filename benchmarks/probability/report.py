@@ -19,7 +19,6 @@ from dgc_pose.estimation.competition import choice_shares, utility
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FORMAT,
-    ErrorModel,
     MatchKind,
     ProbabilityModel,
     match_kind,
@@ -67,9 +66,8 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     )
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
-    verdict = judge(
-        evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
-    )
+    least, errors = EstimationOptions().min_probability, model.errors_90_deg(evidence)
+    verdict = judge(evidence, least, any_right, (), shares[order].tolist(), errors)
     known = STATUSES[verdict.status]
     return Judged(
         replace(
@@ -79,8 +77,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         ),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else share * any_right,
-        min(_expected(evidence.jackknife_rotation_90_deg, model.rotation_error), 180.0),
-        min(_expected(evidence.jackknife_translation_90_deg, model.translation_error), 180.0),
+        *(min(error, 180.0) for error in errors),
         verdict.status == "ambiguous",
     )
 
@@ -138,10 +135,6 @@ def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
 def _values(poses: Sequence[Judged], name: str) -> np.ndarray:
     kind = float if name == "probability" else bool
     return np.array([getattr(pose, name) for pose in poses], kind)
-
-
-def _expected(error: float | None, model: ErrorModel) -> float:
-    return math.nan if error is None else error * model.factor(error)
 
 
 def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:

@@ -170,7 +170,7 @@ class ProbabilityModel:
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
         fitted = _nearness(evidence) / (1 + math.exp(-min(max(total, -30.0), 30.0)))
-        return min(fitted, *map(_within, self._errors_90_deg(evidence)))
+        return min(fitted, *map(_within, self.errors_90_deg(evidence)))
 
     def against(self, evidence: Evidence) -> list[str]:
         """Reasons against the pose: the features that cost most log-odds, compared with their
@@ -191,13 +191,16 @@ class ProbabilityModel:
         scale = np.repeat(factors, 3)
         return covariance * np.outer(scale, scale)
 
-    def _errors_90_deg(self, evidence: Evidence) -> list[float]:
+    def errors_90_deg(self, evidence: Evidence) -> tuple[float, float]:
         """The calibrated errors of R and t, at nine in ten; 0 where the jackknife has none."""
-        errors = (
-            (evidence.jackknife_rotation_90_deg, self.rotation_error),
-            (evidence.jackknife_translation_90_deg, self.translation_error),
+        rotation, translation = (
+            (error or 0.0) * model.factor(error)
+            for error, model in (
+                (evidence.jackknife_rotation_90_deg, self.rotation_error),
+                (evidence.jackknife_translation_90_deg, self.translation_error),
+            )
         )
-        return [(error or 0.0) * model.factor(error) for error, model in errors]
+        return rotation, translation
 
 
 class FittedModels(NamedTuple):

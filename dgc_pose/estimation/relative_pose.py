@@ -41,7 +41,12 @@ from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
 _MIN_SECOND_SHARE = 0.1  # of a plane's inliers, that another motion needs; see docs/experiments.md
-_OF_CAMERAS = ("ok", "planar", "improbable")  # statuses whose matches are evidence of K
+_OF_CAMERAS = (
+    "ok",
+    "planar",
+    "improbable",
+    "undetermined",
+)  # statuses whose matches are evidence of K
 
 
 def estimate_pose(
@@ -83,6 +88,9 @@ def estimate_pose(
         assessed.probability,
         () if assessed.logistic is None else assessed.logistic.against(assessed.evidence),
         [hypothesis.share for hypothesis in assessed.hypotheses if hypothesis.likely],
+        (None, None)
+        if assessed.logistic is None
+        else assessed.logistic.errors_90_deg(assessed.evidence),
     )
     return _result(assessed, verdict, stated, len(matches), warnings)
 

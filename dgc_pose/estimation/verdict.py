@@ -11,6 +11,7 @@ import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.plane import PLANAR_SHARE
+from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.status import STATUSES, Status, percent_text
 
 MIN_MATCHES = 20  # distinct and finite
@@ -52,6 +53,7 @@ def judge(
     probability: float | None = None,
     against: Sequence[str] = (),
     shares: Sequence[float] = (),
+    errors_deg: tuple[float | None, float | None] = (None, None),
 ) -> Verdict:
     """The verdict on the likeliest hypothesis.
 
@@ -61,7 +63,8 @@ def judge(
     fitted on do not show these.
     probability: that a right pose is among those that explain the matches. against: what speaks
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
-    first; () for a single one.
+    first; () for a single one. errors_deg: of R and t, calibrated, at nine in ten: a pose whose
+    errors may be larger than a right one has is not claimed.
     """
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
@@ -75,7 +78,7 @@ def judge(
         return moved
     share = shares[0] if shares else 1.0
     if share * probability >= min_probability and share >= MIN_SHARE:
-        return _pose(evidence)
+        return _undetermined(evidence, errors_deg, RIGHT_DEG) or _pose(evidence)
     if share < MIN_SHARE and probability >= min_probability:
         return _ambiguous(probability, shares)
     probability *= share
@@ -153,11 +156,15 @@ def _behind(evidence: Evidence) -> Verdict | None:
 
 
 def _implausible(evidence: Evidence) -> Verdict | None:
-    if behind := _behind(evidence):
-        return behind
-    for part in ("rotation", "translation"):
-        error: float | None = getattr(evidence, f"jackknife_{part}_90_deg")
-        if error is not None and error > _MAX_ERROR_DEG:
+    errors = evidence.jackknife_rotation_90_deg, evidence.jackknife_translation_90_deg
+    return _behind(evidence) or _undetermined(evidence, errors, _MAX_ERROR_DEG)
+
+
+def _undetermined(
+    evidence: Evidence, errors_deg: tuple[float | None, float | None], limit_deg: float
+) -> Verdict | None:
+    for part, error in zip(("rotation", "translation"), errors_deg, strict=True):
+        if error is not None and error > limit_deg:
             reason = (
                 f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
                 f"wrong by {error:.0f} deg"

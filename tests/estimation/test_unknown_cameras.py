@@ -62,9 +62,8 @@ def test_a_camera_that_is_known_stays_as_it_is():
 def test_where_the_axes_meet_the_focal_length_is_uncertain():
     scene = two_view_scene("orbit", same_camera=True, count=1500, outliers=0.1)
     pose = estimate_pose(scene.matches, *(_unknown(camera, "a") for camera in scene.cameras))
-    assert pose.camera1.focal_std > 0.1
+    assert pose.status == "undetermined" and "may be wrong by" in pose.reason
     assert any(warning.startswith("the matches hardly tell") for warning in pose.warnings)
-    assert pose.rotation_error_90_deg > 1
 
 
 @pytest.mark.parametrize("factor", [0.5, 0.8, 1.25])

@@ -106,6 +106,11 @@ def test_the_probability_decides_and_not_the_gates() -> None:
     assert judge(few, LEAST, 0.5).status == "ok"
     assert judge(GOOD_EVIDENCE, 0.3, 0.4).status == "ok"
     assert judge(GOOD_EVIDENCE, None, 0.1).status == "ok"
+    assert judge(GOOD_EVIDENCE, LEAST, 0.9, errors_deg=(1.0, 9.9)).status == "ok"
+    loose = judge(GOOD_EVIDENCE, LEAST, 0.9, errors_deg=(1.0, 12.4))
+    assert (
+        loose.status == "undetermined" and "its translation may be wrong by 12 deg" in loose.reason
+    )
     assert judge(_changed(homography_ratio=0.9), LEAST, 0.9).status == "planar"
 
 
