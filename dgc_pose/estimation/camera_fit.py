@@ -60,8 +60,8 @@ _SHARE = 4  # a run at one of them has the iterations over this
 _MAX_STARTS = 3  # that are fitted
 _ROUNDS = 3  # of choosing inliers and fitting
 _FIRST_LIMIT = 3.0  # thresholds that matches of the first round may be off
-_ITERATIONS = 100  # of a fit, which converges in 10 as a rule
-_CONVERGED = 1e-6  # relative change of the cost
+_ITERATIONS = 30  # of a fit, which converges in 10 as a rule
+_CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
 
 _CHECK_STD = 0.5  # of ln f where K is checked: a focal length that is hardly known
