@@ -22,6 +22,7 @@ from dgc_pose.estimation.probability import (
     MatchKind,
     ProbabilityModel,
     match_kind,
+    of_right,
     parse_models,
 )
 from dgc_pose.estimation.status import STATUSES
@@ -67,7 +68,8 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
     least, errors = EstimationOptions().min_probability, model.errors_90_deg(evidence)
-    verdict = judge(evidence, least, any_right, (), shares[order].tolist(), errors)
+    of_fitted = errors if record.cameras == "auto" else (None, None)
+    verdict = judge(evidence, least, any_right, (), shares[order].tolist(), of_fitted)
     known = STATUSES[verdict.status]
     return Judged(
         replace(
@@ -77,7 +79,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         ),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else share * any_right,
-        *(min(error, 180.0) for error in errors),
+        *map(of_right, errors),
         verdict.status == "ambiguous",
     )
 

@@ -39,7 +39,7 @@ SIZE_STD = 0.45  # deviation of their logarithm
 # Deviations of the first radial coefficient of a lens: of photographs, and of action cameras.
 LENS_STD, _ACTION_LENS_STD = 0.1, 0.3
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
-CENTRE_STD = 0.01  # of the principal point from the middle, over the longer side
+CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
 
 _FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from statistics import NormalDist
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -183,16 +184,19 @@ class ProbabilityModel:
         return [FEATURES[name].words(evidence) for name in worst[:_MAX_REASONS]]
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
-        """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten."""
-        factors = (
-            self.rotation_error.factor(evidence.jackknife_rotation_90_deg),
-            self.translation_error.factor(evidence.jackknife_translation_90_deg),
-        )
+        """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten if the
+        pose is right, which is an error of at most 10 degrees."""
+        jackknife = evidence.jackknife_rotation_90_deg, evidence.jackknife_translation_90_deg
+        factors = [
+            of_right(error) / before if before else 1.0
+            for error, before in zip(self.errors_90_deg(evidence), jackknife, strict=True)
+        ]
         scale = np.repeat(factors, 3)
         return covariance * np.outer(scale, scale)
 
     def errors_90_deg(self, evidence: Evidence) -> tuple[float, float]:
-        """The calibrated errors of R and t, at nine in ten; 0 where the jackknife has none."""
+        """The calibrated errors of R and t, at nine in ten, of a pose that may be wrong as well; 0
+        where the jackknife has none."""
         rotation, translation = (
             (error or 0.0) * model.factor(error)
             for error, model in (
@@ -243,6 +247,13 @@ def is_contradicted(ratio: float, std: float) -> bool:
     """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
     the standard deviation `std`, calibrated."""
     return abs(math.log(ratio)) >= max(_MIN_FOCAL_ERROR, _CONTRADICTED_STDS * std)
+
+
+def of_right(error_90_deg: float) -> float:
+    """What a normal error stays below nine times in ten if it is at most `RIGHT_DEG`, by the same
+    without that condition."""
+    share = 0.9 * _within(error_90_deg)
+    return error_90_deg / NORMAL_90 * NormalDist().inv_cdf((1 + share) / 2)
 
 
 def _within(error_90_deg: float) -> float:

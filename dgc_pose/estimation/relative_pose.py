@@ -88,9 +88,9 @@ def estimate_pose(
         assessed.probability,
         () if assessed.logistic is None else assessed.logistic.against(assessed.evidence),
         [hypothesis.share for hypothesis in assessed.hypotheses if hypothesis.likely],
-        (None, None)
-        if assessed.logistic is None
-        else assessed.logistic.errors_90_deg(assessed.evidence),
+        assessed.logistic.errors_90_deg(assessed.evidence)
+        if assessed.fitted and assessed.logistic is not None
+        else (None, None),
     )
     return _result(assessed, verdict, stated, len(matches), warnings)
 

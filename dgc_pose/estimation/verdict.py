@@ -36,6 +36,8 @@ _MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more f
 # Expected error of R and of t, by the jackknife, nine times in ten. Of normal errors with more,
 # less than half are within 10 degrees.
 _MAX_ERROR_DEG = 24.0
+# Error of the focal length, at nine in ten, with which a plane has a pose.
+_MAX_FOCAL_PERCENT = 20.0
 _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
 
 
@@ -63,8 +65,8 @@ def judge(
     fitted on do not show these.
     probability: that a right pose is among those that explain the matches. against: what speaks
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
-    first; () for a single one. errors_deg: of R and t, calibrated, at nine in ten: a pose whose
-    errors may be larger than a right one has is not claimed.
+    first; () for a single one. errors_deg: of R and t, calibrated, at nine in ten, where cameras
+    were fitted: a pose whose errors may be larger than a right one has is not claimed then.
     """
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
@@ -78,7 +80,8 @@ def judge(
         return moved
     share = shares[0] if shares else 1.0
     if share * probability >= min_probability and share >= MIN_SHARE:
-        return _undetermined(evidence, errors_deg, RIGHT_DEG) or _pose(evidence)
+        loose = _plane_of_any_focal(evidence) or _undetermined(evidence, errors_deg, RIGHT_DEG)
+        return loose or _pose(evidence)
     if share < MIN_SHARE and probability >= min_probability:
         return _ambiguous(probability, shares)
     probability *= share
@@ -171,6 +174,19 @@ def _undetermined(
             )
             return Verdict("undetermined", reason)
     return None
+
+
+def _plane_of_any_focal(evidence: Evidence) -> Verdict | None:
+    """Whether the matches lie on a plane, which poses of any focal length explain, and the focal
+    length is hardly known."""
+    focal = evidence.jackknife_focal_90_percent
+    if focal is None or focal < _MAX_FOCAL_PERCENT or evidence.homography_ratio < PLANAR_SHARE:
+        return None
+    reason = (
+        f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers, and a "
+        f"plane does not determine the focal length, known within {focal:.0f} %"
+    )
+    return Verdict("undetermined", reason)
 
 
 def _moved_plane(evidence: Evidence) -> Verdict | None:
