@@ -8,7 +8,6 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.probability import calibrated_focal_std
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
@@ -87,7 +86,7 @@ def _check_lines(pose: RelativePose) -> list[str]:
     check = None if pose.evidence is None or not pose.success else pose.evidence.focal_check
     if check is None:
         return []
-    deviation = calibrated_focal_std(check.std) * check.factor
+    deviation = check.std * check.factor
     return [
         f"the matches suggest {check.factor:.2f} +- {deviation:.2f} times the focal length of K"
     ]

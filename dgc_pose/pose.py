@@ -46,7 +46,7 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
 _MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
 _UNLIKELY = 0.75  # probability of a pose below which image 2 may be mirrored
 _LIKELY = 0.95  # and of that of its mirror image that shows it
-_FOCAL_AGREES_STD = 1.5  # standard deviations between the focal lengths of K and of the matches
+_FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 

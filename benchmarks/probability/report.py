@@ -67,9 +67,9 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     )
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
-    least, errors = EstimationOptions().min_probability, model.errors_90_deg(evidence)
-    of_fitted = errors if record.cameras == "auto" else (None, None)
-    verdict = judge(evidence, least, any_right, (), shares[order].tolist(), of_fitted)
+    verdict = judge(
+        evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
+    )
     known = STATUSES[verdict.status]
     return Judged(
         replace(
@@ -79,7 +79,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         ),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else share * any_right,
-        *map(of_right, errors),
+        *map(of_right, model.errors_90_deg(evidence)),
         verdict.status == "ambiguous",
     )
 

@@ -37,7 +37,7 @@ from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.probability import calibrated_focal_std, is_contradicted
+from dgc_pose.estimation.probability import is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
@@ -65,6 +65,7 @@ _CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
 
 _CHECK_STD = 0.5  # of ln f where K is checked: a focal length that is hardly known
+_CHECK_CALIBRATION = 1.5  # of the factor's deviation over the jackknife's: docs/experiments.md
 _CHECK_CENTRE_STD = 0.005  # of the principal point, over the focal length
 _UNCERTAIN_STD = 0.1  # standard deviation of ln f, beyond which there is a warning
 _EXPLAINED_SHARE = 0.8  # share of inliers beyond which no other focal length explains many more
@@ -308,7 +309,7 @@ def check_focals(
         return None
     return FocalCheck(
         math.exp(deviations[0]),
-        covariance.focal_stds[0],
+        _CHECK_CALIBRATION * covariance.focal_stds[0],
         first.angle_to(pose.R, pose.t),
         max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
     )
@@ -334,7 +335,7 @@ def focal_warnings(
     for before, after in zip(stated, fitted, strict=True):
         f, std, allowed = after.focal, after.focal_std, before.focal_std
         if check is not None:
-            f, std = check.factor * before.focal, calibrated_focal_std(check.std)
+            f, std = check.factor * before.focal, check.std
             allowed = std
         source = sources.get(before.focal_source)
         if source and is_contradicted(f / before.focal, allowed):

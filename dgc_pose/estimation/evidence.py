@@ -34,7 +34,7 @@ class FocalCheck(NamedTuple):
     """The focal lengths that the matches suggest, where K is exact."""
 
     factor: float  # of both, over those of K
-    std: float  # of its logarithm, by the jackknife
+    std: float  # of its logarithm, calibrated
     angle_deg: float  # between the pose with these and the pose with K, the larger of R and t
     error_90_deg: float  # nine times in ten the former is off by less, by the jackknife
 

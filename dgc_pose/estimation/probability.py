@@ -266,7 +266,7 @@ def _nearness(evidence: Evidence) -> float:
     """The probability that a pose with a K that is contradicted is within 10 degrees, if that of
     the focal lengths suggested is; 1 if K is not contradicted."""
     check = evidence.focal_check
-    if check is None or not is_contradicted(check.factor, calibrated_focal_std(check.std)):
+    if check is None or not is_contradicted(check.factor, check.std):
         return 1.0
     deviation = max(check.error_90_deg / NORMAL_90, _MIN_DEVIATION_DEG)
     return 0.5 * math.erfc((check.angle_deg - RIGHT_DEG) / deviation / math.sqrt(2))

@@ -88,9 +88,6 @@ def estimate_pose(
         assessed.probability,
         () if assessed.logistic is None else assessed.logistic.against(assessed.evidence),
         [hypothesis.share for hypothesis in assessed.hypotheses if hypothesis.likely],
-        assessed.logistic.errors_90_deg(assessed.evidence)
-        if assessed.fitted and assessed.logistic is not None
-        else (None, None),
     )
     return _result(assessed, verdict, stated, len(matches), warnings)
 
@@ -237,7 +234,7 @@ def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camer
         return camera
     return replace(
         camera,
-        focal_std=calibrated_focal_std(covariance.focal_stds[number]),
+        focal_std=min(calibrated_focal_std(covariance.focal_stds[number]), camera.focal_std),
         lens_std=covariance.lens_stds[number],
     )
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.plane import PLANAR_SHARE
-from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.status import STATUSES, Status, percent_text
 
 MIN_MATCHES = 20  # distinct and finite
@@ -36,8 +35,11 @@ _MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more f
 # Expected error of R and of t, by the jackknife, nine times in ten. Of normal errors with more,
 # less than half are within 10 degrees.
 _MAX_ERROR_DEG = 24.0
-# Error of the focal length, at nine in ten, with which a plane has a pose.
-_MAX_FOCAL_PERCENT = 20.0
+# A prior of the focal length is wrong for all pairs of a camera alike: fitted ones ask for more.
+_FITTED_ODDS = 4.0
+# Error of a fitted focal length, at nine in ten, with which a plane has a pose: less is its prior's,
+# and more the matches seem to tell.
+_MAX_FOCAL_PERCENT = 4.0
 _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
 
 
@@ -55,7 +57,6 @@ def judge(
     probability: float | None = None,
     against: Sequence[str] = (),
     shares: Sequence[float] = (),
-    errors_deg: tuple[float | None, float | None] = (None, None),
 ) -> Verdict:
     """The verdict on the likeliest hypothesis.
 
@@ -65,9 +66,12 @@ def judge(
     fitted on do not show these.
     probability: that a right pose is among those that explain the matches. against: what speaks
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
-    first; () for a single one. errors_deg: of R and t, calibrated, at nine in ten, where cameras
-    were fitted: a pose whose errors may be larger than a right one has is not claimed then.
+    first; () for a single one. Where focal lengths were fitted, the odds of `min_probability` count
+    `_FITTED_ODDS` times.
     """
+    if min_probability is not None and evidence.jackknife_focal_90_percent is not None:
+        odds = _FITTED_ODDS * min_probability
+        min_probability = odds / (odds + 1 - min_probability)
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
         # Chance before all: few inliers are no evidence of a rotation either.
@@ -80,8 +84,7 @@ def judge(
         return moved
     share = shares[0] if shares else 1.0
     if share * probability >= min_probability and share >= MIN_SHARE:
-        loose = _plane_of_any_focal(evidence) or _undetermined(evidence, errors_deg, RIGHT_DEG)
-        return loose or _pose(evidence)
+        return _plane_of_any_focal(evidence) or _pose(evidence)
     if share < MIN_SHARE and probability >= min_probability:
         return _ambiguous(probability, shares)
     probability *= share
@@ -159,15 +162,11 @@ def _behind(evidence: Evidence) -> Verdict | None:
 
 
 def _implausible(evidence: Evidence) -> Verdict | None:
-    errors = evidence.jackknife_rotation_90_deg, evidence.jackknife_translation_90_deg
-    return _behind(evidence) or _undetermined(evidence, errors, _MAX_ERROR_DEG)
-
-
-def _undetermined(
-    evidence: Evidence, errors_deg: tuple[float | None, float | None], limit_deg: float
-) -> Verdict | None:
-    for part, error in zip(("rotation", "translation"), errors_deg, strict=True):
-        if error is not None and error > limit_deg:
+    if behind := _behind(evidence):
+        return behind
+    for part in ("rotation", "translation"):
+        error: float | None = getattr(evidence, f"jackknife_{part}_90_deg")
+        if error is not None and error > _MAX_ERROR_DEG:
             reason = (
                 f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
                 f"wrong by {error:.0f} deg"
@@ -183,8 +182,8 @@ def _plane_of_any_focal(evidence: Evidence) -> Verdict | None:
     if focal is None or focal < _MAX_FOCAL_PERCENT or evidence.homography_ratio < PLANAR_SHARE:
         return None
     reason = (
-        f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers, and a "
-        f"plane does not determine the focal length, known within {focal:.0f} %"
+        f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers: a plane "
+        "does not determine the focal length, which is not known"
     )
     return Verdict("undetermined", reason)
 

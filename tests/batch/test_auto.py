@@ -60,7 +60,7 @@ def test_a_folder_has_one_camera(whole: Path) -> None:
 def test_each_image_has_a_camera(views: Path, tmp_path: Path) -> None:
     cameras = run_sift(views, tmp_path / "out", K="auto:two").summary["cameras"]
     assert [camera["first_image"] for camera in cameras] == [f"view{i}.png" for i in range(COUNT)]
-    assert all(camera["pairs"] == COUNT - 1 for camera in cameras)
+    assert all(camera["images"] == 1 and camera["pairs"] < COUNT for camera in cameras)
 
 
 def test_the_cameras_serve_as_K(views: Path, whole: Path, tmp_path: Path) -> None:

@@ -143,5 +143,5 @@ def test_a_focal_length_within_its_deviation_is_fitted(lens):
     cameras, _, matches = through(lens, focal_std=0.05, identity="x")
     wrong = [deviating(camera, np.array([0.05, 0, 0, 0, 0])) for camera in cameras]
     pose = estimate_pose(matches, *wrong)
-    assert pose.camera1.focal_std < 0.04
+    assert pose.camera1.focal_std < 0.05
     assert pose.camera1.focal == pytest.approx(cameras[0].focal, rel=3 * pose.camera1.focal_std)
