@@ -278,10 +278,14 @@ def check_focals(
     matches: Matches,
     cameras: tuple[Camera, Camera],
     options: EstimationOptions,
+    *,
+    is_plane: bool = False,
 ) -> FocalCheck | None:
     """The factor of the focal lengths that the matches suggest; None if they do not determine any.
 
-    problem: of the matches, normalised by the cameras. first: the pose that these give.
+    problem: of the matches, normalised by the cameras. first: the pose that these give. is_plane:
+    whether its inliers lie on a plane, which poses of any focal length explain: then only other
+    matches tell that K is wrong.
     """
     loose1, loose2 = (
         replace(c, focal_std=_CHECK_STD, centre_std=_CHECK_CENTRE_STD * c.focal, identity="both")
@@ -296,6 +300,8 @@ def check_focals(
         other = solved_start(problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
         pose = joint.fitted(other)
+    elif is_plane:
+        return None
     else:
         pose = _of_sample(joint, pose)
         if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:

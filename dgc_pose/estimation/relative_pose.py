@@ -143,11 +143,10 @@ def assess(
     hypotheses = ranked(hypotheses, None if logistic is None else logistic.choice)
     best = hypotheses[0]
 
-    # The spread is what K may be; without it K is to be right. A plane's homography fits poses of
-    # any focal length, so a plane does not determine it.
+    # The spread is what K may be; without it K is to be right.
     spread, check, still, second = CameraSpread.of(*cameras), None, None, None
-    if not len(spread) and not plane.is_plane:
-        check = check_focals(problem, best, matches, cameras, options)
+    if not len(spread):
+        check = check_focals(problem, best, matches, cameras, options, is_plane=plane.is_plane)
     if plane.is_plane:
         second = _second_motion(problem, best, options)
     if plane.is_plane and fitted:
