@@ -192,7 +192,7 @@ def _mirror_image_probability(
     K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
     cameras = camera1, replace(camera2, K=K)
     pose = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
-    return pose.probability or 0.0
+    return (pose.probability or 0.0) if pose.success else 0.0
 
 
 def _may_change(

@@ -48,8 +48,8 @@ class PlanEntry:
     # Scenes whose true poses are a tracker's, off by a degree or more: they tell right from wrong,
     # but not how accurate a pose is.
     rough: tuple[str, ...] = ()
-    # Whether its pairs are estimated without K, and with a wrong one, too. A plane tells no focal
-    # length: many of them would teach little but that.
+    # Whether its pairs are estimated without K, too. A plane tells no focal length: many of them
+    # would teach little but that. The cameras of rendered pairs are of no photograph.
     withheld: bool = True
 
     def __post_init__(self) -> None:
