@@ -87,9 +87,7 @@ def _check_lines(pose: RelativePose) -> list[str]:
     if check is None:
         return []
     deviation = check.std * check.factor
-    return [
-        f"the matches suggest {check.factor:.2f} +- {deviation:.2f} times the focal length of K"
-    ]
+    return [f"focal length by the matches: {check.factor:.2f} +- {deviation:.2f} times that of K"]
 
 
 def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> list[str]:
