@@ -49,7 +49,7 @@ class PlanEntry:
     # but not how accurate a pose is.
     rough: tuple[str, ...] = ()
     # Whether its pairs are estimated without K, too. A plane tells no focal length: many of them
-    # would teach little but that. The cameras of rendered pairs are of no photograph.
+    # would teach little but that.
     withheld: bool = True
 
     def __post_init__(self) -> None:
