@@ -21,8 +21,11 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
         lines += _pose_lines(pose.R, pose.t)
-    if priors is not None:
-        lines += _orientation_lines(*priors)
+    lines += [
+        f"image {n}: EXIF orientation {prior.orientation} is applied, and the pose is of that image"
+        for n, prior in enumerate(priors or (), start=1)
+        if prior.orientation != 1
+    ]
     lines += [*_camera_lines(pose, priors), *_check_lines(pose)]
     inliers = "are inliers" if pose.success else "agree with the best essential matrix"
     share = f"{100 * pose.inlier_ratio:.1f} %"
@@ -69,16 +72,6 @@ _SOURCES = {
     "size": "by the size of the image",
     "matches": "by the matches",
 }
-
-
-def _orientation_lines(*cameras: Camera) -> list[str]:
-    """What is to be known of images that were turned."""
-    return [
-        f"image {n}: EXIF orientation {camera.orientation} is applied: the pose is of the upright "
-        "image"
-        for n, camera in enumerate(cameras, start=1)
-        if camera.orientation != 1
-    ]
 
 
 def _check_lines(pose: RelativePose) -> list[str]:

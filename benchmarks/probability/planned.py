@@ -16,7 +16,7 @@ from dgc_pose.benchmarks.posed_pairs import (
     posed_pair,
     require_images,
 )
-from dgc_pose.benchmarks.probability.altered import altered
+from dgc_pose.benchmarks.probability.altered import ALTERATIONS, altered
 from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
@@ -70,7 +70,9 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
 
 
 def _maker(entry: PlanEntry, make: Maker, number: int) -> Callable[[], PosedPair]:
-    return (lambda: altered(make(number), number)) if entry.altered else partial(make, number)
+    if not entry.altered:
+        return partial(make, number)
+    return lambda: altered(make(number), ALTERATIONS[number % len(ALTERATIONS)])
 
 
 def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:

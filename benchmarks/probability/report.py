@@ -67,6 +67,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     )
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]
+    rotation, translation = model.errors_90_deg(evidence)
     verdict = judge(
         evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
     )
@@ -79,7 +80,8 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         ),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else share * any_right,
-        *map(of_right, model.errors_90_deg(evidence)),
+        of_right(rotation),
+        of_right(translation),
         verdict.status == "ambiguous",
     )
 

@@ -91,10 +91,11 @@ def pool(
         if len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted
+        widest = (_MAX_STD_SHARE * prior[open_[0]]) ** 2
         useful = [
             CameraFit(fit.value[open_], fit.covariance[np.ix_(open_, open_)], fit.weight)
             for fit in fits[key]
-            if _std(fit, open_[0]) < _MAX_STD_SHARE * prior[open_[0]] and fit.weight > 0
+            if fit.covariance.diagonal()[open_[0]] < widest and fit.weight > 0
         ]
         value, std = np.zeros(SIZE), np.zeros(SIZE)
         value[open_], std[open_] = pooled_fit(useful, prior[open_], len(names))
@@ -179,10 +180,6 @@ def _parameters(camera: Camera) -> np.ndarray:
     lens = camera.distortion
     radial = (0.0, 0.0) if lens is None or lens.model != RADIAL else lens.coefficients
     return np.array([np.log(camera.focal), *camera.K[:2, 2], *radial])
-
-
-def _std(fit: CameraFit, parameter: int) -> float:
-    return float(fit.covariance[parameter, parameter]) ** 0.5
 
 
 def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:

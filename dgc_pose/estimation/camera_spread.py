@@ -63,7 +63,7 @@ class CameraSpread:
 
 
 SIZE = 5  # deviations of a camera
-FOCALS, LENSES = [0, SIZE], [3, SIZE + 3]  # the rows of ln f and c
+FOCALS = [0, SIZE]  # the rows of ln f
 EXACT = CameraSpread(np.zeros((2 * SIZE, 0)))
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.estimation.camera_spread import EXACT, FOCALS, LENSES, CameraSpread, error_slopes
+from dgc_pose.estimation.camera_spread import EXACT, FOCALS, CameraSpread, error_slopes
 from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, pose_error_scale
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
@@ -37,12 +37,6 @@ class Covariance:
     def focal_stds(self) -> tuple[float, float]:
         """Standard deviations of ln f of both cameras."""
         first, second = np.sqrt(np.diag(self.cameras)[FOCALS]).tolist()
-        return first, second
-
-    @property
-    def lens_stds(self) -> tuple[float, float]:
-        """Standard deviations of the first radial coefficient of both cameras."""
-        first, second = np.sqrt(np.diag(self.cameras)[LENSES]).tolist()
         return first, second
 
     @property

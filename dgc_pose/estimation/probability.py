@@ -197,14 +197,12 @@ class ProbabilityModel:
     def errors_90_deg(self, evidence: Evidence) -> tuple[float, float]:
         """The calibrated errors of R and t, at nine in ten, of a pose that may be wrong as well; 0
         where the jackknife has none."""
-        rotation, translation = (
-            (error or 0.0) * model.factor(error)
-            for error, model in (
-                (evidence.jackknife_rotation_90_deg, self.rotation_error),
-                (evidence.jackknife_translation_90_deg, self.translation_error),
-            )
+        rotation = evidence.jackknife_rotation_90_deg or 0.0
+        translation = evidence.jackknife_translation_90_deg or 0.0
+        return (
+            rotation * self.rotation_error.factor(rotation),
+            translation * self.translation_error.factor(translation),
         )
-        return rotation, translation
 
 
 class FittedModels(NamedTuple):

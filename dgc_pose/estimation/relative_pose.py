@@ -18,7 +18,7 @@ from dgc_pose.estimation.camera_fit import (
     check_focals,
     focal_warnings,
 )
-from dgc_pose.estimation.camera_spread import CameraSpread
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
 from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
@@ -234,7 +234,7 @@ def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camer
     return replace(
         camera,
         focal_std=min(calibrated_focal_std(covariance.focal_stds[number]), camera.focal_std),
-        lens_std=covariance.lens_stds[number],
+        lens_std=float(covariance.cameras.diagonal()[SIZE * number + 3]) ** 0.5,
     )
 
 

@@ -84,7 +84,7 @@ def judge(
         return moved
     share = shares[0] if shares else 1.0
     if share * probability >= min_probability and share >= MIN_SHARE:
-        return _plane_of_any_focal(evidence) or _pose(evidence)
+        return _pose(evidence)
     if share < MIN_SHARE and probability >= min_probability:
         return _ambiguous(probability, shares)
     probability *= share
@@ -175,19 +175,6 @@ def _implausible(evidence: Evidence) -> Verdict | None:
     return None
 
 
-def _plane_of_any_focal(evidence: Evidence) -> Verdict | None:
-    """Whether the matches lie on a plane, which poses of any focal length explain, and the focal
-    length is hardly known."""
-    focal = evidence.jackknife_focal_90_percent
-    if focal is None or focal < _MAX_FOCAL_PERCENT or evidence.homography_ratio < PLANAR_SHARE:
-        return None
-    reason = (
-        f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers: a plane "
-        "does not determine the focal length, which is not known"
-    )
-    return Verdict("undetermined", reason)
-
-
 def _moved_plane(evidence: Evidence) -> Verdict | None:
     """Whether the plane that the matches lie on may have moved, and not the camera."""
     if not evidence.num_second_inliers:
@@ -208,8 +195,9 @@ def _pose(evidence: Evidence) -> Verdict:
         )
     if evidence.homography_ratio < PLANAR_SHARE:
         return Verdict("ok", STATUSES["ok"].meaning, warnings)
-    warnings += (
-        f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers: "
-        "the scene is nearly a plane",
-    )
+    share = f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers"
+    if (evidence.jackknife_focal_90_percent or 0.0) > _MAX_FOCAL_PERCENT:
+        reason = f"{share}: a plane does not determine the focal length, which is not known"
+        return Verdict("undetermined", reason)
+    warnings += (f"{share}: the scene is nearly a plane",)
     return Verdict("planar", STATUSES["planar"].meaning, warnings)
