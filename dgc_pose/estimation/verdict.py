@@ -40,6 +40,7 @@ _FITTED_ODDS = 4.0
 # Error of a fitted focal length, at nine in ten, with which a plane has a pose: a prior may be as
 # sure, and the matches only seem to be.
 _MAX_FOCAL_PERCENT = 4.0
+_NOTHING_BUT_PLANE = 0.95  # homography ratio: with more, the data fitted on have no right pose
 _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
 
 
@@ -196,7 +197,8 @@ def _pose(evidence: Evidence) -> Verdict:
     if evidence.homography_ratio < PLANAR_SHARE:
         return Verdict("ok", STATUSES["ok"].meaning, warnings)
     share = f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers"
-    if (evidence.jackknife_focal_90_percent or 0.0) > _MAX_FOCAL_PERCENT:
+    focal = evidence.jackknife_focal_90_percent or 0.0
+    if focal > _MAX_FOCAL_PERCENT and evidence.homography_ratio >= _NOTHING_BUT_PLANE:
         reason = f"{share}: a plane does not determine the focal length, which is not known"
         return Verdict("undetermined", reason)
     warnings += (f"{share}: the scene is nearly a plane",)
