@@ -17,6 +17,7 @@ from dgc_pose.cameras.calibration import (
 )
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.prior import LENS_STD
 from dgc_pose.errors import InputError
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import Image
@@ -158,3 +159,19 @@ def test_the_deviation_of_a_K() -> None:
     assert camera2.focal_std == 0.02
     with pytest.raises(InputError, match="^K_std is of a K, and K gives none$"):
         read_calibration("auto", details=details)
+
+
+@pytest.mark.parametrize(
+    ("text", "std"),
+    [
+        ("300,300,159.5,99.5,lens", LENS_STD),
+        ("PINHOLE,320,200,300,300,160,100,lens", LENS_STD),
+        ("300,300,159.5,99.5", 0.0),
+        ("SIMPLE_RADIAL,320,200,300,160,100,0.1,lens", 0.0),  # its lens is known
+    ],
+)
+def test_a_lens_that_is_not_known(text: str, std: float) -> None:
+    image = Image(np.zeros((200, 320, 3), np.uint8))
+    cameras = pair_cameras(text, text, image, image, ("--K", "--K"))
+    assert [camera.lens_std for camera in cameras] == [std, std]
+    assert all(camera.exact == (std == 0) and camera.focal_std == 0 for camera in cameras)

@@ -207,3 +207,9 @@ def test_a_warning_of_the_orientation_for_a_K_that_may_be_for_the_upright_image(
     assert all(f"orientation {orientation} is not applied" in text for text in warnings[1:])
     assert with_orientation(auto_camera(image), image).warnings == ()
     assert not is_of_upright(Camera(K, size), None, image) or centre == (1490, 2010)
+
+
+def test_the_lens_is_not_known_and_that_of_an_action_camera_less() -> None:
+    action = replace(EXIF, make="GoPro", model="HERO9 Black")
+    assert auto_camera(photo(action)).lens_std > auto_camera(photo(EXIF)).lens_std > 0
+    assert auto_camera(photo()).lens_std > 0

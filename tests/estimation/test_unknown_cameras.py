@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import two_view_scene
@@ -58,6 +59,32 @@ def test_a_camera_that_is_known_stays_as_it_is():
     assert pose.camera1 is camera1
     assert abs(np.log(pose.camera2.focal / camera2.focal)) < 0.05
     assert _error(pose, scene) < 1
+
+
+@pytest.mark.parametrize("known_focal", [True, False])
+def test_a_lens_that_is_not_known_is_fitted(known_focal):
+    """Against the pose of a camera that is taken for a pinhole, and against the lens."""
+    scene = two_view_scene("skew", same_camera=True, count=1500)
+    lens = Distortion("RADIAL", (0.09, -0.2))
+    seen = [
+        replace(camera, distortion=lens).project(camera.normalise(points))
+        for camera, points in zip(scene.cameras, (scene.points1, scene.points2), strict=True)
+    ]
+    matches = replace(scene.matches, points1=seen[0], points2=seen[1])
+    pinholes = [
+        replace(camera, identity="a") if known_focal else _unknown(camera, "a", 1.1)
+        for camera in scene.cameras
+    ]
+    pose = estimate_pose(matches, *(replace(camera, lens_std=0.1) for camera in pinholes))
+    assert _error(pose, scene) < min(0.5, _error(estimate_pose(matches, *pinholes), scene))
+    assert pose.camera1.distortion == pose.camera2.distortion
+    radius = np.linspace(0.05, 0.5, 10)[:, None] * [[0.8, 0.6]]
+    np.testing.assert_allclose(
+        pose.camera1.distortion.apply(radius),
+        lens.apply(radius),
+        atol=3e-3 if known_focal else 8e-3,
+    )
+    assert 0 < pose.camera1.lens_std < 0.1
 
 
 def test_where_the_axes_meet_the_focal_length_is_uncertain():
