@@ -101,9 +101,6 @@ def summary_of(
                 "focal_source": pooled.camera.focal_source,
                 "centre_px": pooled.camera.K[:2, 2].tolist(),
                 "centre_std_px": pooled.camera.centre_std,
-                "radial": list(pooled.camera.distortion.coefficients)
-                if pooled.camera.distortion
-                else None,
                 "lens_std": pooled.camera.lens_std,
                 "pairs": pooled.pairs,
             }

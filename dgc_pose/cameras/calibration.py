@@ -210,12 +210,9 @@ def pair_cameras(
         if sharings[0] != sharings[1]:
             raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
         _require_K(details, names[0])
-        upright = auto_cameras(upright_header(image1), upright_header(image2), sharings[0])
-        first, second = (
-            replace(camera, orientation=image.orientation)
-            for camera, image in zip(upright, (image1, image2), strict=True)
-        )
-        return first, second
+        first, second = auto_cameras(upright_header(image1), upright_header(image2), sharings[0])
+        first = replace(first, orientation=image1.orientation)
+        return first, replace(second, orientation=image2.orientation)
     cameras = []
     for number, image in enumerate((image1, image2)):
         of_K = KDetails() if sharings[number] is not None else details

@@ -42,11 +42,8 @@ def checked_camera(camera: Camera, size: Size, name: str) -> Camera:
             f"{centre}, the middle of an image of about {times(of_K)}, and the image has "
             f"{times(size)}{_hint(of_K, size, name)}"
         )
-        is_possible = (
-            is_possible
-            and _relation(of_K, size) == "scaled"
-            and _alike(max(of_K), max(size), _MAX_POSSIBLE_SCALE)
-        )
+        is_near = _alike(max(of_K), max(size), _MAX_POSSIBLE_SCALE)
+        is_possible = is_possible and is_near and _relation(of_K, size) == "scaled"
     elif not is_possible:
         warnings.append(f"{centre}, outside the image of {times(size)}")
     elif max(abs((x + 0.5) / size[0] - 0.5), abs((y + 0.5) / size[1] - 0.5)) > _MAX_USUAL_OFFSET:

@@ -19,14 +19,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.images.header import (
-    EXCHANGING,
-    EXIF_DIRECTORY,
-    FOCAL_LENGTH,
-    MAKE,
-    MODEL,
-    Exif,
-)
+from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
 from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
@@ -187,7 +180,7 @@ def with_orientation(camera: Camera, image: Image | Header) -> Camera:
 def _fits(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> tuple[bool, bool]:
     """Whether K may be of the pixels as stored, and of the upright image. size: (width, height)
     that K is for, besides that of the camera."""
-    if image.orientation not in EXCHANGING:
+    if image.orientation < 5:  # 5 to 8 exchange width and height
         return True, True
     size = size or camera.size
     if size is not None:

@@ -71,11 +71,8 @@ _SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 time
 
 def deviation_stds(camera: Camera) -> tuple[float, ...]:
     """The standard deviations (SIZE,) of a camera's deviations."""
-    centre = camera.centre_std / camera.focal
-    return (
-        *(camera.focal_std, centre, centre),
-        *(camera.lens_std, _SECOND_LENS_STD * camera.lens_std),
-    )
+    centre, lens = camera.centre_std / camera.focal, camera.lens_std
+    return camera.focal_std, centre, centre, lens, _SECOND_LENS_STD * lens
 
 
 def normaliser(deviations: np.ndarray) -> np.ndarray:

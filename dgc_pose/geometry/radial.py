@@ -4,8 +4,7 @@ u (1 + c1 |u|^2 + c2 |u|^4)."""
 import numpy as np
 from numpy.typing import ArrayLike
 
-_NEWTON_STEPS = 20  # five are enough within the field of view of a photograph
-_CONVERGED = 1e-12
+_NEWTON_STEPS, _CONVERGED = 20, 1e-12  # five are enough within the view of a photograph
 
 
 def distorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
