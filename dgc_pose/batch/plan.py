@@ -33,7 +33,7 @@ class Plan:
     settings: Mapping[str, Any]  # all that the result depends on besides; JSON
 
     # The cameras with the focal lengths that all pairs determine; None before the result is there,
-    # and where all focal lengths are exact.
+    # and where all cameras are exact.
     pooled: Mapping[str, Camera] | None = None
 
     @property

@@ -100,13 +100,12 @@ def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
 
 
 def deviated_slopes(
-    points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
+    points: np.ndarray, lens: Distortion | None, deviations: np.ndarray, undone: np.ndarray
 ) -> np.ndarray:
-    """The derivatives (N, 2, 5) of `deviated` by the deviations."""
+    """The derivatives (N, 2, 5) of `deviated`, whose result is `undone`, by the deviations."""
     moved = _moved(points, lens, deviations)
     if lens is None or lens.model == RADIAL:
-        coefficients = _coefficients(lens) + deviations[3:]
-        by_seen, by_lens = undistorted_slopes(undistorted(moved, coefficients), coefficients)
+        by_seen, by_lens = undistorted_slopes(undone, _coefficients(lens) + deviations[3:])
     else:
         ahead, behind = (
             [lens.undo(moved + s * a) for a in np.eye(2)] for s in (_SLOPE_STEP, -_SLOPE_STEP)
@@ -203,8 +202,10 @@ def _lens_slopes(
     by_point1 = lines1 / root - over * (lines2 @ E[:2, :2])
     by_point2 = lines2 / root - over * (lines1 @ E[:2, :2].T)
     by_side = [
-        (by_point[:, None] @ deviated_slopes(*side))[:, 0]
-        for by_point, side in zip((by_point1, by_point2), sides, strict=True)
+        (by_point[:, None] @ deviated_slopes(*side, undone))[:, 0]
+        for by_point, side, undone in zip(
+            (by_point1, by_point2), sides, (points1, points2), strict=True
+        )
     ]
     of_cameras = np.hstack(by_side)
     of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth

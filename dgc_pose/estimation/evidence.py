@@ -66,7 +66,7 @@ class Evidence:
         jackknife_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
             K is exact.
         focal_check: The focal lengths that the matches suggest, where K is exact; None if they
-            suggest none, and of a plane.
+            suggest none, and of a plane that leaves no others over.
         residual: Median epipolar error of the inliers, over the threshold.
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         hull_cells: Area of the inliers' convex hull in grid cells, the smaller of both images.

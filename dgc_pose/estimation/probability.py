@@ -135,13 +135,13 @@ class ErrorModel:
     slope: float
     intercept: float
 
-    def factor(self, error_deg: float | None) -> float:
-        """By which the jackknife's error (at nine in ten, degrees; None: unknown) is scaled."""
+    def factor(self, error_deg: float) -> float:
+        """By which the jackknife's error (at nine in ten, degrees) is scaled."""
         total = self.intercept + self.slope * log_error(error_deg)
         return math.exp(min(max(total, -_MAX_LOG_FACTOR), _MAX_LOG_FACTOR))
 
 
-def log_error(error_deg: float | None) -> float:
+def log_error(error_deg: float) -> float:
     """The logarithm of a jackknife's error, in degrees or of a focal length in per cent, within the
     range that the model was fitted on."""
     return _log(error_deg, 0.005, 60)

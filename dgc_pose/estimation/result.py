@@ -49,8 +49,9 @@ class RelativePose:
         camera1: Camera of image 1 that the pose is of: as it was stated, or with the focal length
             that the matches determine, if the stated one had a deviation. None without a pose.
         camera2: Camera of image 2, likewise.
-        camera_covariance: Covariance (6, 6) of ln f and the principal point, pixels, of camera 1
-            and then of camera 2, by the matches; None for cameras that were not fitted.
+        camera_covariance: Covariance (10, 10) of ln f, the principal point, pixels, and two radial
+            coefficients, of camera 1 and then of camera 2, by the matches; None for cameras that
+            were not fitted.
         evidence: The measurements that the verdict rests on; None without a hypothesis.
         probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
             hypothesis, with "rotation_only" and with "ambiguous". None if no model of it is fitted
