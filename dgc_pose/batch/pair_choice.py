@@ -56,16 +56,20 @@ def parse_pair_choice(text: str) -> PairChoice:
 def similarities(features: Sequence[np.ndarray]) -> np.ndarray:
     """Scores (N, N) float32 of all pairs, within -1 and 1; the diagonal is 1.
 
-    features: for each image its coarsest cells (cells, C), of unit length. The score of two images
-    is the mean, over the cells of both, of the largest cosine with a cell of the other image.
+    features: for each image its coarsest cells (cells, C), of unit length.
     """
     cells = [feature.astype(np.float32) for feature in features]
     scores = np.eye(len(cells), dtype=np.float32)
     for i, j in combinations(range(len(cells)), 2):
-        cosines = cells[i] @ cells[j].T
-        total = cosines.max(0).sum() + cosines.max(1).sum()
-        scores[i, j] = scores[j, i] = total / sum(cosines.shape)
+        scores[i, j] = scores[j, i] = similarity(cells[i], cells[j])
     return scores
+
+
+def similarity(cells1: np.ndarray, cells2: np.ndarray) -> float:
+    """The score of two images: the mean, over the cells of both, (cells, C) of unit length, of the
+    largest cosine with a cell of the other image."""
+    cosines = cells1 @ cells2.T
+    return float((cosines.max(0).sum() + cosines.max(1).sum()) / sum(cosines.shape))
 
 
 def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:

@@ -81,7 +81,7 @@ def pose_covariance(
     covariances = []
     try:
         for shift in _SHIFTS:
-            sums = _block_sums(terms, inliers.points2, shift)
+            sums = block_sums(terms, inliers.points2, shift)
             blocks = len(sums)
             left_out = sums[:, : count**2].reshape(-1, count, count)
             gradient = sums[:, count**2 :, None]
@@ -114,8 +114,12 @@ def error_radii_deg(covariance: np.ndarray | None) -> tuple[float | None, float 
 
 
 def error_radius_deg(covariance: np.ndarray) -> float:
-    """The length that a Gaussian vector of angles, covariance (3, 3) in rad^2, stays below nine
-    times in ten. Degrees, at most 180.
+    """`error_radius` of a vector of angles, covariance (3, 3) in rad^2. Degrees, at most 180."""
+    return min(math.degrees(error_radius(covariance)), 180.0)
+
+
+def error_radius(covariance: np.ndarray) -> float:
+    """The length that a Gaussian vector of covariance (3, 3) stays below nine times in ten.
 
     The squared length is taken for a scaled chi-square of the same mean and variance (Satterthwaite
     1946), which is exact for a single axis and for equal ones.
@@ -124,8 +128,7 @@ def error_radius_deg(covariance: np.ndarray) -> float:
     mean, squares = eigenvalues.sum(), (eigenvalues**2).sum()
     if mean == 0:
         return 0.0
-    quantile = squares / mean * _chi_square_90(mean**2 / squares)
-    return min(math.degrees(math.sqrt(quantile)), 180.0)
+    return math.sqrt(float(squares / mean * _chi_square_90(mean**2 / squares)))
 
 
 def _chi_square_90(freedom: float) -> float:
@@ -154,7 +157,7 @@ def _incomplete_gamma(a: float, x: float) -> float:
     return total
 
 
-def _block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+def block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
     """Sums (B, M) of terms (N, M) over square blocks of points (N, 2), empty blocks left out.
 
     No matrix product: the order of its sums depends on the number of threads.

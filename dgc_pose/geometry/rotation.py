@@ -42,6 +42,17 @@ def quaternion_wxyz(R: np.ndarray) -> np.ndarray:
     return quaternion if first > 0 else -quaternion
 
 
+def rotation_of_quaternion(wxyz: np.ndarray) -> np.ndarray:
+    """The rotation matrix (3, 3) of a quaternion (w, x, y, z) of any length but 0. Raises
+    ValueError if there is none."""
+    length = float(np.linalg.norm(wxyz))
+    if not 0 < length < math.inf:
+        raise ValueError("a quaternion without a length")
+    w, x, y, z = wxyz / length
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * (w * cross + cross @ cross)
+
+
 def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
     """The rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976).
 

@@ -13,9 +13,11 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.keyed import FileCameras, Size
+from dgc_pose.cameras.formats.keyed import FileCameras, Size, pose_matrix
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
@@ -87,10 +89,10 @@ def read_cameras(path: Path) -> FileCameras:
     if images.is_file():
         data = read_bytes(images)
         with read_as("COLMAP's images", images):
-            ids = _text_images(data) if is_text else _binary_images(data)
-        by_name = {name: cameras[key] for name, key in ids.items() if key in cameras}
+            posed = _text_images(data) if is_text else _binary_images(data)
+        by_name = {name: cameras[key] for name, (key, _) in posed.items() if key in cameras}
         if by_name:
-            return FileCameras(by_name, parts)
+            return FileCameras(by_name, parts, poses={name: posed[name][1] for name in by_name})
     return FileCameras(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
 
 
@@ -117,34 +119,35 @@ def _binary_cameras(data: bytes) -> dict[int, Camera]:
     return cameras
 
 
-def _binary_images(data: bytes) -> dict[str, int]:
-    """The camera id by image name, from an images.bin."""
-    camera_ids: dict[str, int] = {}
+def _binary_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
+    """The camera id and cam_from_world (3, 4) by image name, from an images.bin."""
+    images: dict[str, tuple[int, np.ndarray]] = {}
     (count,) = _COUNT.unpack_from(data)
     start = _COUNT.size
     for _ in range(count):
-        camera_id = _IMAGE.unpack_from(data, start)[-1]
+        _, *pose, camera_id = _IMAGE.unpack_from(data, start)
         name_end = data.index(b"\0", start + _IMAGE.size)
-        camera_ids[data[start + _IMAGE.size : name_end].decode()] = camera_id
+        name = data[start + _IMAGE.size : name_end].decode()
+        images[name] = camera_id, pose_matrix(pose)
         (points,) = _COUNT.unpack_from(data, name_end + 1)
         start = name_end + 1 + _COUNT.size + _POINT_BYTES * points
     if start > len(data):
         raise ValueError("points are missing")
-    return camera_ids
+    return images
 
 
-def _text_images(data: bytes) -> dict[str, int]:
+def _text_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
     """The same from an images.txt: two lines an image, the second of its points."""
-    camera_ids: dict[str, int] = {}
+    images: dict[str, tuple[int, np.ndarray]] = {}
     lines = iter(data.decode().splitlines())
     for line in lines:
         words = line.split(maxsplit=9)
         if words and not words[0].startswith("#"):
             if len(words) < 10:
                 raise ValueError("an image without a name")
-            camera_ids[words[9].strip()] = int(words[8])
+            images[words[9].strip()] = int(words[8]), pose_matrix([*map(float, words[1:8])])
             next(lines, None)
-    return camera_ids
+    return images
 
 
 def read_database(path: Path) -> PairList:

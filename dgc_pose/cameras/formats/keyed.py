@@ -20,6 +20,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError, reason, shortened
+from dgc_pose.geometry.rotation import rotation_of_quaternion
 
 Size = tuple[int, int]  # (width, height), pixels
 
@@ -31,6 +32,7 @@ _SIZES = (
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
 )
 _FOUR = ("fx", "fy", "cx", "cy")
+_POSE = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
 _MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye")
 _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
@@ -61,6 +63,7 @@ class FileCameras:
     parts: Mapping[str, Camera] = field(default_factory=dict)
     common: Camera | None = None  # of all other images
     refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
+    poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
 
 
 def xml_data(node: ElementTree.Element) -> Any:
@@ -180,12 +183,13 @@ def _rig_camera(data: Mapping[str, Any]) -> Camera:
 
 def read_table(text: str, path: Path) -> FileCameras:
     """The cameras of a .csv with the columns name, fx, fy, cx, cy, and optionally width, height,
-    focal_std, centre_std_px, lens_std, camera, equal for images of one camera, and those of a lens.
+    focal_std, centre_std_px, lens_std, camera, equal for images of one camera, those of a lens, and
+    qw, qx, qy, qz, tx, ty, tz of cam_from_world.
 
     Raises InputError, with the path and line, also for a name with two cameras.
     """
     by_name: dict[str, dict[str, str]] = {}
-    cameras = {}
+    cameras, poses = {}, {}
     for number, row in enumerate(csv.DictReader(text.splitlines()), start=2):
         try:
             if any(row.pop(None, ())):
@@ -194,13 +198,20 @@ def read_table(text: str, path: Path) -> FileCameras:
                 raise InputError(f"another camera of {row['name']} than in a line before")
             camera = keyed_camera(row)
             cameras[row["name"]] = replace(camera, identity=row.get("camera") or None)
+            if row.keys() >= {*_POSE}:
+                poses[row["name"]] = pose_matrix([float(row[key]) for key in _POSE])
         except KeyError as error:
             raise InputError(f"{path}: no column {error}") from None
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{path}:{number}: {reason(error)}") from None
     if not cameras:
         raise InputError(f"{path}: no cameras in this table")
-    return FileCameras(cameras)
+    return FileCameras(cameras, poses=poses)
+
+
+def pose_matrix(values: Sequence[float]) -> np.ndarray:
+    """cam_from_world [R | t] (3, 4) of qw, qx, qy, qz, tx, ty, tz. Raises ValueError."""
+    return np.column_stack([rotation_of_quaternion(np.array(values[:4])), values[4:]])
 
 
 def may_matter(key: str) -> bool:

@@ -9,7 +9,7 @@
 | ROS's camera_info, YAML | (0, 0) | - |
 | Kalibr's camchain, YAML | (0, 0) | folder `cam0`, `cam1`, ... |
 | KITTI's calib.txt, calib_cam_to_cam.txt | (0, 0) | folder `image_0`, `image_02`, ... |
-| .csv with name, fx, fy, cx, cy[, width, height, k1, k2, p1, p2] | (0, 0) | name |
+| .csv with name, fx, fy, cx, cy[, width, height, k1, k2, p1, p2, qw, ..., tz] | (0, 0) | name |
 | JSON with K, or fx, fy, cx, cy; or with K1 and K2 | (0, 0) | image 1 or 2 of a pair |
 | 3x3, or fx fy cx cy, as text or .npy | (0, 0) | - |
 
@@ -129,8 +129,11 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> FileCameras:
     common = _nerf_camera(data)
     if common is not None:
         common = replace(common, identity=where)
-    by_name = {}
+    by_name, poses = {}, {}
     for frame in data.get("frames", ()):
+        if "transform_matrix" in frame:  # world_from_cam, of axes right, up and backwards
+            matrix = np.linalg.inv(np.array(frame["transform_matrix"], dtype=np.float64))
+            poses[str(frame["file_path"])] = (matrix * [[1], [-1], [-1], [1]])[:3]
         of_frame = {k: v for k, v in frame.items() if k in _INTRINSIC_KEYS or keyed.may_matter(k)}
         replaced = {key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys}
         rest = {key: value for key, value in data.items() if key not in replaced}
@@ -141,7 +144,7 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> FileCameras:
             raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
     if common is None and not by_name:
         raise InputError("no fl_x, and no camera_angle_x with w, in this transforms.json")
-    return FileCameras(by_name, common=common)
+    return FileCameras(by_name, common=common, poses=poses)
 
 
 def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:

@@ -1,0 +1,1 @@
+"""The pose of a photograph in a model: visual localization by relative poses."""

@@ -1,0 +1,348 @@
+"""The pose of a photograph from its matches with several references of known poses.
+
+Each pair has an epipolar geometry that the pose in the world determines. RANSAC on the generalised
+relative pose, and the hypotheses of the single pairs, whose lines of sight meet in the centre, are
+starts; the best of them are fitted to the matches of all pairs together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import cv2
+import numpy as np
+import poselib
+
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviated, error_slopes
+from dgc_pose.estimation.covariance import block_sums
+from dgc_pose.estimation.hypothesis import (
+    ALIKE,
+    DISTINCT_DEG,
+    EFFICIENT,
+    Hypothesis,
+    pose_error_scale,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.robust_fit import run_seeds
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.geometry.triangulation import depths
+from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.system.threads import in_threads
+
+_SAMPLED = 300  # matches of a pair that RANSAC draws from
+_SCORED = 100  # matches of a pair that starts are compared by
+_MAX_STARTS = 3  # that are fitted
+_AGREEING_SHARE = 0.6  # of the inliers of a pair's pose, that those of the location are
+_ALIKE_DEG = 15.0  # between the rotations of two pairs that may be of one pose
+_ROUNDS, _ITERATIONS, _CONVERGED = 3, 20, 1e-6
+_RIDGE = 1e-9
+_FOCAL = 1000.0  # of the camera by which PoseLib has pixels
+_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """A reference and its matches with the photograph, which is image 2."""
+
+    R: np.ndarray  # (3, 3) of the reference, cam_from_world
+    centre: np.ndarray  # (3,) of the reference, world
+    problem: TwoViewProblem  # normalised by both cameras
+    hypotheses: Sequence[Hypothesis]  # of the pair
+
+    def pair_pose(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
+        """R and unit t of the photograph relative to the reference; any t where both coincide."""
+        t = pose.R @ (self.centre - pose.centre)
+        length = np.linalg.norm(t)
+        return pose.R @ self.R.T, t / length if length > 0 else np.array([0.0, 0.0, 1.0])
+
+    def hypothesis(self, pose: WorldPose) -> Hypothesis:
+        """The pose as a hypothesis of this pair."""
+        return Hypothesis.of_pose(self.problem, *self.pair_pose(pose))
+
+    def agrees(self, pose: WorldPose) -> bool:
+        """Whether a hypothesis of the pair has the rotation of a pose, and the matches fit both
+        alike."""
+        under = self.hypothesis(pose)
+        most = max(hypothesis.num_in_front for hypothesis in self.hypotheses)
+        near = any(rotation_error_deg(under.R, h.R) < DISTINCT_DEG for h in self.hypotheses)
+        return near and under.num_in_front >= _AGREEING_SHARE * most
+
+
+@dataclass(frozen=True, eq=False)
+class WorldPose:
+    """The pose of the photograph, and how far its camera is from that of the problems."""
+
+    R: np.ndarray  # (3, 3) cam_from_world
+    centre: np.ndarray  # (3,) world
+    deviations: np.ndarray  # (SIZE,) of the camera, see `camera_spread`
+
+
+def located(
+    sights: Sequence[Sight],
+    spread: CameraSpread,
+    options: EstimationOptions,
+    before: WorldPose | None = None,
+) -> WorldPose | None:
+    """The pose that most matches agree with, fitted to them; None without a start.
+
+    spread: of the references' camera, which is exact, and of the photograph's. before: the pose
+    without the last of the sights: if that agrees with it, it is the start.
+    """
+    if before is not None and sights[-1].agrees(before):
+        return fitted(sights, before, spread)
+    even = [_thinned(sight, _SCORED) for sight in sights]
+    starts = sorted(_starts(sights, options), key=lambda pose: -score(even, pose))[:_MAX_STARTS]
+    if not starts:
+        return None
+    fits = in_threads(lambda pose: fitted(sights, pose, spread), starts)
+    return max(fits, key=lambda pose: score(sights, pose))
+
+
+def score(sights: Sequence[Sight], pose: WorldPose) -> float:
+    """How well the matches in front of the cameras agree: their number less their truncated
+    squared errors over the squared threshold."""
+    total = 0.0
+    for sight in sights:
+        error, in_front, _ = _residuals(sight, pose)
+        total += float(np.maximum(1 - (error / sight.problem.threshold) ** 2, 0)[in_front].sum())
+    return total
+
+
+def _starts(sights: Sequence[Sight], options: EstimationOptions) -> list[WorldPose]:
+    poses = [pose for pair in combinations(sights, 2) for pose in _of_two(*pair)]
+    samples = [_explained(sight) for sight in sights]
+    usable = [n for n, sample in enumerate(samples) if len(sample.problem)]
+    if len(usable) < 2:
+        return poses
+    matches = []
+    for n in usable:
+        match, problem = poselib.PairwiseMatches(), samples[n].problem
+        match.cam_id1, match.cam_id2 = n, 0
+        match.x1, match.x2 = problem.points1 * _FOCAL, problem.points2 * _FOCAL
+        matches.append(match)
+    references, photograph = [_extrinsic(s.R, s.centre) for s in sights], [poselib.CameraPose()]
+    cameras = [_CAMERA] * len(sights)
+    threshold = _FOCAL * float(np.median([s.problem.threshold for s in sights]))
+
+    def run(seed: int) -> WorldPose | None:
+        ransac = {
+            "max_iterations": options.iterations,
+            "min_iterations": 100,
+            "max_epipolar_error": threshold,
+            "seed": seed,
+        }
+        loss = {"loss_type": "TRUNCATED", "loss_scale": threshold}
+        pose, info = poselib.estimate_generalized_relative_pose(
+            matches, references, cameras, photograph, [_CAMERA], ransac, loss
+        )
+        if info["num_inliers"] == 0 or not np.isfinite(pose.Rt).all():
+            return None
+        return WorldPose(pose.R, -pose.R.T @ pose.t, np.zeros(SIZE))
+
+    runs = in_threads(run, run_seeds(options))
+    return [*poses, *(pose for pose in runs if pose is not None)]
+
+
+def _of_two(first: Sight, second: Sight) -> list[WorldPose]:
+    """The poses whose centre is where the lines of sight of two pairs come nearest to each
+    other."""
+    poses = []
+    for one, two in product(first.hypotheses, second.hypotheses):
+        R = one.R @ first.R
+        if rotation_angle_deg(two.R @ second.R @ R.T) > _ALIKE_DEG:
+            continue
+        rays = np.stack([-(h.R @ s.R).T @ h.t for h, s in ((one, first), (two, second))])
+        cosine = float(rays[0] @ rays[1])
+        if cosine**2 > 1 - 1e-8:
+            continue
+        matrix = np.array([[1, -cosine], [-cosine, 1]])
+        between = second.centre - first.centre
+        lengths = np.linalg.solve(matrix, [rays[0] @ between, -rays[1] @ between])
+        if (lengths > 0).all():
+            centre = (first.centre + lengths[0] * rays[0] + second.centre + lengths[1] * rays[1]) / 2
+            poses.append(WorldPose(R, centre, np.zeros(SIZE)))
+    return poses
+
+
+def _explained(sight: Sight) -> Sight:
+    """The matches that a hypothesis of the pair explains, an even sample."""
+    explained = np.zeros(len(sight.problem), dtype=bool)
+    for hypothesis in sight.hypotheses:
+        explained |= hypothesis.inliers_in_front
+    return _thinned(replace(sight, problem=sight.problem.subset(explained)), _SAMPLED)
+
+
+def _thinned(sight: Sight, most: int) -> Sight:
+    chosen = np.linspace(0, len(sight.problem) - 1, min(most, len(sight.problem))).astype(int)
+    return replace(sight, problem=sight.problem.subset(chosen))
+
+
+def _extrinsic(R: np.ndarray, centre: np.ndarray) -> poselib.CameraPose:
+    pose = poselib.CameraPose()
+    pose.R, pose.t = R, -R @ centre
+    return pose
+
+
+def fitted(sights: Sequence[Sight], pose: WorldPose, spread: CameraSpread) -> WorldPose:
+    """The pose of least Cauchy loss of the Sampson errors of the inliers in front of the cameras,
+    which are chosen anew in each of three rounds; with the deviations of the camera."""
+    for _ in range(_ROUNDS):
+        parts = [part for part in (_inliers(sight, pose) for sight in sights) if part is not None]
+        if not parts:
+            return pose
+        pose = _minimised(parts, pose, spread)
+    return pose
+
+
+def _inliers(sight: Sight, pose: WorldPose) -> tuple[Sight, float] | None:
+    """The inliers of a pair and the scale of their errors; None if they are too few."""
+    error, in_front, _ = _residuals(sight, pose)
+    chosen = in_front & (error < sight.problem.threshold)
+    if chosen.sum() < 8:
+        return None
+    part = replace(sight, problem=sight.problem.subset(chosen))
+    R, t = part.pair_pose(pose)
+    return part, pose_error_scale(_moved(part.problem, pose.deviations), R, t)
+
+
+Part = tuple[Sight, float]
+
+
+def _minimised(parts: Sequence[Part], pose: WorldPose, spread: CameraSpread) -> WorldPose:
+    """Levenberg-Marquardt with weights from the loss."""
+    damping, cost = 1e-6, _loss(parts, pose, spread)
+    for _ in range(_ITERATIONS):
+        hessian, gradient = _normal_equations(parts, pose, spread)
+        before = cost
+        while damping < 1e6:
+            damped = hessian + damping * np.diag(np.diag(hessian))
+            step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
+            candidate = _stepped(pose, step, spread)
+            if (cost := _loss(parts, candidate, spread)) < before:
+                pose, damping = candidate, max(damping / 10, 1e-9)
+                break
+            damping, cost = damping * 10, before
+        if before - cost <= _CONVERGED * (1 + before):
+            break
+    return pose
+
+
+def _stepped(pose: WorldPose, step: np.ndarray, spread: CameraSpread) -> WorldPose:
+    R = cv2.Rodrigues(step[:3])[0] @ pose.R
+    deviations = pose.deviations + (spread.basis @ step[6:])[SIZE:]
+    return WorldPose(R, pose.centre + step[3:6], deviations)
+
+
+def _normal_equations(
+    parts: Sequence[Part], pose: WorldPose, spread: CameraSpread
+) -> tuple[np.ndarray, np.ndarray]:
+    prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
+    hessian, gradient = prior, prior[:, 6:] @ _z(pose, spread)
+    for part in parts:
+        error, slopes = world_slopes(part[0], pose, spread)
+        weight = _inverse_variance(part[1]) / (1 + (error / part[1]) ** 2)
+        hessian = hessian + (slopes * weight[:, None]).T @ slopes
+        gradient = gradient + slopes.T @ (weight * error)
+    return hessian, gradient
+
+
+def world_slopes(
+    sight: Sight, pose: WorldPose, spread: CameraSpread
+) -> tuple[np.ndarray, np.ndarray]:
+    """Signed Sampson errors (N,), and their derivatives (N, 6 + M) by a rotation vector w, R
+    becoming exp([w]x) R; the centre; and the basis of `spread`."""
+    R, t = sight.pair_pose(pose)
+    deviations = np.concatenate([np.zeros(SIZE), pose.deviations])
+    error, slopes, tangent = error_slopes(sight.problem, R, t, spread, deviations)
+    length = max(float(np.linalg.norm(sight.centre - pose.centre)), 1e-12)
+    # t turns with R, and moves with the centre; of a unit vector the part across it counts.
+    cross = np.array([[0, t[2], -t[1]], [-t[2], 0, t[0]], [t[1], -t[0], 0]])  # of w x t by w
+    by_t = slopes[:, 3:5] @ tangent.T
+    by_rotation = slopes[:, :3] + by_t @ cross
+    by_centre = -by_t @ pose.R / length
+    return error, np.hstack([by_rotation, by_centre, slopes[:, 5:]])
+
+
+def _loss(parts: Sequence[Part], pose: WorldPose, spread: CameraSpread) -> float:
+    total = float((_z(pose, spread) ** 2).sum()) / 2
+    for sight, scale in parts:
+        error, _, _ = _residuals(sight, pose)
+        total += _inverse_variance(scale) * scale**2 * float(np.log1p((error / scale) ** 2).sum()) / 2
+    return total
+
+
+def _inverse_variance(scale: float) -> float:
+    return (EFFICIENT / scale) ** 2 / ALIKE
+
+
+def _z(pose: WorldPose, spread: CameraSpread) -> np.ndarray:
+    """The deviations of the camera in the basis of the spread."""
+    z: np.ndarray = np.linalg.lstsq(spread.basis[SIZE:], pose.deviations, rcond=None)[0]
+    return z
+
+
+def world_covariance(
+    sights: Sequence[Sight], pose: WorldPose, spread: CameraSpread
+) -> np.ndarray | None:
+    """Covariance (6 + M, 6 + M) of the rotation vector, radians, the centre, in the model's unit,
+    and the basis of `spread`; None if the inliers do not determine them.
+
+    By the delete-a-group jackknife, as `estimation.covariance` has it: over blocks of the
+    photograph in each pair, and over whole pairs, as references have errors of their own.
+    """
+    parts = [part for part in (_inliers(sight, pose) for sight in sights) if part is not None]
+    count = 6 + len(spread)
+    total = np.diag([*np.zeros(6), *np.ones(len(spread))])
+    of_pairs, of_blocks = [], []
+    for sight, scale in parts:
+        error, slopes = world_slopes(sight, pose, spread)
+        squared = (error / scale) ** 2
+        factor = _inverse_variance(scale)
+        curvature = factor * np.maximum(1 - squared, 0) / (1 + squared) ** 2
+        gradients = slopes * (factor * error / (1 + squared))[:, None]
+        information = (slopes * curvature[:, None])[:, :, None] * slopes[:, None]
+        terms = np.column_stack([information.reshape(-1, count**2), gradients])
+        of_pairs.append(terms.sum(0))
+        of_blocks.append(block_sums(terms, sight.problem.points2, (0.0, 0.0)))
+        total = total + information.sum(0)
+    if not parts:
+        return None
+    try:
+        inverse = np.linalg.inv(total)
+        covariances = [_jackknife(total, np.vstack(of_blocks))]
+        if len(parts) > 2:
+            covariances.append(_jackknife(total, np.stack(of_pairs)))
+        prior = inverse[:, 6:] @ inverse[6:]
+    except np.linalg.LinAlgError:
+        return None
+    covariance = np.mean(covariances, axis=0) + prior
+    return covariance if np.isfinite(covariance).all() else None
+
+
+def _jackknife(total: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    count, groups = len(total), len(sums)
+    left_out = sums[:, : count**2].reshape(-1, count, count)
+    moves = np.linalg.solve((1 + _RIDGE) * total - left_out, sums[:, count**2 :, None])[:, :, 0]
+    covariance: np.ndarray = (groups - 1) / groups * moves.T @ moves
+    return covariance
+
+
+def _residuals(sight: Sight, pose: WorldPose) -> tuple[np.ndarray, np.ndarray, TwoViewProblem]:
+    """Sampson errors (N,) and whether the points are in front of both cameras (N,)."""
+    moved = _moved(sight.problem, pose.deviations)
+    R, t = sight.pair_pose(pose)
+    error = sampson_distance(moved.points1, moved.points2, essential_from_pose(R, t))
+    error *= np.exp(pose.deviations[0] / 2)  # in the unit of the problem
+    depth1, depth2 = depths(moved.points1, moved.points2, R, t)
+    return np.nan_to_num(error, nan=np.inf), (depth1 > 0) & (depth2 > 0), moved
+
+
+def _moved(problem: TwoViewProblem, deviations: np.ndarray) -> TwoViewProblem:
+    """The problem as the deviating camera of the photograph normalises it."""
+    if not deviations.any():
+        return problem
+    return replace(problem, points2=deviated(problem.points2, problem.lenses[1], deviations))

@@ -1,0 +1,136 @@
+"""A photograph placed in a model: references, pairs, the pose of all pairs, the verdict."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dgc_pose.batch.pair_choice import similarity
+from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.images.image import Image, load_image
+from dgc_pose.localization.location import Location
+from dgc_pose.localization.model import PosedModel
+from dgc_pose.localization.search import ReferenceSearch
+from dgc_pose.matchers import load_matcher
+from dgc_pose.matching import Matcher
+from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.pose import pose_of_pair
+from dgc_pose.system.options import check_type
+
+if TYPE_CHECKING:
+    from dgc_pose.pose import CameraSource, ImageSource
+
+_IMAGE_BYTES = 2**29  # of references in memory
+
+
+def locate(
+    photo: ImageSource,
+    model: PosedModel,
+    K: CameraSource = None,
+    *,
+    matcher: Matcher | None = None,
+    options: EstimationOptions | None = None,
+) -> Location:
+    """The pose of a photograph in a model's frame and unit.
+
+    photo: as of `estimate_relative_pose`. model: of `load_model`. K: of the photograph, as of
+    `estimate_relative_pose`; None: not known. For many photographs a `Locator` computes what it
+    needs of the model once. Raises InputError and ImageError likewise.
+    """
+    return Locator(model, matcher, options).locate(photo, K)
+
+
+class Locator:
+    """A model whose images are described once, for many photographs.
+
+    matcher: a network's; by default `load_matcher()`.
+    """
+
+    def __init__(
+        self,
+        model: PosedModel,
+        matcher: Matcher | None = None,
+        options: EstimationOptions | None = None,
+    ) -> None:
+        check_type(model, PosedModel, "model")
+        self.model, self.matcher = model, matcher or load_matcher()
+        self.options = options or EstimationOptions()
+        self._features: dict[str, np.ndarray] = {}
+        self._images: BoundedCache[str, Image] = BoundedCache(
+            lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
+        )
+
+    def describe(self) -> None:
+        """Compute the coarsest features of the model's images, which choose references."""
+        for name in self.model.poses:
+            if name not in self._features:
+                self._features[name] = self.matcher.coarse_features(self._image(name))
+
+    def locate(
+        self, photo: ImageSource, K: CameraSource = None, *, left_out: Sequence[str] = ()
+    ) -> Location:
+        """As `locate`. left_out: names of images of the model that are no references; that of the
+        photograph itself is none."""
+        start = time.perf_counter()
+        image, seconds = load_image(photo, "photo"), {}
+        names, warnings = self._references(image, left_out)
+        any_image = self._image(names[0])
+        of_reference = self.model.cameras[names[0]]
+        _, camera = pair_cameras(of_reference, K, any_image, image, ("model", "K"))
+        image = image.oriented(camera.orientation)
+        seconds["load"] = time.perf_counter() - start
+        start = time.perf_counter()
+        self.describe()
+        features = self.matcher.coarse_features(image)
+        scores = {name: similarity(features, self._features[name]) for name in names}
+        seconds["describe"] = time.perf_counter() - start
+
+        search = ReferenceSearch(self.model, camera, self.options, sorted(names, key=lambda n: -scores[n]))
+        seconds |= {"match": 0.0, "estimate": 0.0}
+        while (name := search.next_reference()) is not None:
+            start = time.perf_counter()
+            pair = self.matcher.search(self._image(name), image)
+            pose = pose_of_pair(pair, self.model.cameras[name], camera, self.options)
+            matched = time.perf_counter()
+            search.add(name, pose, pair.last.matches)
+            seconds["match"] += matched - start
+            seconds["estimate"] += time.perf_counter() - matched
+        location = search.location()
+        return replace(
+            location, warnings=(*warnings, *camera.warnings, *location.warnings), seconds=seconds
+        )
+
+    def _references(
+        self, image: Image, left_out: Sequence[str]
+    ) -> tuple[list[str], tuple[str, ...]]:
+        """The images of the model that may be references, and what is told of others."""
+        root = self.model.root
+        same = [n for n in self.model.poses if _same_file(root / n, Path(image.name))]
+        names = [n for n in self.model.poses if n not in {*left_out, *same}]
+        if not names:
+            raise InputError("the model has no other image than the photograph")
+        if same and same[0] not in left_out:
+            return names, (f"{image.name} is in the model as {same[0]}, and is no reference",)
+        return names, ()
+
+    def _image(self, name: str) -> Image:
+        def read() -> Image:
+            image = load_image(self.model.root / name)
+            return image.oriented(self.model.cameras[name].orientation)
+
+        return self._images.get(name, read)
+
+
+def _same_file(first: Path, second: Path) -> bool:
+    try:
+        return os.path.samefile(first, second)
+    except OSError:
+        return False

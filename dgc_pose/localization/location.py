@@ -1,0 +1,124 @@
+"""The result of a localization: a pose in the model, or the reason why there is none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from dgc_pose.cameras.calibration import camera_data
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.covariance import error_radius, error_radius_deg
+from dgc_pose.estimation.status import short_text
+from dgc_pose.matches import Matches
+
+# no_scale: R is known, and of the centre the direction from a reference alone.
+LocationStatus = Literal["located", "no_scale", "nowhere"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """A photograph of the model that was matched with the one to be located."""
+
+    name: str
+    matches: Matches  # points1 in the reference, points2 in the photograph
+    inliers: np.ndarray  # (N,) bool, the matches that agree with the location
+    probability: float  # that the pose of the pair is right
+    agrees: bool  # whether the location rests on it
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """The pose of a photograph in a model's frame and unit.
+
+    Attributes:
+        status: "located"; "no_scale", with a rotation and a direction; or "nowhere".
+        reason: Why the photograph is not located; empty if it is.
+        references: The photographs of the model that were matched, in this order.
+        R: Rotation (3, 3) of cam_from_world, x = R X + t; None if it is nowhere.
+        centre: Position (3,) of the camera, world, in the model's unit; None unless located.
+        direction: With "no_scale" the unit direction (3,), world, from a reference to the
+            photograph; else None.
+        direction_from: The name of that reference.
+        covariance: Covariance (6, 6) of a rotation vector w, radians, in the camera's axes, the
+            true R being exp([w]x) R, and of the centre, world, in the model's unit. Scaled so that
+            the expected errors of right locations hold nine times in ten. None unless located.
+        probability: Probability that R is within 5 degrees and the centre within 5 % of the
+            largest distance of two cameras of the model; 0 unless located.
+        camera: The photograph's camera, with the focal length that the matches determine, if it had
+            a deviation; None if it is nowhere.
+        warnings: Sentences for people.
+        seconds: Time by what was done: "load", "describe", "match", "estimate".
+    """
+
+    status: LocationStatus
+    reason: str
+    references: tuple[Reference, ...]
+    R: np.ndarray | None = None
+    centre: np.ndarray | None = None
+    direction: np.ndarray | None = None
+    direction_from: str | None = None
+    covariance: np.ndarray | None = None
+    probability: float = 0.0
+    camera: Camera | None = None
+    warnings: tuple[str, ...] = ()
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        if self.R is None or self.centre is None:
+            return f"Location: {self.status}: {self.reason}"
+        return f"Location: R {short_text(self.R)}, centre {short_text(self.centre)}"
+
+    @property
+    def success(self) -> bool:
+        """Whether R and the centre are known."""
+        return self.status == "located"
+
+    @property
+    def t(self) -> np.ndarray | None:
+        """Translation (3,) of cam_from_world, in the model's unit; None unless located."""
+        return None if self.R is None or self.centre is None else -self.R @ self.centre
+
+    @property
+    def cam_from_world(self) -> np.ndarray | None:
+        """[R | t] (3, 4); None unless located."""
+        return None if self.R is None or self.t is None else np.column_stack([self.R, self.t])
+
+    @property
+    def rotation_error_90_deg(self) -> float | None:
+        """The error of R, degrees, that nine in ten stay below; None unless located."""
+        return None if self.covariance is None else error_radius_deg(self.covariance[:3, :3])
+
+    @property
+    def position_error_90(self) -> float | None:
+        """The error of the centre, in the model's unit, likewise."""
+        return None if self.covariance is None else error_radius(self.covariance[3:, 3:])
+
+    def as_dict(self) -> dict[str, Any]:
+        """The location as values of JSON, as `dgc-pose locate --json` writes it; None of what is
+        not known."""
+        arrays = {name: getattr(self, name) for name in ("R", "t", "centre", "direction")}
+        return {
+            "status": self.status,
+            **{name: None if a is None else a.tolist() for name, a in arrays.items()},
+            "direction_from": self.direction_from,
+            "rotation_error_90_deg": self.rotation_error_90_deg,
+            "position_error_90": self.position_error_90,
+            "covariance": None if self.covariance is None else self.covariance.tolist(),
+            "probability": self.probability,
+            "camera": None if self.camera is None else camera_data(self.camera),
+            "references": [
+                {
+                    "name": reference.name,
+                    "agrees": reference.agrees,
+                    "num_matches": len(reference.matches),
+                    "num_inliers": int(reference.inliers.sum()),
+                    "probability": reference.probability,
+                }
+                for reference in self.references
+            ],
+            "warnings": ([] if self.success else [self.reason]) + list(self.warnings),
+            "seconds": {step: round(value, 4) for step, value in self.seconds.items()},
+        }

@@ -1,0 +1,128 @@
+"""A model to place photographs in: images with cameras and poses, and points if there are any."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.formats.recognise import read_file
+from dgc_pose.cameras.prior import with_orientation
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.geometry.rotation import is_rotation
+from dgc_pose.images.image import image_header
+
+_CAMERAS = ("cameras.bin", "cameras.txt")  # of COLMAP's model
+_SPARSE = "sparse"  # the folder of models in a folder of results
+
+
+@dataclass(frozen=True, eq=False)
+class PosedModel:
+    """Images of one folder with their cameras and poses, all in one frame and unit."""
+
+    root: Path  # of the image names
+    cameras: Mapping[str, Camera]  # by name, with the size of the image
+    poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by name
+    # Points (N, 3) in the world by image name, and where the image shows them (N, 2), pixels.
+    points: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    files: Path | None = None  # COLMAP's folder of the model, if it is of COLMAP
+
+    def centre(self, name: str) -> np.ndarray:
+        """Position (3,) of a camera, world."""
+        return centre_of(self.poses[name])
+
+    @property
+    def extent(self) -> float:
+        """The largest distance of two cameras, in the model's unit."""
+        centres = np.stack([self.centre(name) for name in self.poses])
+        return float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
+
+    def without(self, name: str) -> PosedModel:
+        """The model without an image."""
+        return replace(
+            self,
+            poses={other: pose for other, pose in self.poses.items() if other != name},
+            cameras={other: camera for other, camera in self.cameras.items() if other != name},
+        )
+
+
+def centre_of(pose: np.ndarray) -> np.ndarray:
+    """Position (3,) of the camera of cam_from_world (3, 4), world."""
+    centre: np.ndarray = -pose[:, :3].T @ pose[:, 3]
+    return centre
+
+
+def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -> PosedModel:
+    """The model of a file or folder, with its images in the folder `images`.
+
+    source: the folder of a COLMAP model or of `dgc-pose reconstruct`; NeRF's transforms.json; or a
+    .csv with name, qw, qx, qy, qz, tx, ty, tz of cam_from_world and fx, fy, cx, cy. Images that are
+    missing are left out with a warning.
+
+    Raises InputError if there are no poses, several models, a pose that is none, no two images, or
+    a camera that does not fit its image; ImageError for a broken image; OSError.
+    """
+    path, root = _model_path(Path(source)), Path(images)
+    if not root.is_dir():
+        raise InputError(ArgumentName("images"), f"{root}: no such folder")
+    file = read_file(path)
+    if not file.poses:
+        raise InputError(ArgumentName("model"), f"{path} has no poses of images")
+    calibration = Calibration(str(path), file.by_name, file.parts, file.common)
+    names = {name: _image_name(root, name) for name in file.poses}
+    missing = sorted(name for name, there in names.items() if there is None)
+    count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
+    if len(names) - len(missing) < 2:
+        raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
+    cameras, poses = {}, {}
+    for stated, name in names.items():
+        pose = file.poses[stated]
+        if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
+            raise InputError(ArgumentName("model"), f"{path}: {stated} has a pose that is none")
+        if name is not None:
+            header = image_header(root / name)
+            camera = replace(calibration, by_name={name: file.by_name[stated]}) if (
+                stated in file.by_name
+            ) else calibration
+            cameras[name] = with_orientation(camera.camera(root, name, header), header)
+            poses[name] = pose
+    warnings = (f"{root} lacks {count} of {path}",) if missing else ()
+    return PosedModel(root, cameras, poses, warnings=warnings, files=path if path.is_dir() else None)
+
+
+def _model_path(path: Path) -> Path:
+    """The file or the folder of COLMAP's files that a source stands for."""
+    if not path.is_dir():
+        if not path.exists():
+            raise InputError(ArgumentName("model"), f"{path}: no such file or folder")
+        return path
+    for parent in (path, path / _SPARSE):
+        if any((parent / name).is_file() for name in _CAMERAS):
+            return parent
+        folders = sorted(parent.iterdir()) if parent.is_dir() else []
+        models = [f for f in folders if any((f / name).is_file() for name in _CAMERAS)]
+        if len(models) > 1:
+            listed = ", ".join(folder.name for folder in models)
+            raise InputError(ArgumentName("model"), f"{parent} has the models {listed}")
+        if models:
+            return models[0]
+    raise InputError(ArgumentName("model"), f"{path} holds no model of COLMAP")
+
+
+def _image_name(root: Path, name: str) -> str | None:
+    """The name, relative to the folder, of the image that a model has under a name: that path, or
+    its last part; NeRF's names may lack their ending. None if there is none."""
+    for candidate in dict.fromkeys((os.path.normpath(name), Path(name).name)):
+        if os.path.isfile(root / candidate):
+            return candidate
+        if not Path(candidate).suffix and (root / candidate).parent.is_dir():
+            same = sorted((root / candidate).parent.glob(f"{Path(candidate).name}.*"))
+            if len(same) == 1:
+                return same[0].relative_to(root).as_posix()
+    return None

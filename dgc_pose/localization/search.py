@@ -1,0 +1,196 @@
+"""The references of a photograph, one after another, and the pose that they suggest together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation.camera_spread import CameraSpread, deviating
+from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.localization.fit import Sight, WorldPose, located, world_covariance
+from dgc_pose.localization.location import Location, Reference
+from dgc_pose.localization.model import PosedModel
+from dgc_pose.matches import Matches
+
+MAX_REFERENCES = 8
+_HOPELESS = 5  # references without a likely pose, after which no more are matched
+_LIKELY = 0.1  # probability of a pair's pose
+_ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of the extent
+_MIN_AGREEING = 3  # references of an expected error that suffices
+_CANDIDATES = 12  # most similar references that the next is chosen from
+_PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice of the next
+_CHANCE = 0.1  # that a wrong pair agrees with a wrong location
+_MOST_PROBABLE = 0.99  # of a pair
+_MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the references
+_ERROR_FACTOR = 1.3  # of expected errors, over the jackknife's: docs/experiments.md
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A reference that was matched."""
+
+    name: str
+    pose: RelativePose  # camera 1 is the reference
+    matches: Matches
+
+    @property
+    def probability(self) -> float:
+        """That one of its hypotheses is right."""
+        return self.pose.any_probability or 0.0
+
+
+class ReferenceSearch:
+    """The search for the pose of one photograph.
+
+    names: of the images of the model that may be references, the most similar first. camera: of the
+    photograph.
+    """
+
+    def __init__(
+        self, model: PosedModel, camera: Camera, options: EstimationOptions, names: Sequence[str]
+    ) -> None:
+        self.model, self.camera, self.options = model, camera, options
+        self.waiting = list(names)
+        self.pairs: list[Pair] = []
+        self.sights: dict[str, Sight] = {}  # of the pairs that have hypotheses
+        self.agreeing: dict[str, Sight] = {}  # with the pose of all
+        self.pose: WorldPose | None = None
+        self.fitted = camera
+        self.covariance: np.ndarray | None = None
+
+    def add(self, name: str, pose: RelativePose, matches: Matches) -> None:
+        """Add a pair of the reference `name`, and estimate the pose of all."""
+        self.waiting.remove(name)
+        self.pairs.append(Pair(name, pose, matches))
+        useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
+        camera = self._start_camera(useful)
+        self.sights = {pair.name: self._sight(pair, camera) for pair in useful}
+        sights = list(self.sights.values())
+        if len(sights) < 2:
+            return
+        spread = CameraSpread.of(self.model.cameras[name], replace(camera, identity=None))
+        before = self.pose if name in self.sights and self.camera.exact else None
+        self.pose = pose_of_all = located(sights, spread, self.options, before)
+        if pose_of_all is None:
+            return
+        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(pose_of_all)}
+        covariance = world_covariance(sights, pose_of_all, spread)
+        self.covariance = None if covariance is None else _ERROR_FACTOR**2 * covariance
+        self.fitted = deviating(camera, pose_of_all.deviations)
+
+    def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
+        """The camera that the problems are normalised by: that which a pair determines best."""
+        fits = [pair.pose.camera2 for pair in pairs if pair.pose.camera2 is not None]
+        if self.camera.exact or not fits:
+            return self.camera
+        best = min(fits, key=lambda fit: fit.focal_std)
+        return replace(best, focal_std=self.camera.focal_std, lens_std=self.camera.lens_std)
+
+    def _sight(self, pair: Pair, camera: Camera) -> Sight:
+        pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]
+        problem = TwoViewProblem.of(pair.matches, of_reference, camera, self.options)
+        hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
+        return Sight(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
+
+    def next_reference(self) -> str | None:
+        """The reference to match next; None if no more is needed, or hoped for."""
+        if not self.waiting or len(self.pairs) >= MAX_REFERENCES or self._accurate():
+            return None
+        hopeful = any(pair.probability > _LIKELY for pair in self.pairs)
+        if len(self.pairs) >= _HOPELESS and not hopeful:
+            return None
+        if self.pose is None or self.covariance is None or len(self.agreeing) < 2:
+            return self.waiting[0]
+        information = np.linalg.pinv(self.covariance[3:6, 3:6])
+        left = [self._variance_with(self.pose, information, n) for n in self.waiting[:_CANDIDATES]]
+        return self.waiting[int(np.argmin(left))]
+
+    def _variance_with(self, pose: WorldPose, information: np.ndarray, name: str) -> float:
+        """The variance of the centre that a further reference would leave: it adds information
+        across its line of sight, the more, the nearer it is and the more it faces the same way."""
+        sight = self.model.centre(name) - pose.centre
+        distance = max(float(np.linalg.norm(sight)), 1e-12)
+        across = np.eye(3) - np.outer(sight, sight) / distance**2
+        facing = max(float(pose.R[2] @ self.model.poses[name][2, :3]), 0.0)  # of optical axes
+        added = across * (facing / (_PAIR_ERROR * distance)) ** 2
+        return float(np.trace(np.linalg.pinv(information + added)))
+
+    def _accurate(self) -> bool:
+        location = self._located()
+        if location is None or len(self.agreeing) < _MIN_AGREEING:
+            return False
+        rotation, position = location.rotation_error_90_deg, location.position_error_90
+        assert rotation is not None and position is not None  # of a location
+        return rotation < _ACCURATE_DEG and position < _ACCURATE_SHARE * self.model.extent
+
+    def location(self) -> Location:
+        """The result of the references that were matched."""
+        if (location := self._located()) is not None:
+            return location
+        references = self._references()
+        likely = [pair for pair in self.pairs if pair.pose.success]
+        if not likely:
+            reason = f"none of {len(self.pairs)} references has a pose that is likely"
+            return Location("nowhere", reason, references)
+        if len(likely) > 1 and len(self.agreeing) < 2:
+            reason = f"the poses of {len(likely)} references contradict each other"
+            return Location("nowhere", reason, references)
+        best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
+        assert best.pose.R is not None and best.pose.t is not None  # of a success
+        R = best.pose.R @ self.model.poses[best.name][:, :3]
+        why = "they lie on one line of sight" if self.agreeing else f"{best.name} alone has a pose"
+        return Location(
+            "no_scale",
+            f"the references do not determine the distance from {best.name}: {why}",
+            references,
+            R,
+            direction=-R.T @ best.pose.t,
+            direction_from=best.name,
+            camera=best.pose.camera2,
+        )
+
+    def _located(self) -> Location | None:
+        """The location, if there is one."""
+        probability, pose, covariance = self._probability(), self.pose, self.covariance
+        if pose is None or covariance is None or len(self.agreeing) < 2:
+            return None
+        centres = np.stack([sight.centre for sight in self.agreeing.values()])
+        distance = float(np.median(np.linalg.norm(centres - pose.centre, axis=1)))
+        std = math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1]))
+        if probability < (self.options.min_probability or 0) or std > _MAX_RELATIVE_STD * distance:
+            return None
+        return Location(
+            "located",
+            "",
+            self._references(),
+            pose.R,
+            pose.centre,
+            covariance=covariance[:6, :6],
+            probability=probability,
+            camera=self.fitted,
+        )
+
+    def _probability(self) -> float:
+        """That the location is right: the pairs that agree with it are, and the others are not; or
+        all of them are wrong, and agree by chance."""
+        log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
+        for pair in self.pairs:
+            right = min(max(pair.probability, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
+            log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)
+        return 1 / (1 + math.exp(-log_odds))
+
+    def _references(self) -> tuple[Reference, ...]:
+        return tuple(self._reference(pair) for pair in self.pairs)
+
+    def _reference(self, pair: Pair) -> Reference:
+        sight, inliers = self.agreeing.get(pair.name), pair.pose.inliers
+        if sight is not None and self.pose is not None:
+            inliers = np.zeros(len(pair.matches), dtype=bool)
+            inliers[sight.problem.index] = sight.hypothesis(self.pose).inliers_in_front
+        return Reference(pair.name, pair.matches, inliers, pair.probability, sight is not None)
