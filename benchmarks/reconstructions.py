@@ -31,6 +31,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced, require_no_input, writing
 from dgc_pose.images.image import image_size, load_image, resize_by
+from dgc_pose.localization.model import PosedModel
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
@@ -56,35 +57,22 @@ COLUMNS = {  # of the table
 }
 
 
-@dataclass(frozen=True, eq=False)
-class PosedViews:
-    """Images of one folder, with true poses in one frame and unit."""
+def resized(views: PosedModel, scale: float, folder: Path) -> PosedModel:
+    """Copies of the images by area means, as PNG in `folder`, with their cameras.
 
-    root: Path
-    cameras: Mapping[str, Camera]  # by name, with the image's size
-    poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by name
-
-    def centre(self, name: str) -> np.ndarray:
-        """The true position (3,) of a camera."""
-        pose = self.poses[name]
-        return -pose[:, :3].T @ pose[:, 3]
-
-    def resized(self, scale: float, folder: Path) -> PosedViews:
-        """Copies of the images by area means, as PNG in `folder`, with their cameras.
-
-        Raises InputError if a copy would replace an image; OSError if it cannot be written.
-        """
-        copies = {name: str(Path(name).with_suffix(".png")) for name in self.cameras}
-        images = [self.root / name for name in copies]
-        require_no_input([folder / copy for copy in copies.values()], images)
-        cameras = {}
-        for name, copy in copies.items():
-            small = resize_by(load_image(self.root / name).pixels, scale)
-            (folder / copy).parent.mkdir(parents=True, exist_ok=True)
-            with replaced(folder / copy) as stage, writing(stage):
-                stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
-            cameras[copy] = self.cameras[name].resized((small.shape[1], small.shape[0]))
-        return PosedViews(folder, cameras, {copies[name]: self.poses[name] for name in copies})
+    Raises InputError if a copy would replace an image; OSError if it cannot be written.
+    """
+    copies = {name: str(Path(name).with_suffix(".png")) for name in views.cameras}
+    images = [views.root / name for name in copies]
+    require_no_input([folder / copy for copy in copies.values()], images)
+    cameras = {}
+    for name, copy in copies.items():
+        small = resize_by(load_image(views.root / name).pixels, scale)
+        (folder / copy).parent.mkdir(parents=True, exist_ok=True)
+        with replaced(folder / copy) as stage, writing(stage):
+            stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
+        cameras[copy] = views.cameras[name].resized((small.shape[1], small.shape[0]))
+    return PosedModel(folder, cameras, {copies[name]: views.poses[name] for name in copies})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +101,7 @@ class ReconstructionScore:
 
 def run_method(
     method: str,
-    views: PosedViews,
+    views: PosedModel,
     out: Path,
     pairs: PairChoice,
     reconstruction: ReconstructionOptions,
@@ -190,7 +178,7 @@ def sift_database(
     pycolmap.match_exhaustive(database, matching_options=matching)
 
 
-def pair_figures(batch: Batch, views: PosedViews) -> dict[str, Any]:
+def pair_figures(batch: Batch, views: PosedModel) -> dict[str, Any]:
     """The poses and cameras of a batch compared with the true ones, by field of the score."""
     errors = []
     for row in batch.rows:
@@ -211,7 +199,7 @@ def pair_figures(batch: Batch, views: PosedViews) -> dict[str, Any]:
     }
 
 
-def model_figures(model: SparseModel, views: PosedViews) -> dict[str, Any]:
+def model_figures(model: SparseModel, views: PosedModel) -> dict[str, Any]:
     """A model's cameras compared with the true ones, by field of the score."""
     names = sorted(model.poses)
     focal_lengths: list[tuple[str, float]] = []
@@ -233,25 +221,23 @@ def model_figures(model: SparseModel, views: PosedViews) -> dict[str, Any]:
         )
         for a, b in combinations(names, 2)
     ]
-    true = np.stack([views.centre(name) for name in views.poses])
-    extent = float(np.linalg.norm(true[:, None] - true, axis=-1).max())
     positions = position_errors(model, views, names)
     rms = float(np.sqrt((positions**2).mean()))
     return figures | {
         "rotation_median_deg": float(np.median(rotations)),
         "position_rms": rms,
         "position_median": float(np.median(positions)),
-        "position_percent": 100 * rms / extent,
+        "position_percent": 100 * rms / views.extent,
     }
 
 
-def _focal_percent(focal_lengths: Iterable[tuple[str, float]], views: PosedViews) -> float:
+def _focal_percent(focal_lengths: Iterable[tuple[str, float]], views: PosedModel) -> float:
     """Mean error of the focal lengths of images, each with its name; NaN without any."""
     errors = [abs(focal / views.cameras[name].focal - 1) for name, focal in focal_lengths]
     return 100 * float(np.mean(errors)) if errors else np.nan
 
 
-def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str]) -> np.ndarray:
+def position_errors(model: SparseModel, views: PosedModel, names: Sequence[str]) -> np.ndarray:
     """Distances (N,) of the positions after the best similarity, the truth's unit."""
     centres = np.stack([model.centre(name) for name in names])
     true = np.stack([views.centre(name) for name in names])
@@ -262,7 +248,7 @@ def position_errors(model: SparseModel, views: PosedViews, names: Sequence[str])
     return np.linalg.norm(centres @ matrix[:, :3].T + matrix[:, 3] - true, axis=1)
 
 
-def views_of_list(path: Path, folder: Path) -> PosedViews:
+def views_of_list(path: Path, folder: Path) -> PosedModel:
     """The views of a SuperGlue list whose translations have one unit, chained from pair to pair.
 
     folder: of the images; names are those of the list relative to it. Raises InputError if the
@@ -290,10 +276,10 @@ def views_of_list(path: Path, folder: Path) -> PosedViews:
         name: replace(camera, size=image_size(folder / name))
         for name, camera in sorted(cameras.items())
     }
-    return PosedViews(folder, sized, {name: pose[:3] for name, pose in poses.items()})
+    return PosedModel(folder, sized, {name: pose[:3] for name, pose in poses.items()})
 
 
-def views_of_dtu(calibration: Path, folder: Path) -> PosedViews:
+def views_of_dtu(calibration: Path, folder: Path) -> PosedModel:
     """The images `rect_NNN_...` of a scene of DTU with the matrices `pos_NNN.txt`; millimetres.
 
     Raises InputError if there is no such image, or a matrix is missing or malformed.
@@ -306,7 +292,7 @@ def views_of_dtu(calibration: Path, folder: Path) -> PosedViews:
         poses[path.name] = np.column_stack([view.R, view.t])
     if len(poses) < 2:
         raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
-    return PosedViews(folder, cameras, poses)
+    return PosedModel(folder, cameras, poses)
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -42,6 +42,7 @@ SECTIONS = {
     "Many photographs": {
         "batch": "Match many pairs: a folder, a list, a database.",
         "reconstruct": "From a folder of photographs to a COLMAP model.",
+        "locate": "Place photographs in a model of known poses.",
         "export-colmap": "Write a batch as a COLMAP database.",
     },
     "Benchmarks": {
@@ -50,6 +51,7 @@ SECTIONS = {
         "bench-synthetic": "Score maps on synthetic pairs.",
         "bench-dtu": "Repeat the paper's pose experiment on DTU.",
         "bench-reconstruct": "Score reconstructions on known cameras.",
+        "bench-locate": "Score photographs placed in a model.",
         "dtu-pairs": "Make a pair list from DTU's calibration.",
     },
     "Training": {

@@ -12,6 +12,7 @@ from dgc_pose.benchmarks.files import finite_data, split_names, table
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
+    resized,
     run_method,
     views_of_dtu,
     views_of_list,
@@ -86,7 +87,7 @@ def bench_reconstruct(
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     if scale != 1:
-        views = views.resized(scale, out / "images")  # a later --resume reads them again
+        views = resized(views, scale, out / "images")  # a later --resume reads them again
     for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)

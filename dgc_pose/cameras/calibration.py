@@ -213,19 +213,31 @@ def pair_cameras(
         first, second = auto_cameras(upright_header(image1), upright_header(image2), sharings[0])
         first = replace(first, orientation=image1.orientation)
         return first, replace(second, orientation=image2.orientation)
-    cameras = []
-    for number, image in enumerate((image1, image2)):
-        of_K = KDetails() if sharings[number] is not None else details
-        calibration = _calibration(values[number], names[number], of_K)
-        part = f"K{number + 1}"
-        stated = calibration.stated(Path(), image.name, part)
-        if stated is None or is_of_upright(stated, details.size, image):
-            camera = calibration.camera(Path(), image.name, upright_header(image), part)
-            cameras.append(replace(camera, orientation=image.orientation))
-        else:
-            camera = calibration.camera(Path(), image.name, image, part)
-            cameras.append(with_orientation(camera, image))
-    return cameras[0], cameras[1]
+    return (
+        image_camera(values[0], image1, names[0], details, "K1"),
+        image_camera(values[1], image2, names[1], details, "K2"),
+    )
+
+
+def image_camera(
+    value: Camera | Any | None,
+    image: Image,
+    name: str = "K",
+    details: KDetails = KDetails(),
+    part: str | None = None,
+) -> Camera:
+    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2".
+
+    Raises InputError, naming the argument `name`, likewise.
+    """
+    value = "auto" if value is None else value
+    is_auto = isinstance(value, str) and value in _SHARING
+    calibration = _calibration(value, name, KDetails() if is_auto and part else details)
+    stated = calibration.stated(Path(), image.name, part)
+    if stated is None or is_of_upright(stated, details.size, image):
+        camera = calibration.camera(Path(), image.name, upright_header(image), part)
+        return replace(camera, orientation=image.orientation)
+    return with_orientation(calibration.camera(Path(), image.name, image, part), image)
 
 
 def _calibration(value: Camera | Any, name: str, details: KDetails) -> Calibration:

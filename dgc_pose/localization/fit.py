@@ -7,6 +7,7 @@ starts; the best of them are fitted to the matches of all pairs together.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
@@ -23,7 +24,7 @@ from dgc_pose.estimation.hypothesis import (
     DISTINCT_DEG,
     EFFICIENT,
     Hypothesis,
-    pose_error_scale,
+    error_scale,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import run_seeds
@@ -35,10 +36,13 @@ from dgc_pose.system.threads import in_threads
 
 _SAMPLED = 300  # matches of a pair that RANSAC draws from
 _SCORED = 100  # matches of a pair that starts are compared by
+_FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alike
+_MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # that are fitted
 _AGREEING_SHARE = 0.6  # of the inliers of a pair's pose, that those of the location are
 _ALIKE_DEG = 15.0  # between the rotations of two pairs that may be of one pose
-_ROUNDS, _ITERATIONS, _CONVERGED = 3, 20, 1e-6
+_STEPS, _CONVERGED = 12, 1e-6
+_MIN_KEPT = 0.95  # of the score, or a fit is rejected
 _RIDGE = 1e-9
 _FOCAL = 1000.0  # of the camera by which PoseLib has pixels
 _CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
@@ -61,7 +65,15 @@ class Sight:
 
     def hypothesis(self, pose: WorldPose) -> Hypothesis:
         """The pose as a hypothesis of this pair."""
-        return Hypothesis.of_pose(self.problem, *self.pair_pose(pose))
+        return Hypothesis.of_pose(self.moved(pose), *self.pair_pose(pose))
+
+    def moved(self, pose: WorldPose) -> TwoViewProblem:
+        """The problem as the photograph's camera with the deviations of the pose normalises it."""
+        problem = self.problem
+        if not pose.deviations.any():
+            return problem
+        points2 = deviated(problem.points2, problem.lenses[1], pose.deviations)
+        return replace(problem, points2=points2)
 
     def agrees(self, pose: WorldPose) -> bool:
         """Whether a hypothesis of the pair has the rotation of a pose, and the matches fit both
@@ -79,6 +91,9 @@ class WorldPose:
     R: np.ndarray  # (3, 3) cam_from_world
     centre: np.ndarray  # (3,) world
     deviations: np.ndarray  # (SIZE,) of the camera, see `camera_spread`
+
+
+Part = tuple[Sight, float]  # inliers, and the scale of their errors
 
 
 def located(
@@ -107,7 +122,7 @@ def score(sights: Sequence[Sight], pose: WorldPose) -> float:
     squared errors over the squared threshold."""
     total = 0.0
     for sight in sights:
-        error, in_front, _ = _residuals(sight, pose)
+        error, in_front = _residuals(sight, pose)
         total += float(np.maximum(1 - (error / sight.problem.threshold) ** 2, 0)[in_front].sum())
     return total
 
@@ -163,7 +178,9 @@ def _of_two(first: Sight, second: Sight) -> list[WorldPose]:
         between = second.centre - first.centre
         lengths = np.linalg.solve(matrix, [rays[0] @ between, -rays[1] @ between])
         if (lengths > 0).all():
-            centre = (first.centre + lengths[0] * rays[0] + second.centre + lengths[1] * rays[1]) / 2
+            centre = (
+                first.centre + lengths[0] * rays[0] + second.centre + lengths[1] * rays[1]
+            ) / 2
             poses.append(WorldPose(R, centre, np.zeros(SIZE)))
     return poses
 
@@ -189,65 +206,52 @@ def _extrinsic(R: np.ndarray, centre: np.ndarray) -> poselib.CameraPose:
 
 def fitted(sights: Sequence[Sight], pose: WorldPose, spread: CameraSpread) -> WorldPose:
     """The pose of least Cauchy loss of the Sampson errors of the inliers in front of the cameras,
-    which are chosen anew in each of three rounds; with the deviations of the camera."""
-    for _ in range(_ROUNDS):
-        parts = [part for part in (_inliers(sight, pose) for sight in sights) if part is not None]
-        if not parts:
-            return pose
-        pose = _minimised(parts, pose, spread)
-    return pose
-
-
-def _inliers(sight: Sight, pose: WorldPose) -> tuple[Sight, float] | None:
-    """The inliers of a pair and the scale of their errors; None if they are too few."""
-    error, in_front, _ = _residuals(sight, pose)
-    chosen = in_front & (error < sight.problem.threshold)
-    if chosen.sum() < 8:
-        return None
-    part = replace(sight, problem=sight.problem.subset(chosen))
-    R, t = part.pair_pose(pose)
-    return part, pose_error_scale(_moved(part.problem, pose.deviations), R, t)
-
-
-Part = tuple[Sight, float]
-
-
-def _minimised(parts: Sequence[Part], pose: WorldPose, spread: CameraSpread) -> WorldPose:
-    """Levenberg-Marquardt with weights from the loss."""
-    damping, cost = 1e-6, _loss(parts, pose, spread)
-    for _ in range(_ITERATIONS):
-        hessian, gradient = _normal_equations(parts, pose, spread)
-        before = cost
-        while damping < 1e6:
-            damped = hessian + damping * np.diag(np.diag(hessian))
-            step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
-            candidate = _stepped(pose, step, spread)
-            if (cost := _loss(parts, candidate, spread)) < before:
-                pose, damping = candidate, max(damping / 10, 1e-9)
-                break
-            damping, cost = damping * 10, before
-        if before - cost <= _CONVERGED * (1 + before):
+    and the deviations of the camera: Gauss-Newton, with weights from the loss, and inliers chosen
+    anew before each step. The pose itself if the fit has a much worse score."""
+    start = pose
+    for _ in range(_STEPS):
+        prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
+        information, gradient = prior, prior[:, 6:] @ _z(pose, spread)
+        for part in _parts(sights, pose, _FITTED):
+            slopes, weights, gradients = _linearised(part, pose, spread)
+            information = information + (slopes * weights[:, None]).T @ slopes
+            gradient = gradient + gradients.sum(0)
+        step = np.linalg.lstsq(information, -gradient, rcond=None)[0]
+        deviations = pose.deviations + (spread.basis @ step[6:])[SIZE:]
+        R = cv2.Rodrigues(step[:3])[0] @ pose.R
+        pose = WorldPose(R, pose.centre + step[3:6], deviations)
+        if abs(step @ gradient) < _CONVERGED:
             break
-    return pose
+    return pose if score(sights, pose) >= _MIN_KEPT * score(sights, start) else start
 
 
-def _stepped(pose: WorldPose, step: np.ndarray, spread: CameraSpread) -> WorldPose:
-    R = cv2.Rodrigues(step[:3])[0] @ pose.R
-    deviations = pose.deviations + (spread.basis @ step[6:])[SIZE:]
-    return WorldPose(R, pose.centre + step[3:6], deviations)
+def _parts(sights: Sequence[Sight], pose: WorldPose, most: int | None = None) -> list[Part]:
+    """The inliers of each pair that has enough, and the scale of their errors. most: of a pair, an
+    even sample."""
+    parts = []
+    for sight in sights:
+        error, in_front = _residuals(sight, pose)
+        chosen = in_front & (error < sight.problem.threshold)
+        if chosen.sum() >= _MIN_INLIERS:
+            part = replace(sight, problem=sight.problem.subset(chosen))
+            scale = error_scale(error[chosen], sight.problem.threshold)
+            parts.append((part if most is None else _thinned(part, most), scale))
+    return parts
 
 
-def _normal_equations(
-    parts: Sequence[Part], pose: WorldPose, spread: CameraSpread
-) -> tuple[np.ndarray, np.ndarray]:
-    prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
-    hessian, gradient = prior, prior[:, 6:] @ _z(pose, spread)
-    for part in parts:
-        error, slopes = world_slopes(part[0], pose, spread)
-        weight = _inverse_variance(part[1]) / (1 + (error / part[1]) ** 2)
-        hessian = hessian + (slopes * weight[:, None]).T @ slopes
-        gradient = gradient + slopes.T @ (weight * error)
-    return hessian, gradient
+def _linearised(
+    part: Part, pose: WorldPose, spread: CameraSpread, *, curvature: bool = False
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Derivatives (N, 6 + M) of the errors, their weights (N,), and the gradients (N, 6 + M) of the
+    loss. curvature: weights by the loss's second derivative, and not those of a step."""
+    sight, scale = part
+    error, slopes = world_slopes(sight, pose, spread)
+    squared = (error / scale) ** 2
+    weights = (EFFICIENT / scale) ** 2 / ALIKE / (1 + squared)
+    gradients = slopes * (weights * error)[:, None]
+    if curvature:
+        weights = weights * np.maximum(1 - squared, 0) / (1 + squared)
+    return slopes, weights, gradients
 
 
 def world_slopes(
@@ -267,18 +271,6 @@ def world_slopes(
     return error, np.hstack([by_rotation, by_centre, slopes[:, 5:]])
 
 
-def _loss(parts: Sequence[Part], pose: WorldPose, spread: CameraSpread) -> float:
-    total = float((_z(pose, spread) ** 2).sum()) / 2
-    for sight, scale in parts:
-        error, _, _ = _residuals(sight, pose)
-        total += _inverse_variance(scale) * scale**2 * float(np.log1p((error / scale) ** 2).sum()) / 2
-    return total
-
-
-def _inverse_variance(scale: float) -> float:
-    return (EFFICIENT / scale) ** 2 / ALIKE
-
-
 def _z(pose: WorldPose, spread: CameraSpread) -> np.ndarray:
     """The deviations of the camera in the basis of the spread."""
     z: np.ndarray = np.linalg.lstsq(spread.basis[SIZE:], pose.deviations, rcond=None)[0]
@@ -294,32 +286,24 @@ def world_covariance(
     By the delete-a-group jackknife, as `estimation.covariance` has it: over blocks of the
     photograph in each pair, and over whole pairs, as references have errors of their own.
     """
-    parts = [part for part in (_inliers(sight, pose) for sight in sights) if part is not None]
     count = 6 + len(spread)
-    total = np.diag([*np.zeros(6), *np.ones(len(spread))])
-    of_pairs, of_blocks = [], []
-    for sight, scale in parts:
-        error, slopes = world_slopes(sight, pose, spread)
-        squared = (error / scale) ** 2
-        factor = _inverse_variance(scale)
-        curvature = factor * np.maximum(1 - squared, 0) / (1 + squared) ** 2
-        gradients = slopes * (factor * error / (1 + squared))[:, None]
-        information = (slopes * curvature[:, None])[:, :, None] * slopes[:, None]
+    prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
+    of_blocks = []
+    for part in _parts(sights, pose):
+        slopes, weights, gradients = _linearised(part, pose, spread, curvature=True)
+        information = (slopes * weights[:, None])[:, :, None] * slopes[:, None]
         terms = np.column_stack([information.reshape(-1, count**2), gradients])
-        of_pairs.append(terms.sum(0))
-        of_blocks.append(block_sums(terms, sight.problem.points2, (0.0, 0.0)))
-        total = total + information.sum(0)
-    if not parts:
+        of_blocks.append(block_sums(terms, part[0].problem.points2, (0.0, 0.0)))
+    if len(of_blocks) < 2:
         return None
+    groups = [np.vstack(of_blocks), np.stack([sums.sum(0) for sums in of_blocks])]
+    total = prior + groups[0][:, : count**2].sum(0).reshape(count, count)
     try:
         inverse = np.linalg.inv(total)
-        covariances = [_jackknife(total, np.vstack(of_blocks))]
-        if len(parts) > 2:
-            covariances.append(_jackknife(total, np.stack(of_pairs)))
-        prior = inverse[:, 6:] @ inverse[6:]
+        covariance = np.mean([_jackknife(total, sums) for sums in groups], axis=0)
     except np.linalg.LinAlgError:
         return None
-    covariance = np.mean(covariances, axis=0) + prior
+    covariance += inverse @ prior @ inverse
     return covariance if np.isfinite(covariance).all() else None
 
 
@@ -331,18 +315,11 @@ def _jackknife(total: np.ndarray, sums: np.ndarray) -> np.ndarray:
     return covariance
 
 
-def _residuals(sight: Sight, pose: WorldPose) -> tuple[np.ndarray, np.ndarray, TwoViewProblem]:
-    """Sampson errors (N,) and whether the points are in front of both cameras (N,)."""
-    moved = _moved(sight.problem, pose.deviations)
-    R, t = sight.pair_pose(pose)
+def _residuals(sight: Sight, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
+    """Sampson errors (N,), in the unit of the problem, and whether the points are in front of both
+    cameras (N,)."""
+    moved, (R, t) = sight.moved(pose), sight.pair_pose(pose)
     error = sampson_distance(moved.points1, moved.points2, essential_from_pose(R, t))
-    error *= np.exp(pose.deviations[0] / 2)  # in the unit of the problem
     depth1, depth2 = depths(moved.points1, moved.points2, R, t)
-    return np.nan_to_num(error, nan=np.inf), (depth1 > 0) & (depth2 > 0), moved
-
-
-def _moved(problem: TwoViewProblem, deviations: np.ndarray) -> TwoViewProblem:
-    """The problem as the deviating camera of the photograph normalises it."""
-    if not deviations.any():
-        return problem
-    return replace(problem, points2=deviated(problem.points2, problem.lenses[1], deviations))
+    error = error * math.exp(pose.deviations[0] / 2)
+    return np.nan_to_num(error, nan=np.inf), (depth1 > 0) & (depth2 > 0)

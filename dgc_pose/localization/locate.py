@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.batch.pair_choice import similarity
-from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.calibration import KDetails, image_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image, load_image
@@ -28,6 +28,7 @@ from dgc_pose.system.options import check_type
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource
 
+_NO_DETAILS = KDetails()
 _IMAGE_BYTES = 2**29  # of references in memory
 
 
@@ -75,16 +76,19 @@ class Locator:
                 self._features[name] = self.matcher.coarse_features(self._image(name))
 
     def locate(
-        self, photo: ImageSource, K: CameraSource = None, *, left_out: Sequence[str] = ()
+        self,
+        photo: ImageSource,
+        K: CameraSource = None,
+        details: KDetails = _NO_DETAILS,
+        *,
+        left_out: Sequence[str] = (),
     ) -> Location:
-        """As `locate`. left_out: names of images of the model that are no references; that of the
-        photograph itself is none."""
-        start = time.perf_counter()
-        image, seconds = load_image(photo, "photo"), {}
+        """As `locate`. details: of K. left_out: names of images of the model that are no
+        references; that of the photograph itself is none."""
+        start, seconds = time.perf_counter(), dict[str, float]()
+        image = load_image(photo, "photo")
         names, warnings = self._references(image, left_out)
-        any_image = self._image(names[0])
-        of_reference = self.model.cameras[names[0]]
-        _, camera = pair_cameras(of_reference, K, any_image, image, ("model", "K"))
+        camera = image_camera(K, image, "K", details)
         image = image.oriented(camera.orientation)
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
@@ -93,12 +97,15 @@ class Locator:
         scores = {name: similarity(features, self._features[name]) for name in names}
         seconds["describe"] = time.perf_counter() - start
 
-        search = ReferenceSearch(self.model, camera, self.options, sorted(names, key=lambda n: -scores[n]))
+        search = ReferenceSearch(
+            self.model, camera, self.options, sorted(names, key=lambda n: -scores[n])
+        )
         seconds |= {"match": 0.0, "estimate": 0.0}
         while (name := search.next_reference()) is not None:
             start = time.perf_counter()
             pair = self.matcher.search(self._image(name), image)
-            pose = pose_of_pair(pair, self.model.cameras[name], camera, self.options)
+            cameras = self.model.cameras[name], search.pair_camera
+            pose = pose_of_pair(pair, *cameras, self.options)
             matched = time.perf_counter()
             search.add(name, pose, pair.last.matches)
             seconds["match"] += matched - start

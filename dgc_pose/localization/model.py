@@ -87,13 +87,17 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             raise InputError(ArgumentName("model"), f"{path}: {stated} has a pose that is none")
         if name is not None:
             header = image_header(root / name)
-            camera = replace(calibration, by_name={name: file.by_name[stated]}) if (
-                stated in file.by_name
-            ) else calibration
+            camera = (
+                replace(calibration, by_name={name: file.by_name[stated]})
+                if (stated in file.by_name)
+                else calibration
+            )
             cameras[name] = with_orientation(camera.camera(root, name, header), header)
             poses[name] = pose
     warnings = (f"{root} lacks {count} of {path}",) if missing else ()
-    return PosedModel(root, cameras, poses, warnings=warnings, files=path if path.is_dir() else None)
+    return PosedModel(
+        root, cameras, poses, warnings=warnings, files=path if path.is_dir() else None
+    )
 
 
 def _model_path(path: Path) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.camera_spread import CameraSpread, deviating
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.localization.fit import Sight, WorldPose, located, world_covariance
@@ -20,6 +20,7 @@ from dgc_pose.matches import Matches
 
 MAX_REFERENCES = 8
 _HOPELESS = 5  # references without a likely pose, after which no more are matched
+_KNOWN_FOCAL_STD = 0.01  # of ln f, below which further pairs take the camera for exact
 _LIKELY = 0.1  # probability of a pair's pose
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of the extent
 _MIN_AGREEING = 3  # references of an expected error that suffices
@@ -69,32 +70,56 @@ class ReferenceSearch:
         self.waiting.remove(name)
         self.pairs.append(Pair(name, pose, matches))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
-        camera = self._start_camera(useful)
-        self.sights = {pair.name: self._sight(pair, camera) for pair in useful}
-        sights = list(self.sights.values())
-        if len(sights) < 2:
+        if len(useful) < 2:
             return
-        spread = CameraSpread.of(self.model.cameras[name], replace(camera, identity=None))
-        before = self.pose if name in self.sights and self.camera.exact else None
+        if not self.sights:
+            self.camera = self._start_camera(useful)
+        for pair in useful:
+            if pair.name not in self.sights:
+                self.sights[pair.name] = self._sight(pair)
+        sights = list(self.sights.values())
+        spread = CameraSpread.of(self.model.cameras[name], replace(self.camera, identity=None))
+        before = self.pose if useful[-1] is self.pairs[-1] else None
         self.pose = pose_of_all = located(sights, spread, self.options, before)
         if pose_of_all is None:
             return
         self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(pose_of_all)}
         covariance = world_covariance(sights, pose_of_all, spread)
-        self.covariance = None if covariance is None else _ERROR_FACTOR**2 * covariance
-        self.fitted = deviating(camera, pose_of_all.deviations)
+        if covariance is None:
+            self.covariance = None
+            return
+        self.covariance = covariance = _ERROR_FACTOR**2 * covariance
+        self.fitted = deviating(self.camera, pose_of_all.deviations)
+        if len(spread):
+            stds = np.sqrt(np.diag(spread.basis @ covariance[6:, 6:] @ spread.basis.T))[SIZE:]
+            self.fitted = replace(
+                self.fitted,
+                focal_std=float(stds[0]),
+                centre_std=float(stds[1:3].mean()) * self.fitted.focal,
+                lens_std=float(stds[3]),
+                focal_source="matches",
+            )
+
+    @property
+    def pair_camera(self) -> Camera:
+        """The camera of the photograph for the next pair: exact as soon as it is known well."""
+        if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
+            return self.fitted
+        return replace(self.fitted, focal_std=0.0, centre_std=0.0, lens_std=0.0)
 
     def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
-        """The camera that the problems are normalised by: that which a pair determines best."""
-        fits = [pair.pose.camera2 for pair in pairs if pair.pose.camera2 is not None]
+        """The camera that the problems are normalised by: that of the pair that is likeliest."""
+        fits = [pair.pose for pair in pairs if pair.pose.camera2 is not None]
         if self.camera.exact or not fits:
             return self.camera
-        best = min(fits, key=lambda fit: fit.focal_std)
-        return replace(best, focal_std=self.camera.focal_std, lens_std=self.camera.lens_std)
+        best = max(fits, key=lambda pose: pose.probability or 0.0).camera2
+        assert best is not None
+        stds = self.camera.focal_std, self.camera.centre_std, self.camera.lens_std
+        return replace(best, focal_std=stds[0], centre_std=stds[1], lens_std=stds[2])
 
-    def _sight(self, pair: Pair, camera: Camera) -> Sight:
+    def _sight(self, pair: Pair) -> Sight:
         pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]
-        problem = TwoViewProblem.of(pair.matches, of_reference, camera, self.options)
+        problem = TwoViewProblem.of(pair.matches, of_reference, self.camera, self.options)
         hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
         return Sight(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
 

@@ -21,10 +21,7 @@ def plot_reconstruction(
 
     poses: cam_from_world (3, 4), at least one. points: (N, 3), world. colours: (N, 3) uint8, RGB.
     """
-    R = np.stack([pose[:, :3] for pose in poses])
-    centres = np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses])
-    # The mean rotation, of least sum of |R_k - axes|^2; its rows are the axes.
-    axes = aligning_rotation(np.tile(np.eye(3), (len(R), 1)), R.transpose(0, 2, 1).reshape(-1, 3))
+    R, centres, axes = mean_axes(poses)
     chosen = np.linspace(0, len(points) - 1, min(_MOST, len(points))).astype(int)
     dots, cameras, directions = points[chosen] @ axes.T, centres @ axes.T, R[:, 2] @ axes.T
     figure = new_figure(12, 6, layout="compressed")
@@ -33,11 +30,20 @@ def plot_reconstruction(
     front.set(title="from the cameras", ylabel="-y")
     for panel, up, sign in ((above, 2, 1), (front, 1, -1)):  # the axis drawn upwards
         flat = [v[:, (0, up)] * np.array([1, sign]) for v in (dots, cameras, directions)]
-        _draw(panel, flat[0], flat[1], flat[2], colours[chosen] / 255)
+        draw_cameras(panel, flat[0], flat[1], flat[2], colours[chosen] / 255)
     return figure
 
 
-def _draw(
+def mean_axes(poses: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotations (N, 3, 3) and positions (N, 3) of cam_from_world poses, and the axes (3, 3) of the
+    mean camera, in rows: the mean rotation, of least sum of |R_k - axes|^2."""
+    R = np.stack([pose[:, :3] for pose in poses])
+    centres = np.stack([-pose[:, :3].T @ pose[:, 3] for pose in poses])
+    axes = aligning_rotation(np.tile(np.eye(3), (len(R), 1)), R.transpose(0, 2, 1).reshape(-1, 3))
+    return R, centres, axes
+
+
+def draw_cameras(
     axes: Axes, dots: np.ndarray, cameras: np.ndarray, directions: np.ndarray, shades: np.ndarray
 ) -> None:
     """A view of points, cameras and their directions, (N, 2) each."""

@@ -15,9 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.benchmarks.reconstructions import (
-    PosedViews,
     model_figures,
     pair_figures,
+    resized,
     views_of_dtu,
     views_of_list,
 )
@@ -25,6 +25,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
 from dgc_pose.colmap.reconstruction import ModelCamera, SparseModel
 from dgc_pose.errors import InputError
+from dgc_pose.localization.model import PosedModel
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
 def test_smaller_copies_have_their_own_cameras(
     scene: tuple[Path, Path, list[View]], tmp_path: Path
 ) -> None:
-    views = views_of_list(scene[1], scene[0]).resized(0.5, tmp_path)
+    views = resized(views_of_list(scene[1], scene[0]), 0.5, tmp_path)
     camera = views.cameras["view0.png"]
     assert camera.size == (SIZE[0] // 2, SIZE[1] // 2)
     assert cv2.imread(str(tmp_path / "view0.png")).shape[1::-1] == camera.size
@@ -90,7 +91,7 @@ def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:
         views_of_dtu(calibration, calibration)
 
 
-def _model(views: PosedViews, error: float) -> SparseModel:
+def _model(views: PosedModel, error: float) -> SparseModel:
     """The true model in other axes and units, with one camera moved by `error` true units."""
     turn = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
     poses = {}

@@ -1,0 +1,163 @@
+"""Photographs of known poses left out of a model, and placed in it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from dgc_pose.benchmarks.camera_trial import WithheldCameras
+from dgc_pose.benchmarks.files import decimals
+from dgc_pose.benchmarks.reconstructions import views_of_list
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.files.inputs import read_as
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import image_size
+from dgc_pose.localization.locate import Locator
+from dgc_pose.localization.model import PosedModel, load_model
+from dgc_pose.metrics import rotation_error_deg
+
+Item = TypeVar("Item")
+# Of a location that is right: degrees of R, per cent of the extent of the position.
+RIGHT = (5.0, 5.0)
+SHARES = ((0.5, 0.05), (0.5, 0.25), (2.0, 1.0), RIGHT)
+CLAIMS = (0.5, 0.9, 0.99)  # probabilities of which the precision is reported
+
+
+@dataclass(frozen=True)
+class LocationScore:
+    """A photograph that was placed, compared with its true pose."""
+
+    name: str
+    status: str
+    probability: float
+    references: int  # that were matched
+    seconds: float
+    pair_seconds: float  # of these, of the pairs
+    # NaN unless it is located
+    rotation_deg: float = np.nan
+    position: float = np.nan  # the model's unit
+    position_percent: float = np.nan  # of the extent
+    rotation_error_90_deg: float = np.nan  # expected
+    position_error_90: float = np.nan
+    focal_percent: float = np.nan  # error of the focal length
+
+    def within(self, rotation_deg: float, percent: float) -> bool:
+        """Whether it is located within these bounds."""
+        return self.rotation_deg < rotation_deg and self.position_percent < percent
+
+
+def true_model(path: Path, images: Path | None) -> PosedModel:
+    """A model as of `load_model`; of a list of pairs in SuperGlue's format; or of a folder of posed
+    RGB-D, with images/, K.txt and poses.txt.
+
+    images: of a list by default the folder of its name; of a model images/ beside or in it.
+    """
+    if path.is_file() and path.suffix == ".txt":
+        return views_of_list(path, images or path.parent / path.stem.removesuffix("_pairs"))
+    if (path / "poses.txt").is_file():
+        return _of_rgbd(path)
+    return load_model(path, images or path / "images")
+
+
+def _of_rgbd(folder: Path) -> PosedModel:
+    root = folder / "images"
+    names = search_images(root).names
+    with read_as("posed RGB-D", folder):
+        K = np.loadtxt(folder / "K.txt")
+        poses = np.linalg.inv(np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4))[:, :3]
+        if len(poses) != len(names):
+            raise InputError(f"{folder}: {len(names)} images and {len(poses)} poses")
+    cameras = {name: Camera(K, image_size(root / name)) for name in names}
+    return PosedModel(root, cameras, dict(zip(names, poses, strict=True)))
+
+
+def left_out(names: Sequence[str], every: int, apart: int) -> Iterator[tuple[str, list[str]]]:
+    """The photographs to be placed, and those that are no references for each: within fewer than
+    `apart` names; or all of every `every`-th, if that is above 1."""
+    asked = names[every // 2 :: every]
+    for name in asked:
+        middle = names.index(name)
+        near = [other for i, other in enumerate(names) if abs(i - middle) < apart]
+        yield name, [*near, *(asked if every > 1 else [])]
+
+
+def thinned(items: Sequence[Item], count: int | None) -> list[Item]:
+    """So many of the items, evenly chosen; all without a number."""
+    most = len(items) if count is None else min(count, len(items))
+    return [items[int(i)] for i in np.linspace(0, len(items) - 1, most)]
+
+
+def placed(
+    locator: Locator, name: str, out: Sequence[str], withheld: WithheldCameras | None
+) -> LocationScore:
+    """The score of a photograph of the model."""
+    model, start = locator.model, time.perf_counter()
+    camera = model.cameras[name]
+    location = locator.locate(model.root / name, withheld or camera, left_out=out)
+    seconds = time.perf_counter() - start
+    common = (name, location.status, location.probability, len(location.references), seconds)
+    of_pairs = location.seconds["match"]
+    if location.R is None or location.centre is None or location.camera is None:
+        return LocationScore(*common, of_pairs)
+    position = float(np.linalg.norm(location.centre - model.centre(name)))
+    return LocationScore(
+        *common,
+        of_pairs,
+        rotation_error_deg(location.R, model.poses[name][:, :3]),
+        position,
+        100 * position / model.extent,
+        location.rotation_error_90_deg or np.nan,
+        location.position_error_90 or np.nan,
+        100 * abs(location.camera.focal / camera.focal - 1),
+    )
+
+
+def report(scores: Sequence[LocationScore]) -> list[tuple[str, str]]:
+    """What is measured, and its figures."""
+    located = [score for score in scores if score.status == "located"]
+
+    def share(flags: Sequence[bool]) -> str:
+        return f"{sum(flags)} of {len(flags)}" if flags else "-"
+
+    def middle(name: str, digits: int) -> str:
+        values = [getattr(score, name) for score in located]
+        return decimals(float(np.median(values)), digits) if values else "-"
+
+    lines = [("located", share([score.status == "located" for score in scores]))]
+    lines += [
+        (f"within {deg:g} deg and {percent:g} % of the extent", share([*within]))
+        for deg, percent in SHARES
+        if (within := [score.within(deg, percent) for score in scores])
+    ]
+    lines += [
+        (
+            "within 2 deg and 0.05 of the unit",
+            share([s.rotation_deg < 2 and s.position < 0.05 for s in scores]),
+        ),
+        ("R, median, deg", middle("rotation_deg", 3)),
+        ("position, median, % of the extent", middle("position_percent", 3)),
+        ("position, median, unit", middle("position", 4)),
+        ("f off, median, %", middle("focal_percent", 3)),
+        (
+            "R within its expected error",
+            share([s.rotation_deg < s.rotation_error_90_deg for s in located]),
+        ),
+        (
+            "position within its expected error",
+            share([s.position < s.position_error_90 for s in located]),
+        ),
+    ]
+    for least in CLAIMS:
+        claims = [score.within(*RIGHT) for score in scores if score.probability >= least]
+        lines.append((f"right of those at {least:g} or more", share(claims)))
+    seconds = [score.seconds for score in scores]
+    over = [score.seconds / score.pair_seconds for score in scores if score.pair_seconds]
+    lines.append(("seconds, median, most", f"{np.median(seconds):.2f}, {max(seconds):.2f}"))
+    lines.append(("over the time of the pairs", decimals(float(np.median(over)), 2)))
+    return lines

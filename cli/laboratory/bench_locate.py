@@ -1,0 +1,84 @@
+"""`dgc-pose bench-locate`: photographs of a model left out and placed in it."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import click
+
+from dgc_pose.benchmarks.camera_trial import WithheldCameras
+from dgc_pose.benchmarks.files import finite_data
+from dgc_pose.benchmarks.locations import left_out, placed, report, thinned, true_model
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import OutputFile
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.json_files import write_json
+from dgc_pose.files.tables import aligned
+from dgc_pose.images.folder import search_images
+from dgc_pose.localization.locate import Locator
+from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.system.options import check_options, option
+
+
+@dataclass(frozen=True)
+class LocateBenchOptions:
+    """What is left out."""
+
+    images: Path | None = option(None, "Folder of the images; default: images/ in MODEL.")
+    k: WithheldCameras | None = option(None, "Withhold K, as for locate without one.", flag="--K")
+    every: int = option(
+        1, "Leave out every N-th photograph at once; 1: each in turn.", metavar="N", min=1, max=1000
+    )
+    apart: int = option(
+        1, "Names between a photograph and its references, at least.", metavar="N", min=1, max=1000
+    )
+    count: int | None = option(
+        None, "Place so many, evenly chosen; default: all.", metavar="N", min=1
+    )
+    other: Path | None = option(
+        None, "Place the photographs of this folder, which show other places, instead."
+    )
+    json: str | None = option(
+        None, "Write the score of each photograph.", metavar="PATH", type=OutputFile()
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@click.command()
+@click.argument("path", metavar="MODEL", type=click.Path(path_type=Path))
+@dataclass_options(LocateBenchOptions, "bench")
+@dataclass_options(MatcherOptions, "matcher")
+@dataclass_options(EstimationOptions, "estimation")
+def bench_locate(
+    path: Path, bench: LocateBenchOptions, matcher: MatcherOptions, estimation: EstimationOptions
+) -> None:
+    """Leave photographs out of a model, place them in it, and compare with their poses.
+
+    MODEL is as for locate; a list of pairs in SuperGlue's format; or a folder of posed RGB-D
+    images. A location is right with R within 5 degrees and the position within 5 % of the extent.
+    """
+    model = true_model(path, bench.images)
+    locator = Locator(model, matcher.load(MatcherCaches()), estimation)
+    locator.describe()
+    if bench.other is not None:
+        names = search_images(bench.other).names
+        if not names:
+            raise InputError(ArgumentName("other"), f"{bench.other} holds no images")
+        locations = [locator.locate(bench.other / name) for name in thinned(names, bench.count)]
+        above = sum(location.probability > 0.5 for location in locations)
+        click.echo(f"{above} of {len(locations)} placed above 0.5")
+        return
+    cases = [*left_out(sorted(model.poses), bench.every, bench.apart)]
+    scores = []
+    for name, without in thinned(cases, bench.count):
+        scores.append(placed(locator, name, without, bench.k))
+        score = scores[-1]
+        click.echo(
+            f"{name}: {score.status}, {score.rotation_deg:.3f} deg, {score.position_percent:.3f} %",
+            err=True,
+        )
+    if bench.json is not None:
+        write_json(Path(bench.json), finite_data([*map(asdict, scores)]))
+    click.echo(aligned(report(scores)))

@@ -1,0 +1,152 @@
+"""`dgc-pose locate`: the poses of photographs in a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.estimate import NO_POSE
+from dgc_pose.cli.guard import STDOUT, OutputFile, OutputFolder
+from dgc_pose.cli.options import KChoice
+from dgc_pose.cli.output import row_lines
+from dgc_pose.cli.process import say
+from dgc_pose.errors import ArgumentName, InputError, printable
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.status import percent_text
+from dgc_pose.files.json_files import json_text
+from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.images.image import image_header
+from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.system.options import option
+
+if TYPE_CHECKING:
+    from dgc_pose.localization.location import Location
+
+
+@dataclass(frozen=True)
+class Place:
+    """The model, and the files to write."""
+
+    model: Path = option(
+        help="The model: a folder of COLMAP's or of `dgc-pose reconstruct`; transforms.json; or a "
+        ".csv with name, qw, qx, qy, qz, tx, ty, tz, fx, fy, cx, cy.",
+        metavar="SOURCE",
+    )
+    images: Path = option(help="Folder of the model's images.", metavar="FOLDER")
+    json: str | None = option(
+        None,
+        "Write the locations as JSON, by photograph; - for stdout.",
+        metavar="PATH|-",
+        type=OutputFile(stdout=True),
+    )
+    plot: str | None = option(
+        None,
+        "Draw the place of a single photograph, and matches with two references.",
+        metavar="PATH.png",
+        type=OutputFile(),
+    )
+    add: Path | None = option(
+        None,
+        "Write the model with the located photographs, as COLMAP's.",
+        metavar="DIR",
+        type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
+    )
+
+    def __post_init__(self) -> None:
+        """Raise InputError, before the work, for a plot of a format that cannot be drawn."""
+        if self.plot is not None:
+            from dgc_pose.viz.figure import picture_format
+
+            picture_format(self.plot)
+
+
+@click.command()
+@click.argument("photos", metavar="PHOTO...", nargs=-1, required=True, type=click.Path())
+@dataclass_options(Place, "place")
+@dataclass_options(KChoice, "cameras")
+@dataclass_options(MatcherOptions, "matcher")
+@dataclass_options(EstimationOptions, "estimation")
+def locate(
+    photos: Sequence[str],
+    place: Place,
+    cameras: KChoice,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
+) -> int:
+    """Place photographs in a model of known camera poses.
+
+    Prints cam_from_world, x = R X + t, and the centre of the camera, in the frame and unit of the
+    model, with their expected errors. Exits with 3 and the reason if a photograph is not located.
+    """
+    from dgc_pose.localization.adding import write_model_with
+    from dgc_pose.localization.locate import Locator
+    from dgc_pose.localization.model import load_model
+    from dgc_pose.viz.figure import save_figure
+    from dgc_pose.viz.location import plot_location
+
+    if place.plot is not None and len(photos) > 1:
+        raise InputError(ArgumentName("plot"), f"draws a single photograph, not {len(photos)}")
+    for photo in photos:
+        image_header(Path(photo))
+    model = load_model(place.model, place.images)
+    for warning in model.warnings:
+        say(f"warning: {warning}")
+    locator = Locator(model, matcher.load(MatcherCaches()), estimation)
+    json_file = None if place.json == STDOUT else place.json
+    locations: dict[str, Location] = {}
+    with staged(json_file, place.plot) as stage:
+        for photo in photos:
+            location = locations[photo] = locator.locate(photo, cameras.k, cameras.details)
+            if place.json != STDOUT:
+                click.echo(location_text(photo, location))
+        data = json_text({photo: location.as_dict() for photo, location in locations.items()})
+        if json_file is not None:
+            save_text(stage(json_file), data)
+        if place.plot is not None:
+            figure = plot_location(model, photos[0], locations[photos[0]])
+            save_figure(figure, stage(place.plot))
+        if place.add is not None:
+            write_model_with(place.add, model, locations)
+    if place.json == STDOUT:
+        click.echo(data, nl=False)
+    return 0 if all(location.success for location in locations.values()) else NO_POSE
+
+
+def location_text(photo: str, location: Location) -> str:
+    """A location for people."""
+    name = printable(photo)
+    lines = [f"{name}: {location.status}, {location.reason}"]
+    if location.success:
+        lines = [f"{name}: cam_from_world (x = R X + t), in the frame and unit of the model"]
+    if location.R is not None:
+        lines += [f"  R  {line}" for line in row_lines(*location.R)]
+    if location.t is not None and location.centre is not None:
+        lines.append(f"  t  {row_lines(location.t)[0]}")
+        lines.append(f"  centre  {row_lines(location.centre)[0]}")
+    if location.direction is not None:
+        lines.append(
+            f"  direction from {location.direction_from}  {row_lines(location.direction)[0]}"
+        )
+    rotation, position = location.rotation_error_90_deg, location.position_error_90
+    if rotation is not None and position is not None:
+        lines.append(
+            f"expected error: R within {rotation:.3f} deg, centre within {position:.3g}, nine "
+            "times in ten if the location is right"
+        )
+        likely = percent_text(location.probability)
+        lines.append(
+            f"probability {likely} that R is within 5 deg and the centre within 5 % of "
+            "the model's extent"
+        )
+    if location.success and location.camera is not None and not location.camera.exact:
+        lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
+    used = [reference.name for reference in location.references if reference.agrees]
+    lines.append(f"references: {len(used)} of {len(location.references)} agree: {', '.join(used)}")
+    lines += [f"warning: {warning}" for warning in location.warnings]
+    lines.append(", ".join(f"{part} {value:.2f} s" for part, value in location.seconds.items()))
+    return "\n".join(map(printable, lines))
