@@ -8,7 +8,7 @@ merged, so no match is moved.
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
@@ -91,26 +91,58 @@ def _tracks_of(
     tracks = []
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other, *_ = pair.towards(name)
-        start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(image.size))
-        if len(start.index) == 0:
-            continue
-        scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
-        aligned = locate(
-            _smoothed(_grey(load(other)), scale),
-            _smoothed(grey, 1 / scale),
-            start,
-            radius=_PATCH_RADIUS,
-            max_shift=_MAX_SHIFT_PX * max(1.0, scale),
-        )
-        good = aligned.converged & (aligned.zncc >= _MIN_ZNCC)
-        points1, points2 = aligned.points1, corners[aligned.index]
+        moved = transferred(grey, _grey(load(other)), matches, corners)
+        points1, points2 = moved.points, corners[moved.corner]
         if pair.row.name1 == name:
             points1, points2 = points2, points1
-        tolerance = _MAX_ERROR_PX * max(1.0, scale)
-        good &= epipolar_error_px(pair.row, cameras, points1, points2) <= tolerance
-        arrays = (aligned.index, aligned.points1, aligned.zncc)
+        tolerance = _MAX_ERROR_PX * max(1.0, moved.scale)
+        good = epipolar_error_px(pair.row, cameras, points1, points2) <= tolerance
+        arrays = (moved.corner, moved.points, moved.zncc)
         tracks.append(Track(other, *(array[good] for array in arrays)))
     return corners, tracks
+
+
+@dataclass(frozen=True, eq=False)
+class Transferred:
+    """Corners of image 2 in image 1."""
+
+    corner: np.ndarray  # (M,) int, which corners
+    points: np.ndarray  # (M, 2) float64, pixels of image 1
+    zncc: np.ndarray  # (M,) float64
+    scale: float  # of image 1 over image 2
+
+
+def transferred(
+    grey2: np.ndarray, grey1: np.ndarray, matches: LocalMatches, corners: np.ndarray
+) -> Transferred:
+    """Where corners (N, 2) of image 2 lie in image 1: of those that have a match near, and whose
+    patches can be aligned. grey: (H, W) float32. matches: consistent ones of both images."""
+    start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(grey2.shape))
+    if len(start.index) == 0:
+        return Transferred(start.index, start.points1, np.zeros(0), 1.0)
+    scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
+    aligned = locate(
+        _smoothed(grey1, scale),
+        _smoothed(grey2, 1 / scale),
+        start,
+        radius=_PATCH_RADIUS,
+        max_shift=_MAX_SHIFT_PX * max(1.0, scale),
+    )
+    good = aligned.converged & (aligned.zncc >= _MIN_ZNCC)
+    return Transferred(aligned.index[good], aligned.points1[good], aligned.zncc[good], scale)
+
+
+def points_in(
+    image: Image, reference: Image, matches: Matches, corners: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which corners (N, 2) of a reference an image shows, (M,) int, and where, (M, 2).
+
+    matches: points1 in the reference, points2 in the image.
+    """
+    turned = replace(matches, points1=matches.points2, points2=matches.points1)
+    local = consistent(turned, _AFFINITY_MATCHES)
+    moved = transferred(_grey(reference), _grey(image), local, corners)
+    return moved.corner, moved.points
 
 
 def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: int) -> np.ndarray:

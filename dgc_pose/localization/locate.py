@@ -13,13 +13,15 @@ import numpy as np
 
 from dgc_pose.batch.pair_choice import similarity
 from dgc_pose.cameras.calibration import KDetails, image_camera
+from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.localization.search import ReferenceSearch
 from dgc_pose.matchers import load_matcher
+from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.pose import pose_of_pair
@@ -106,8 +108,8 @@ class Locator:
             pair = self.matcher.search(self._image(name), image)
             cameras = self.model.cameras[name], search.pair_camera
             pose = pose_of_pair(pair, *cameras, self.options)
-            matched = time.perf_counter()
-            search.add(name, pose, pair.last.matches)
+            matches, matched = pair.last.matches, time.perf_counter()
+            search.add(name, pose, matches, *self._points(name, image, pose, matches))
             seconds["match"] += matched - start
             seconds["estimate"] += time.perf_counter() - matched
         location = search.location()
@@ -127,6 +129,16 @@ class Locator:
         if same and same[0] not in left_out:
             return names, (f"{image.name} is in the model as {same[0]}, and is no reference",)
         return names, ()
+
+    def _points(
+        self, name: str, image: Image, pose: RelativePose, matches: Matches
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the model (N, 3) that a reference shows, and where the photograph does."""
+        if name not in self.model.points or not pose.success:
+            return np.zeros((0, 3)), np.zeros((0, 2))
+        points, pixels = self.model.points[name]
+        which, seen = points_in(image, self._image(name), matches.subset(pose.inliers), pixels)
+        return points[which], seen
 
     def _image(self, name: str) -> Image:
         def read() -> Image:

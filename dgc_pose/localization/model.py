@@ -13,9 +13,12 @@ from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import with_orientation
+from dgc_pose.colmap.database import HALF_PIXEL
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.files.inputs import read_as
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.image import image_header
+from dgc_pose.system.colmap_library import pycolmap
 
 _CAMERAS = ("cameras.bin", "cameras.txt")  # of COLMAP's model
 _SPARSE = "sparse"  # the folder of models in a folder of results
@@ -94,10 +97,26 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             )
             cameras[name] = with_orientation(camera.camera(root, name, header), header)
             poses[name] = pose
+    points = {
+        name: seen for stated, seen in _observations(path).items() if (name := names.get(stated))
+    }
     warnings = (f"{root} lacks {count} of {path}",) if missing else ()
-    return PosedModel(
-        root, cameras, poses, warnings=warnings, files=path if path.is_dir() else None
-    )
+    return PosedModel(root, cameras, poses, points, warnings, path if path.is_dir() else None)
+
+
+def _observations(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """The points (N, 3) of a COLMAP model that each image shows, and their pixels (N, 2)."""
+    if not any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt")):
+        return {}
+    with read_as("a COLMAP model", path):
+        model = pycolmap.Reconstruction(path)
+    observed = {}
+    for image in model.images.values():
+        seen = [point for point in image.points2D if point.has_point3D()]
+        if seen:
+            xyz = np.stack([model.points3D[point.point3D_id].xyz for point in seen])
+            observed[image.name] = xyz, np.stack([point.xy for point in seen]) - HALF_PIXEL
+    return observed
 
 
 def _model_path(path: Path) -> Path:

@@ -13,13 +13,14 @@ from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.localization.fit import Sight, WorldPose, located, world_covariance
+from dgc_pose.localization.fit import PointSight, Sight, WorldPose, located, world_covariance
 from dgc_pose.localization.location import Location, Reference
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.matches import Matches
 
 MAX_REFERENCES = 8
 _HOPELESS = 5  # references without a likely pose, after which no more are matched
+_MIN_POINTS = 12  # of the model, of a reference that determines a distance by itself
 _KNOWN_FOCAL_STD = 0.01  # of ln f, below which further pairs take the camera for exact
 _LIKELY = 0.1  # probability of a pair's pose
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of the extent
@@ -39,6 +40,8 @@ class Pair:
     name: str
     pose: RelativePose  # camera 1 is the reference
     matches: Matches
+    points: np.ndarray  # (N, 3) of the model, that the photograph shows
+    seen: np.ndarray  # (N, 2) where, pixels
 
     @property
     def probability(self) -> float:
@@ -65,12 +68,15 @@ class ReferenceSearch:
         self.fitted = camera
         self.covariance: np.ndarray | None = None
 
-    def add(self, name: str, pose: RelativePose, matches: Matches) -> None:
-        """Add a pair of the reference `name`, and estimate the pose of all."""
+    def add(
+        self, name: str, pose: RelativePose, matches: Matches, points: np.ndarray, seen: np.ndarray
+    ) -> None:
+        """Add a pair of the reference `name`, and estimate the pose of all. points: (N, 3) of the
+        model, that the photograph shows at the pixels `seen` (N, 2)."""
         self.waiting.remove(name)
-        self.pairs.append(Pair(name, pose, matches))
+        self.pairs.append(Pair(name, pose, matches, points, seen))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
-        if len(useful) < 2:
+        if len(useful) + sum(len(pair.points) >= _MIN_POINTS for pair in useful) < 2:
             return
         if not self.sights:
             self.camera = self._start_camera(useful)
@@ -78,13 +84,14 @@ class ReferenceSearch:
             if pair.name not in self.sights:
                 self.sights[pair.name] = self._sight(pair)
         sights = list(self.sights.values())
+        points = [self._points(pair) for pair in useful if len(pair.points)]
         spread = CameraSpread.of(self.model.cameras[name], replace(self.camera, identity=None))
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = pose_of_all = located(sights, spread, self.options, before)
+        self.pose = pose_of_all = located(sights, points, spread, self.options, before)
         if pose_of_all is None:
             return
         self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(pose_of_all)}
-        covariance = world_covariance(sights, pose_of_all, spread)
+        covariance = world_covariance([*sights, *points], pose_of_all, spread)
         if covariance is None:
             self.covariance = None
             return
@@ -122,6 +129,11 @@ class ReferenceSearch:
         problem = TwoViewProblem.of(pair.matches, of_reference, self.camera, self.options)
         hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
         return Sight(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
+
+    def _points(self, pair: Pair) -> PointSight:
+        camera, threshold = self.camera, self.sights[pair.name].threshold
+        places = camera.normalise(pair.seen)
+        return PointSight(pair.points, places, camera.distortion, threshold)
 
     def next_reference(self) -> str | None:
         """The reference to match next; None if no more is needed, or hoped for."""
