@@ -4,6 +4,8 @@ Seeded runs of LO-RANSAC on the five-point solver, and on solvers that have foca
 their unknowns; robust least squares, the Cauchy loss of the Sampson errors.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import poselib
 
@@ -21,6 +23,8 @@ _MIN_ITERATIONS = 200  # of a run, however many inliers there are; see docs/expe
 
 _ROUNDS = 3  # of a refinement
 _MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
+
+RigidPose = tuple[np.ndarray, np.ndarray]  # R (3, 3) cam_from_world, and the centre (3,), world
 
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
 _FOCAL = 1000.0
@@ -171,3 +175,62 @@ def least_squares_pose(
     if length < 1e-12 or not np.isfinite(pose.R).all():
         return R, t
     return pose.R, pose.t / length
+
+
+def generalized_pose(
+    problems: Sequence[TwoViewProblem],
+    references: Sequence[RigidPose],
+    options: EstimationOptions,
+    seed: int,
+) -> RigidPose | None:
+    """The pose of image 2 of several problems, whose images 1 have these poses: one RANSAC run on
+    the generalised relative pose (six-point solver); None if it fails."""
+    matches = []
+    for number, problem in enumerate(problems):
+        match = poselib.PairwiseMatches()
+        match.cam_id1, match.cam_id2 = number, 0
+        match.x1, match.x2 = _pixels(problem)
+        matches.append(match)
+    extrinsics = [_rigid(R, centre) for R, centre in references]
+    threshold = float(np.median([problem.threshold for problem in problems])) * _FOCAL
+    ransac = {
+        "max_iterations": options.iterations,
+        "min_iterations": min(options.iterations, _MIN_ITERATIONS // 2),
+        "max_epipolar_error": threshold,
+        "seed": seed,
+    }
+    pose, info = poselib.estimate_generalized_relative_pose(
+        matches,
+        extrinsics,
+        [_CAMERA] * len(problems),
+        [poselib.CameraPose()],
+        [_CAMERA],
+        ransac,
+        {"loss_type": "TRUNCATED", "loss_scale": threshold},
+    )
+    return _world(pose, info)
+
+
+def absolute_pose(
+    places: np.ndarray, points: np.ndarray, threshold: float, options: EstimationOptions
+) -> RigidPose | None:
+    """The pose of an image with points (N, 3) of the world at normalised `places` (N, 2): one
+    RANSAC run (three-point solver); None if it fails. threshold: normalised."""
+    ransac = {
+        "max_iterations": options.iterations,
+        "max_reproj_error": threshold * _FOCAL,
+        "seed": run_seeds(options)[0],
+    }
+    return _world(*poselib.estimate_absolute_pose(places * _FOCAL, points, _CAMERA, ransac, {}))
+
+
+def _rigid(R: np.ndarray, centre: np.ndarray) -> poselib.CameraPose:
+    pose = poselib.CameraPose()
+    pose.R, pose.t = R, -R @ centre
+    return pose
+
+
+def _world(pose: poselib.CameraPose, info: dict[str, float]) -> RigidPose | None:
+    if info["num_inliers"] == 0 or not np.isfinite(pose.Rt).all():
+        return None
+    return pose.R, -pose.R.T @ pose.t

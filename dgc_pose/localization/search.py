@@ -13,9 +13,10 @@ from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.localization.fit import PointSight, Sight, WorldPose, located, world_covariance
+from dgc_pose.localization.fit import located, world_covariance
 from dgc_pose.localization.location import Location, Reference
 from dgc_pose.localization.model import PosedModel
+from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 from dgc_pose.matches import Matches
 
 MAX_REFERENCES = 8
