@@ -196,7 +196,8 @@ def world_covariance(
     and the basis of `spread`; None if the inliers do not determine them.
 
     By the delete-a-group jackknife, as `estimation.covariance` has it: over blocks of the
-    photograph in each pair, and over whole pairs, as references have errors of their own.
+    photograph in each pair, and over whole pairs, if there are more than two, as references have
+    errors of their own.
     """
     count = 6 + len(spread)
     prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
@@ -209,7 +210,9 @@ def world_covariance(
         of_blocks.append(block_sums(terms, places, (0.0, 0.0)))
     if len(of_blocks) < 2:
         return None
-    groups = [np.vstack(of_blocks), np.stack([sums.sum(0) for sums in of_blocks])]
+    groups = [np.vstack(of_blocks)]
+    if len(of_blocks) > 2:
+        groups.append(np.stack([sums.sum(0) for sums in of_blocks]))
     total = prior + groups[0][:, : count**2].sum(0).reshape(count, count)
     try:
         inverse = np.linalg.inv(total)

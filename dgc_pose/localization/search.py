@@ -196,7 +196,7 @@ class ReferenceSearch:
     def _located(self) -> Location | None:
         """The location, if there is one."""
         probability, pose, covariance = self._probability(), self.pose, self.covariance
-        if pose is None or covariance is None or len(self.agreeing) < 2:
+        if pose is None or covariance is None or not self.agreeing:
             return None
         centres = np.stack([sight.centre for sight in self.agreeing.values()])
         distance = float(np.median(np.linalg.norm(centres - pose.centre, axis=1)))

@@ -1,0 +1,62 @@
+"""Errors of a world pose and their derivatives, against finite differences."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from world_scene import CAMERA, PHOTO_CAMERA, world_scene
+
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
+from dgc_pose.localization.sights import PointSight, Sight, WorldPose
+
+STEP = 1e-6
+LENS = Distortion("RADIAL", (0.05, -0.1))
+
+
+def _moved(pose: WorldPose, change: np.ndarray, spread: CameraSpread) -> WorldPose:
+    R = cv2.Rodrigues(change[:3])[0] @ pose.R
+    deviations = pose.deviations + (spread.basis @ change[6:])[SIZE:]
+    return WorldPose(R, pose.centre + change[3:6], deviations)
+
+
+@pytest.mark.parametrize("lens", [None, LENS])
+@pytest.mark.parametrize("kind", ["matches", "points"])
+def test_slopes_are_derivatives(kind: str, lens: Distortion | None) -> None:
+    scene = world_scene(count=40)
+    photo = replace(PHOTO_CAMERA, distortion=lens, focal_std=0.1, centre_std=5.0, lens_std=0.05)
+    spread = CameraSpread.of(CAMERA, photo)
+    sight: Sight | PointSight = scene.sight(1, photo=photo)
+    if kind == "points":
+        places = photo.normalise(scene.pixels(PHOTO_CAMERA, scene.R, scene.centre))
+        sight = PointSight(scene.points, places, lens, 0.01)
+    pose = replace(scene.pose, deviations=np.array([0.02, 0.01, -0.01, 0.01, 0.02]))
+    _, slopes = sight.slopes(pose, spread)
+    assert slopes.shape[1] == 6 + len(spread)
+    for number in range(slopes.shape[1]):
+        change = np.zeros(slopes.shape[1])
+        change[number] = STEP
+        ahead, behind = (
+            sight.slopes(_moved(pose, sign * change, spread), spread)[0] for sign in (1, -1)
+        )
+        numeric = (ahead - behind) / (2 * STEP)
+        scale = np.abs(numeric).max()
+        np.testing.assert_allclose(slopes[:, number], numeric, atol=2e-3 * scale)
+
+
+def test_the_true_pose_has_the_errors_of_the_noise() -> None:
+    scene = world_scene()
+    sight = scene.sight(2)
+    error, in_front = sight.errors(scene.pose)
+    assert in_front[error < sight.threshold].mean() > 0.99
+    assert 0.7 < (error < sight.threshold).mean() < 0.9  # a fifth are outliers
+    assert sight.agrees(scene.pose)
+    turned = WorldPose(cv2.Rodrigues(np.array([0, 0.5, 0]))[0] @ scene.R, scene.centre, np.zeros(5))
+    assert not sight.agrees(turned)
+
+
+def test_a_reference_at_the_same_place_has_a_finite_pose() -> None:
+    scene = world_scene(np.array([[0.1, -0.2, 0.15], [1.0, 0, 0]]))
+    R, t = scene.sight(1).pair_pose(replace(scene.pose, centre=scene.references[1][1]))
+    assert np.isfinite(R).all() and np.linalg.norm(t) == pytest.approx(1)
