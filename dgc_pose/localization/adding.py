@@ -36,12 +36,14 @@ def write_model_with(out: Path, model: PosedModel, locations: Mapping[str, Locat
             reconstruction = pycolmap.Reconstruction(model.files)
     names = {image.name for image in reconstruction.images.values()}
     for path, location in locations.items():
-        pose, camera, name = location.cam_from_world, location.camera, Path(path).name
-        if pose is not None and camera is not None:
-            if name in names:
-                raise InputError(f"{path}: the model has an image {name}")
-            names.add(name)
-            _add(reconstruction, name, replace(camera, size=image_size(path)), pose)
+        name, camera = Path(path).name, location.camera
+        if location.cam_from_world is None or camera is None:
+            continue
+        if name in names:
+            raise InputError(f"{path}: the model has an image {name}")
+        names.add(name)
+        sized = camera if camera.size else replace(camera, size=image_size(path))
+        _add(reconstruction, name, sized, location.cam_from_world)
     with replaced_folder(out) as folder:
         reconstruction.write_binary(folder)
 

@@ -77,7 +77,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     file = read_file(path)
     if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
-    calibration = Calibration(str(path), file.by_name, file.parts, file.common)
+    calibration = Calibration(str(path), parts=file.parts, common=file.common)
     names = {name: _image_name(root, name) for name in file.poses}
     missing = sorted(name for name, there in names.items() if there is None)
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
@@ -90,12 +90,9 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             raise InputError(ArgumentName("model"), f"{path}: {stated} has a pose that is none")
         if name is not None:
             header = image_header(root / name)
-            camera = (
-                replace(calibration, by_name={name: file.by_name[stated]})
-                if (stated in file.by_name)
-                else calibration
-            )
-            cameras[name] = with_orientation(camera.camera(root, name, header), header)
+            stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
+            camera = replace(calibration, by_name=stated_camera).camera(root, name, header)
+            cameras[name] = replace(with_orientation(camera, header), size=header.size)
             poses[name] = pose
     points = {
         name: seen for stated, seen in _observations(path).items() if (name := names.get(stated))

@@ -171,27 +171,33 @@ class ReferenceSearch:
         """The result of the references that were matched."""
         if (location := self._located()) is not None:
             return location
-        references = self._references()
+        references, pose = self._references(), self.pose
         likely = [pair for pair in self.pairs if pair.pose.success]
         if not likely:
             reason = f"none of {len(self.pairs)} references has a pose that is likely"
             return Location("nowhere", reason, references)
-        if len(likely) > 1 and len(self.agreeing) < 2:
-            reason = f"the poses of {len(likely)} references contradict each other"
-            return Location("nowhere", reason, references)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
         assert best.pose.R is not None and best.pose.t is not None  # of a success
-        R = best.pose.R @ self.model.poses[best.name][:, :3]
-        why = "they lie on one line of sight" if self.agreeing else f"{best.name} alone has a pose"
+        R, t, camera = best.pose.R @ self.model.poses[best.name][:, :3], best.pose.t, self.camera
+        why = f"{best.name} alone has a pose"
+        if len(likely) > 1:
+            if pose is None or not self._is_claimed(self._probability()):
+                reason = f"the poses of {len(likely)} references do not agree"
+                return Location("nowhere", reason, references)
+            R, t = pose.R, self.sights[best.name].pair_pose(pose)[1]
+            camera, why = self.fitted, "they lie on one line of sight"
         return Location(
             "no_scale",
             f"the references do not determine the distance from {best.name}: {why}",
             references,
             R,
-            direction=-R.T @ best.pose.t,
+            direction=-R.T @ t,
             direction_from=best.name,
-            camera=best.pose.camera2,
+            camera=camera,
         )
+
+    def _is_claimed(self, probability: float) -> bool:
+        return probability >= (self.options.min_probability or 0)
 
     def _located(self) -> Location | None:
         """The location, if there is one."""
@@ -201,7 +207,7 @@ class ReferenceSearch:
         centres = np.stack([sight.centre for sight in self.agreeing.values()])
         distance = float(np.median(np.linalg.norm(centres - pose.centre, axis=1)))
         std = math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1]))
-        if probability < (self.options.min_probability or 0) or std > _MAX_RELATIVE_STD * distance:
+        if not self._is_claimed(probability) or std > _MAX_RELATIVE_STD * distance:
             return None
         return Location(
             "located",

@@ -1,0 +1,99 @@
+"""`dgc-pose locate` on rendered views of known poses, with the shipped network."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from command_line import assert_refused, contents, run
+from multi_view import K, K_text, View, render_views, write_views
+
+from dgc_pose.geometry.rotation import quaternion_wxyz
+from dgc_pose.images.image import load_image
+from dgc_pose.metrics import rotation_error_deg
+
+PHOTO = 3  # of the views
+FAST = ("--effort", "fast", "--runs", "2", "--iterations", "200")
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
+    """A folder with images/, the poses of all but one in poses.csv, and that one as photo.png."""
+    folder = tmp_path_factory.mktemp("scene")
+    views = render_views(7, step=0.5)
+    names = write_views(folder / "images", views)
+    (folder / "images" / names[PHOTO]).rename(folder / "photo.png")
+    lines = ["name,qw,qx,qy,qz,tx,ty,tz,fx,fy,cx,cy"]
+    for name, view in zip(names, views, strict=True):
+        values = [*quaternion_wxyz(view.R), *view.t, K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        lines.append(",".join([name, *map(str, values)]))
+    del lines[1 + PHOTO]
+    (folder / "poses.csv").write_text("\n".join(lines))
+    return folder, views
+
+
+def locate(folder: Path, *words: object, photo: object = "photo.png"):
+    model = ("--model", folder / "poses.csv", "--images", folder / "images")
+    return run("locate", folder / str(photo), *model, *FAST, *words)
+
+
+def test_a_photograph_is_placed(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
+    folder, views = scene
+    out = tmp_path / "out"
+    out.mkdir()
+    files = ("--json", out / "o.json", "--plot", out / "o.png", "--add", out / "model")
+    result = locate(folder, "--K", K_text(), *files)
+    assert result.exit_code == 0, result.output
+    (data,) = json.loads((out / "o.json").read_text()).values()
+    true = views[PHOTO]
+    assert data["status"] == "located" and data["probability"] > 0.9
+    assert rotation_error_deg(np.array(data["R"]), true.R) < 0.5
+    assert np.linalg.norm(np.array(data["centre"]) - true.centre) < 0.05
+    np.testing.assert_allclose(-np.array(data["R"]).T @ data["t"], data["centre"], atol=1e-9)
+    assert data["rotation_error_90_deg"] < 2 and data["position_error_90"] < 0.3
+    assert sum(reference["agrees"] for reference in data["references"]) > 1
+    text = result.stdout
+    assert "cam_from_world (x = R X + t)" in text and "probability over 99 %" in text
+    assert load_image(out / "o.png").size[0] > 1000
+    added = pycolmap.Reconstruction(out / "model").find_image_with_name("photo.png")
+    assert added is not None
+    np.testing.assert_allclose(added.cam_from_world().matrix()[:, 3], data["t"], atol=1e-9)
+
+
+def test_a_photograph_of_the_model_is_told_and_no_reference(
+    scene: tuple[Path, list[View]],
+) -> None:
+    result = locate(scene[0], "--K", K_text(), "--json", "-", photo="images/view2.png")
+    (data,) = json.loads(result.stdout).values()
+    assert "is in the model as view2.png, and is no reference" in data["warnings"][0]
+    assert "view2.png" not in {reference["name"] for reference in data["references"]}
+
+
+def test_another_place_is_nowhere(scene: tuple[Path, list[View]]) -> None:
+    folder = scene[0]
+    noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+    other = cv2.resize(noise, (240, 180), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(folder / "other.png"), other)
+    result = locate(folder, "--K", K_text(), photo="other.png")
+    assert result.exit_code == 3
+    assert "nowhere, none of 5 references has a pose that is likely" in result.stdout
+
+
+def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
+    folder = scene[0]
+    before = contents(folder)
+    given = ("--json", tmp_path / "o.json", "--add", tmp_path / "m")
+    for words, expected in (
+        (("--K", "500,500,320,240"), "K"),
+        (("--plot", tmp_path / "o.txt"), "a plot is written as one of"),
+        (("--K", "auto", "--weights", "sift"), "no features of a network"),
+        (("--model", tmp_path / "none"), "--model"),
+        (("--images", tmp_path / "none"), "--images"),
+    ):
+        assert_refused(locate(folder, *words, *given), expected)
+    assert_refused(locate(folder, *given, photo="absent.png"), "absent.png")
+    several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
+    assert_refused(several, "--plot", "draws a single photograph, not 2")
+    assert contents(tmp_path) == {} and contents(folder) == before

@@ -1,0 +1,168 @@
+"""Models as files have them, and what is refused."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from world_scene import CAMERA, IMAGE, WorldScene, world_scene
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.colmap.database import HALF_PIXEL
+from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.geometry.rotation import quaternion_wxyz
+from dgc_pose.localization.adding import write_model_with
+from dgc_pose.localization.location import Location
+from dgc_pose.localization.model import load_model
+
+SCENE = world_scene(count=20)
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    """The images of the scene, blank."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for name in SCENE.names:
+        cv2.imwrite(str(folder / name), np.zeros(IMAGE[::-1], np.uint8))
+    return folder
+
+
+def _colmap(scene: WorldScene, folder: Path, *, binary: bool = True) -> Path:
+    """The scene as pycolmap writes it, with its points in the first two images."""
+    model = pycolmap.Reconstruction()
+    fx, fy = CAMERA.K[0, 0], CAMERA.K[1, 1]
+    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 1.0, *IMAGE)
+    camera.params = [fx, fy, *(CAMERA.K[:2, 2] + HALF_PIXEL)]
+    model.add_camera_with_trivial_rig(camera)
+    for number, (name, (R, centre)) in enumerate(
+        zip(scene.names, scene.references, strict=True), start=1
+    ):
+        seen = scene.pixels(CAMERA, R, centre) + HALF_PIXEL
+        image = pycolmap.Image(name=name, camera_id=1, keypoints=seen)
+        image.image_id = number
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ centre)
+        model.add_image_with_trivial_frame(image, pose)
+    for index, point in enumerate(scene.points):
+        track = pycolmap.Track()
+        for number in (1, 2):
+            track.add_element(number, index)
+        model.add_point3D(point, track)
+    folder.mkdir(parents=True)
+    (model.write_binary if binary else model.write_text)(folder)
+    return folder
+
+
+def _table(scene: WorldScene, path: Path) -> Path:
+    lines = ["name,qw,qx,qy,qz,tx,ty,tz,fx,fy,cx,cy"]
+    fx, fy, cx, cy = CAMERA.K[0, 0], CAMERA.K[1, 1], *CAMERA.K[:2, 2]
+    for name, (R, centre) in zip(scene.names, scene.references, strict=True):
+        values = (*quaternion_wxyz(R).tolist(), *(-R @ centre).tolist(), fx, fy, cx, cy)
+        lines.append(",".join([name, *map(repr, map(float, values))]))
+    path.write_text("\n".join(lines))
+    return path
+
+
+def _transforms(scene: WorldScene, path: Path) -> Path:
+    """As nerfstudio writes it: camera axes right, up and backwards."""
+    frames = []
+    for name, (R, centre) in zip(scene.names, scene.references, strict=True):
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = R.T @ np.diag([1, -1, -1]), centre
+        stem = f"./images/{Path(name).stem}"  # as of NeRF's own scenes
+        frames.append({"file_path": stem, "transform_matrix": matrix.tolist()})
+    data = {"w": IMAGE[0], "h": IMAGE[1], "fl_x": 900.0, "fl_y": 905.0, "frames": frames}
+    path.write_text(json.dumps(data | {"cx": 500.5, "cy": 390.5}))
+    return path
+
+
+@pytest.mark.parametrize("kind", ["binary", "text", "table", "transforms", "results"])
+def test_models_have_the_poses_of_their_files(kind: str, images: Path, tmp_path: Path) -> None:
+    if kind == "table":
+        source = _table(SCENE, tmp_path / "poses.csv")
+    elif kind == "transforms":
+        source = _transforms(SCENE, tmp_path / "transforms.json")
+    elif kind == "results":
+        source = _colmap(SCENE, tmp_path / "out" / "sparse").parent
+    else:
+        source = _colmap(SCENE, tmp_path / "model", binary=kind == "binary")
+    model = load_model(source, images)
+    assert sorted(model.poses) == SCENE.names
+    for name, (R, centre) in zip(SCENE.names, SCENE.references, strict=True):
+        np.testing.assert_allclose(model.poses[name][:, :3], R, atol=1e-9)
+        np.testing.assert_allclose(model.centre(name), centre, atol=1e-9)
+        np.testing.assert_allclose(model.cameras[name].K, CAMERA.K, atol=1e-9)
+    centres = np.stack([centre for _, centre in SCENE.references])
+    furthest = max(np.linalg.norm(a - b) for a in centres for b in centres)
+    assert model.extent == pytest.approx(furthest)
+    if kind in ("binary", "text", "results"):
+        assert sorted(model.points) == SCENE.names[:2]
+        xyz, pixels = model.points[SCENE.names[1]]
+        order = [int(np.abs(SCENE.points - p).sum(1).argmin()) for p in xyz]
+        expected = SCENE.pixels(CAMERA, *SCENE.references[1])[order]
+        np.testing.assert_allclose(pixels, expected, atol=1e-6)
+
+
+def test_images_that_are_missing_are_told(images: Path, tmp_path: Path) -> None:
+    source = _table(SCENE, tmp_path / "poses.csv")
+    (images / "r1.jpg").unlink()
+    model = load_model(source, images)
+    assert "r1.jpg" not in model.poses
+    assert "lacks 1 of 5 images (first: r1.jpg)" in model.warnings[0]
+    for name in SCENE.names[2:]:
+        (images / name).unlink()
+    with pytest.raises(InputError, match=r"images .* lacks 4 of 5 images \(first: r1.jpg, "):
+        load_model(source, images)
+
+
+def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
+    _colmap(SCENE, tmp_path / "two" / "0")
+    _colmap(SCENE, tmp_path / "two" / "1")
+    cameras = tmp_path / "cameras.csv"
+    cameras.write_text("name,fx,fy,cx,cy\nr0.jpg,900,900,500,400\n")
+    odd = tmp_path / "odd.json"
+    data = json.loads(_transforms(SCENE, odd).read_text())
+    data["frames"][0]["transform_matrix"] = (2 * np.eye(4)).tolist()
+    odd.write_text(json.dumps(data))
+    zero = tmp_path / "zero.csv"
+    row = _table(SCENE, zero).read_text().splitlines()
+    zero.write_text("\n".join([row[0], "r0.jpg,0,0,0,0" + row[1].split(",", 5)[5].join([",", ""])]))
+    for source, words in (
+        (tmp_path / "two", "model .*two has the models 0, 1"),
+        (cameras, "model .* has no poses of images"),
+        (odd, "has a pose that is none"),
+        (zero, "a quaternion without a length"),
+        (tmp_path / "absent", "model .*absent: no such file or folder"),
+        (images, "holds no model of COLMAP"),
+    ):
+        with pytest.raises(DgcPoseError, match=words):
+            load_model(source, images)
+    with pytest.raises(InputError, match="images .*absent: no such folder"):
+        load_model(_table(SCENE, tmp_path / "poses.csv"), tmp_path / "absent")
+
+
+@pytest.mark.parametrize("kind", ["binary", "table"])
+def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) -> None:
+    is_colmap = kind == "binary"
+    source = _colmap(SCENE, tmp_path / "m") if is_colmap else _table(SCENE, tmp_path / "poses.csv")
+    photo = tmp_path / "new.png"
+    cv2.imwrite(str(photo), np.zeros((480, 640), np.uint8))
+    camera = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
+    location = Location(
+        "located", "", (), SCENE.R, SCENE.centre, covariance=np.eye(6), camera=camera
+    )
+    model = load_model(source, images)
+    write_model_with(tmp_path / "out", model, {str(photo): location})
+    written = pycolmap.Reconstruction(tmp_path / "out")
+    added = written.find_image_with_name("new.png")
+    assert added is not None and written.num_images() == 6
+    np.testing.assert_allclose(added.cam_from_world().matrix(), location.cam_from_world, atol=1e-12)
+    assert written.cameras[added.camera_id].params.tolist() == [500, 500, 320.5, 240.5]
+    assert written.num_points3D() == (20 if is_colmap else 0)
+    again = load_model(tmp_path / "out", images)
+    assert sorted(again.poses) == SCENE.names  # the photograph is in another folder
+    with pytest.raises(InputError, match="the model has an image r0.jpg"):
+        write_model_with(tmp_path / "other", model, {str(images / "r0.jpg"): location})
+    assert not (tmp_path / "other").exists()
