@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from dgc_pose.estimation import estimate_pose as estimate_pose
     from dgc_pose.images.image import Image as Image
     from dgc_pose.images.image import load_image as load_image
+    from dgc_pose.localization.locate import Locator as Locator
+    from dgc_pose.localization.locate import locate as locate
+    from dgc_pose.localization.location import Location as Location
+    from dgc_pose.localization.model import PosedModel as PosedModel
+    from dgc_pose.localization.model import load_model as load_model
     from dgc_pose.matchers import MatcherCaches as MatcherCaches
     from dgc_pose.matchers import MatcherOptions as MatcherOptions
     from dgc_pose.matchers import load_matcher as load_matcher
@@ -49,6 +54,9 @@ _PUBLIC = {
         "estimate_pose",
     ),
     "images.image": ("Image", "load_image"),
+    "localization.locate": ("Locator", "locate"),
+    "localization.location": ("Location",),
+    "localization.model": ("PosedModel", "load_model"),
     "matchers": ("MatcherCaches", "MatcherOptions", "load_matcher"),
     "matches": ("Matches",),
     "matching": (

@@ -196,23 +196,22 @@ def world_covariance(
     and the basis of `spread`; None if the inliers do not determine them.
 
     By the delete-a-group jackknife, as `estimation.covariance` has it: over blocks of the
-    photograph in each pair, and over whole pairs, if there are more than two, as references have
-    errors of their own.
+    photograph, each in all pairs at once, as their errors there are alike; and over whole pairs, if
+    there are more than two, as references have errors of their own.
     """
     count = 6 + len(spread)
     prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
-    of_blocks = []
+    terms, places = [], []
     for part in _parts(sights, pose):
         slopes, weights, gradients = _linearised(part, pose, spread, curvature=True)
         information = (slopes * weights[:, None])[:, :, None] * slopes[:, None]
-        terms = np.column_stack([information.reshape(-1, count**2), gradients])
-        places = np.tile(part[0].places, (len(terms) // len(part[0]), 1))
-        of_blocks.append(block_sums(terms, places, (0.0, 0.0)))
-    if len(of_blocks) < 2:
+        terms.append(np.column_stack([information.reshape(-1, count**2), gradients]))
+        places.append(np.tile(part[0].places, (len(slopes) // len(part[0]), 1)))
+    if not terms:
         return None
-    groups = [np.vstack(of_blocks)]
-    if len(of_blocks) > 2:
-        groups.append(np.stack([sums.sum(0) for sums in of_blocks]))
+    groups = [block_sums(np.vstack(terms), np.vstack(places), (0.0, 0.0))]
+    if len(terms) > 2:
+        groups.append(np.stack([of_pair.sum(0) for of_pair in terms]))
     total = prior + groups[0][:, : count**2].sum(0).reshape(count, count)
     try:
         inverse = np.linalg.inv(total)
