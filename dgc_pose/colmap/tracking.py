@@ -88,6 +88,7 @@ def _tracks_of(
         raw = Matches(points1, points2, pair.scores, pair.row.error_px or 1.0)
         matches_of_pairs.append(consistent(raw, _AFFINITY_MATCHES))
     corners = _choose(grey, matches_of_pairs, per_image)
+    corners = corners[~image.is_masked(corners)]
     tracks = []
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other, *_ = pair.towards(name)
@@ -95,14 +96,16 @@ def _tracks_of(
         if len(start.index) == 0:
             continue
         scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
+        other_image = load(other)
         aligned = locate(
-            _smoothed(_grey(load(other)), scale),
+            _smoothed(_grey(other_image), scale),
             _smoothed(grey, 1 / scale),
             start,
             radius=_PATCH_RADIUS,
             max_shift=_MAX_SHIFT_PX * max(1.0, scale),
         )
         good = aligned.converged & (aligned.zncc >= _MIN_ZNCC)
+        good &= ~other_image.is_masked(aligned.points1)
         points1, points2 = aligned.points1, corners[aligned.index]
         if pair.row.name1 == name:
             points1, points2 = points2, points1
