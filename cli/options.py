@@ -95,5 +95,5 @@ class CameraChoice(KChoice):
 class MaskChoice:
     """The options of the masks of two images."""
 
-    mask1: str | None = option(None, "Of image 1: black is not matched.", metavar="FILE")
-    mask2: str | None = option(None, "Of image 2, likewise.", metavar="FILE")
+    mask1: str | None = option(None, "Black is not matched.", metavar="FILE", section="matching")
+    mask2: str | None = option(None, "The same of image 2.", metavar="FILE", section="matching")

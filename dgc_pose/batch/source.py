@@ -89,10 +89,10 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
 
     content = search_images(root)
     results = [name for name in content.names if is_result(name)]
-    of_names = [mask_file(masks, name) for name in content.names]
-    mask_files = {os.path.realpath(file) for file in of_names if file}
-    others = {name for name in content.names if os.path.realpath(root / name) in mask_files}
-    names = tuple(name for name in content.names if name not in others.union(results))
+    files = {os.path.realpath(file) for n in content.names if (file := mask_file(masks, n))}
+    others = {n for n in content.names if files and os.path.realpath(root / n) in files}
+    others.update(results)
+    names = tuple(name for name in content.names if name not in others)
     left_out = content.left_out
     if results:
         left_out += (left_out_line("file", results, f"results, told by their {PLAN}"),)
