@@ -46,6 +46,9 @@ class SourceChoice(KChoice):
     """The images, their pairs and cameras."""
 
     root: Path | None = option(None, "Of a list's image names; default: its own folder.")
+    masks: Path | None = option(
+        None, "Folder with the mask NAME.jpg.png of NAME.jpg: black is not matched.", metavar="DIR"
+    )
     pairs: str | None = option(
         None,
         "exhaustive; sequential:W, images at most W apart in the order of their names; auto:K, the "
@@ -73,7 +76,7 @@ def work_through(
     from dgc_pose.batch.source import open_source
     from dgc_pose.cameras.calibration import read_calibration
 
-    images = open_source(Path(source), inputs.root)
+    images = open_source(Path(source), inputs.root, inputs.masks)
     for line in images.left_out:
         say(f"warning: {line}")
     if len(images.names) < min_images:

@@ -12,12 +12,13 @@ import numpy as np
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
-from dgc_pose.cli.options import CameraChoice
+from dgc_pose.cli.options import CameraChoice, MaskChoice
 from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
+from dgc_pose.images.mask import masked
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
@@ -53,6 +54,7 @@ class Outputs:
 @click.command()
 @click.argument("image1", metavar="IMG1", type=click.Path())
 @click.argument("image2", metavar="IMG2", type=click.Path())
+@dataclass_options(MaskChoice, "masks")
 @dataclass_options(CameraChoice, "cameras")
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
@@ -60,6 +62,7 @@ class Outputs:
 def estimate(
     image1: str,
     image2: str,
+    masks: MaskChoice,
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
@@ -72,7 +75,7 @@ def estimate(
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
-        trace = traced(image1, image2, cameras, matcher, estimation)
+        trace = traced(image1, image2, cameras, matcher, estimation, masks)
         pose, data = trace.pose, json_text(trace.pose.as_dict())
         if json_file is not None:
             save_text(stage(json_file), data)
@@ -102,11 +105,13 @@ def traced(
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
+    masks: MaskChoice = MaskChoice(),  # noqa: B008, it is frozen
 ) -> Trace:
     """The trace of the pose of two images. In its `seconds`, `load` is the time for images and
     weights."""
     start = time.perf_counter()
-    image1, image2 = load_image(path1), load_image(path2)
+    image1 = masked(load_image(path1), masks.mask1, "mask1")
+    image2 = masked(load_image(path2), masks.mask2, "mask2")
     camera1, camera2 = cameras.resolve(image1, image2)
     image1, image2 = image1.oriented(camera1.orientation), image2.oriented(camera2.orientation)
     read_seconds = time.perf_counter() - start

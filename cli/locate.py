@@ -38,6 +38,12 @@ class Place:
         metavar="SOURCE",
     )
     images: Path = option(help="Folder of the model's images.", metavar="FOLDER")
+    masks: Path | None = option(
+        None,
+        "Folder with the mask NAME.jpg.png of NAME.jpg, of the model or a PHOTO: black is not "
+        "matched.",
+        metavar="DIR",
+    )
     json: str | None = option(
         None,
         "Write the locations as JSON, by photograph; - for stdout.",
@@ -96,7 +102,7 @@ def locate(
     model = load_model(place.model, place.images)
     for warning in model.warnings:
         say(f"warning: {warning}")
-    locator = Locator(model, matcher.load(MatcherCaches()), estimation)
+    locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)
     json_file = None if place.json == STDOUT else place.json
     locations: dict[str, Location] = {}
     with staged(json_file, place.plot) as stage:

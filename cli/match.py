@@ -4,11 +4,13 @@ import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.options import MaskChoice
 from dgc_pose.cli.output import matches_arrays, write_npz
 from dgc_pose.cli.process import say
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import staged
 from dgc_pose.images.image import load_image
+from dgc_pose.images.mask import masked
 from dgc_pose.matchers import MatcherOptions
 
 
@@ -22,8 +24,9 @@ from dgc_pose.matchers import MatcherOptions
     metavar="PATH.npz",
     help="Where to write the matches.",
 )
+@dataclass_options(MaskChoice, "masks")
 @dataclass_options(MatcherOptions, "matcher")
-def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
+def match(image1: str, image2: str, out: str, masks: MaskChoice, matcher: MatcherOptions) -> None:
     """Match two photographs and write the dense map and the matches selected from it.
 
     The file holds `map` (H, W, 2), for each cell of a grid over image 2 its point in image 1;
@@ -32,7 +35,8 @@ def match(image1: str, image2: str, out: str, matcher: MatcherOptions) -> None:
     pixels of the original images.
     """
     with staged(out) as stage:
-        first, second = load_image(image1), load_image(image2)
+        first = masked(load_image(image1), masks.mask1, "mask1")
+        second = masked(load_image(image2), masks.mask2, "mask2")
         result = matcher.load().match(first, second)
         dense = result.correspondence_map
         if dense is None:

@@ -89,3 +89,11 @@ class CameraChoice(KChoice):
             number = 1 if text1 is None else 2
             raise InputError(f"image {number} has no K: give --K or --K{number}, or --K auto")
         return pair_cameras(text1, text2, image1, image2, (names[0], names[1]), self.details)
+
+
+@dataclass(frozen=True)
+class MaskChoice:
+    """The options of the masks of two images."""
+
+    mask1: str | None = option(None, "Black is not matched.", metavar="FILE", section="matching")
+    mask2: str | None = option(None, "The same of image 2.", metavar="FILE", section="matching")

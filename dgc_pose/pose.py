@@ -19,6 +19,7 @@ from dgc_pose.estimation.camera_fit import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.mask import masked
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import Matcher, MatchResult, PairSearch
 from dgc_pose.system.options import check_type
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     import torch
 
     ImageSource = str | Path | np.ndarray | torch.Tensor | Image
+    MaskSource = str | Path | ArrayLike | None
     CameraSource = ArrayLike | Camera | Path | None
 
 # What is done for a pose, in this order, see `pose_of_pair`:
@@ -60,6 +62,8 @@ def estimate_relative_pose(
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
+    mask1: MaskSource = None,
+    mask2: MaskSource = None,
     trace: Literal[False] = False,
 ) -> RelativePose: ...
 
@@ -73,6 +77,8 @@ def estimate_relative_pose(
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
+    mask1: MaskSource = None,
+    mask2: MaskSource = None,
     trace: Literal[True],
 ) -> Trace: ...
 
@@ -85,6 +91,8 @@ def estimate_relative_pose(
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
+    mask1: MaskSource = None,
+    mask2: MaskSource = None,
     trace: bool = False,
 ) -> RelativePose | Trace:
     """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
@@ -95,6 +103,9 @@ def estimate_relative_pose(
     default `load_matcher()`, the shipped network with refinement. trace: whether to return a
     `Trace`, the images, the map and the matches besides the pose. Without a pose, `success` is
     False and `reason` says why.
+
+    mask1, mask2: paths, or arrays (H, W), of the pixels as stored: where they are 0 or black,
+    nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.
 
     A K that is not known is None or "auto"; for K2 alone "auto". The matches determine the focal
     length then: see `K1`, `K2`, `focal_std1` and `focal_std2` of the pose. One camera took both
@@ -109,6 +120,7 @@ def estimate_relative_pose(
     start = time.perf_counter()
     named = (image1, "image1"), (image2, "image2")
     first, second = in_threads(lambda image: load_image(*image), named)
+    first, second = masked(first, mask1, "mask1"), masked(second, mask2, "mask2")
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     prior1, prior2 = pair_cameras(K1, K, first, second, ("K1", name))
     first, second = first.oriented(prior1.orientation), second.oriented(prior2.orientation)
@@ -184,8 +196,7 @@ def _mirror_image_probability(
     """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
     without one."""
     image2 = search.image2
-    flipped = replace(image2, pixels=np.ascontiguousarray(image2.pixels[:, ::-1]))
-    result = search.matcher.search(search.image1, flipped).quick()
+    result = search.matcher.search(search.image1, image2.oriented(2)).quick()
     if result is None:
         return 0.0
     K = camera2.K.copy()

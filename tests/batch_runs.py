@@ -5,10 +5,11 @@ from contextlib import AbstractContextManager, contextmanager
 from itertools import count
 from pathlib import Path
 
+import cv2
 import h5py
 import numpy as np
 import pytest
-from multi_view import K_text, View, render_views, write_views
+from multi_view import SIZE, K_text, View, render_views, write_views
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
@@ -31,11 +32,22 @@ def view_folder(folder: Path, number: int = 4) -> list[View]:
     return views
 
 
+def write_masks(folder: Path, names: Sequence[str], share: float = 0.5) -> None:
+    """Masks of photographs of `multi_view.SIZE`, black in a share on the left."""
+    for name in names:
+        mask = np.full(SIZE[::-1], 255, np.uint8)
+        mask[:, : round(share * SIZE[0])] = 0
+        path = folder / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), mask)
+
+
 def run_sift(
     source: Path,
     out: Path,
     *,
     root: Path | None = None,
+    masks: Path | None = None,
     pairs: str | None = "exhaustive",
     K: str | None = K_text(),  # noqa: B008, a constant
     matcher: MatcherOptions = MatcherOptions("sift"),  # noqa: B008
@@ -48,7 +60,7 @@ def run_sift(
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dgc_pose.batch.run.local_workers", start_workers)
         return run_batch(
-            open_source(source, root),
+            open_source(source, root, masks),
             read_calibration(K, "--K"),  # as the command names it
             None if pairs is None else parse_pair_choice(pairs),
             out,

@@ -62,6 +62,63 @@ def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_pat
         assert set(pose.seconds) == {"load", "match", "estimate"}
 
 
+def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> None:
+    """A thing that moved over both images has a third of the matches without masks. One mask is an
+    array, the other a file of half the size."""
+    images, masks = [pair.image1.copy(), pair.image2.copy()], []
+    thing = np.random.default_rng(0).integers(0, 256, (60, 40, 3), np.uint8)
+    thing = cv2.resize(thing, (240, 360), interpolation=cv2.INTER_CUBIC)
+    for image, x in zip(images, (60, 280), strict=True):
+        image[100:460, x : x + 240] = thing
+        masks.append(np.ones(image.shape[:2], bool))
+        masks[-1][100:460, x : x + 240] = False
+    path = tmp_path / "mask.png"
+    cv2.imwrite(str(path), masks[1][::2, ::2] * np.uint8(255))
+    results = [
+        estimate_relative_pose(
+            *images, pair.K1, pair.K2, matcher=SiftMatcher(), mask1=first, mask2=second, trace=True
+        )
+        for first, second in ((None, None), (masks[0], path), (masks[0], None))
+    ]
+    on_thing = []
+    for trace in results:
+        x, y = np.rint(trace.matches.points1).astype(int).T
+        on_thing.append((~masks[0][y, x]).mean())
+    assert on_thing[0] > 0.3 and on_thing[1:] == [0, 0]
+    pose = results[1].pose
+    assert pose.success and rotation_error_deg(pose.R, pair.R) < 0.5
+    assert translation_error_deg(pose.t, pair.t) < 3
+    with pytest.raises(InputError, match="mask2 is 640 x 480 and the image 560 x 520"):
+        estimate_relative_pose(*images, pair.K1, pair.K2, matcher=SiftMatcher(), mask2=masks[0])
+
+
+def test_a_mask_is_turned_and_mirrored_with_its_image(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mask is of the pixels as stored, which an orientation by EXIF turns; the test for a mirror
+    image flips both."""
+    pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
+    used, exif = pixels[..., 0] > 99, PIL.Image.Exif()
+    exif[0x0112] = 6
+    PIL.Image.fromarray(pixels).save(tmp_path / "a.png", exif=exif)
+    searched: list[Image] = []
+    search_of = SiftMatcher.search
+
+    def search(self: SiftMatcher, image1: Image, image2: Image) -> PairSearch:
+        searched.append(image2)
+        return search_of(self, image1, image2)
+
+    monkeypatch.setattr(SiftMatcher, "search", search)
+    path = tmp_path / "a.png"
+    estimate_relative_pose(path, path, matcher=SiftMatcher(), mask2=used)
+    upright, mirrored = searched
+    assert upright.mask is not None and mirrored.mask is not None
+    np.testing.assert_array_equal(upright.pixels, np.rot90(pixels, -1))
+    np.testing.assert_array_equal(upright.mask, np.rot90(used, -1))
+    np.testing.assert_array_equal(mirrored.pixels, upright.pixels[:, ::-1])
+    np.testing.assert_array_equal(mirrored.mask, upright.mask[:, ::-1])
+
+
 NOISE = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
 NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
 

@@ -106,7 +106,7 @@ def read_plan(out: Path) -> Plan:
             parse_states(states),
             tuple(image["name"] for image in data["images"]),
             np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
-            data["settings"],
+            dict(data["settings"]),
             {name: parse_camera_data(values) for name, values in pooled.items()} or None,
         )
         if not all(isinstance(name, str) for name in (*plan.names, *plan.bad.values())):
@@ -120,7 +120,7 @@ def read_plan(out: Path) -> Plan:
 
 def parse_states(data: Mapping[str, Any]) -> dict[str, FileState]:
     """States of photographs from JSON; those that are null are absent."""
-    return {name: (int(pair[0]), int(pair[1])) for name, pair in data.items() if pair is not None}
+    return {name: tuple(map(int, state)) for name, state in data.items() if state is not None}
 
 
 def continued(before: Plan, now: Plan, out: Path) -> Plan:

@@ -67,11 +67,13 @@ def run_batch(
     """
     start = time.perf_counter()
     # The reasons of bad images name the folder: it must be the same when the batch is resumed.
-    source = replace(source, root=source.root.resolve())
+    masks = source.masks and source.masks.resolve()
+    source = replace(source, root=source.root.resolve(), masks=masks)
     if choice is None and source.pairs is None:
         choice = default_pair_choice(len(source.names))
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
+        "masks": masks and str(masks),
         "weights": matcher.weights,
         "weights_sha256": _weights_hash(matcher.weights),
         "runtime": matcher.runtime,
@@ -90,7 +92,8 @@ def run_batch(
                 result = read_batch(out)
                 if all(row.status != FAILED for row in result.rows):
                     return result
-        job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, options.worker_bytes)
+        limit = options.worker_bytes
+        job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks)
         # What a matcher cannot load is an error before anything is written.
         start_workers = ray_workers if options.engine == "ray" else local_workers
         with start_workers(job, options.worker_count) as run:

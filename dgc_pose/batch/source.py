@@ -14,11 +14,13 @@ from dgc_pose.cameras.prior import with_orientation
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.images.folder import left_out_line, search_images
 from dgc_pose.images.image import image_header
+from dgc_pose.images.mask import mask_file
 
 PLAN = "plan.json"  # in the folder of a batch
 BATCH, PICTURE = "batch", "picture.png"  # in the folder of a reconstruction
 _DATABASES = (".db", ".sqlite", ".sqlite3")
-FileState = tuple[int, int]  # of a photograph: its bytes, and the nanoseconds of its last change
+# Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
+FileState = tuple[int, ...]
 _ROOT = ArgumentName("root")
 
 
@@ -31,23 +33,25 @@ class Source:
     pairs: tuple[tuple[str, str], ...] | None  # None: they are to be chosen
     cameras: Mapping[str, Camera]  # those that the source itself has
     left_out: tuple[str, ...] = ()  # what a folder holds beside images, a line for each reason
+    masks: Path | None = None  # folder of the images' masks
 
 
-def open_source(path: Path, root: Path | None = None) -> Source:
+def open_source(path: Path, root: Path | None = None, masks: Path | None = None) -> Source:
     """A folder of photographs, a list of pairs, or a COLMAP database.
 
     root: folder of the image names of a list or database; by default the file's own. Results of
-    `batch` and `reconstruct` below a folder are left out.
+    `batch` and `reconstruct` below a folder are left out. masks: folder of their masks, see
+    `mask_file`, which are no photographs where it lies in the source.
 
-    Raises InputError if the source has no image, or a single one, or if none of its images is in
-    `root`; OSError if it cannot be read.
+    Raises InputError if the source has no image, or a single one, if none of its images is in
+    `root`, or if none has a mask in `masks`; OSError if it cannot be read.
     """
     if path.is_dir():
         if root is not None:
             raise InputError(
                 ArgumentName("root"), f"is for a list or a database, and {path} is a folder"
             )
-        source = _of_folder(path)
+        source = _of_folder(path, masks)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")
     else:
@@ -67,11 +71,14 @@ def open_source(path: Path, root: Path | None = None) -> Source:
             f"{source.root}: none of the {len(source.names)} images of {path} is there "
             f"(first: {source.names[0]})",
         )
-    return source
+    if masks is not None and not any(mask_file(masks, name) for name in source.names):
+        missing = f"{masks}: no {source.names[0]}.png there, and no mask of another image"
+        raise InputError(ArgumentName("masks"), missing)
+    return replace(source, masks=masks)
 
 
-def _of_folder(root: Path) -> Source:
-    """The photographs below a folder, without the results of `batch` and `reconstruct`."""
+def _of_folder(root: Path, masks: Path | None) -> Source:
+    """The photographs below a folder, without masks and results of `batch` and `reconstruct`."""
 
     def is_result(name: str) -> bool:
         path = root / name
@@ -82,7 +89,10 @@ def _of_folder(root: Path) -> Source:
 
     content = search_images(root)
     results = [name for name in content.names if is_result(name)]
-    names = tuple(name for name in content.names if name not in {*results})
+    files = {os.path.realpath(file) for n in content.names if (file := mask_file(masks, n))}
+    others = {n for n in content.names if files and os.path.realpath(root / n) in files}
+    others.update(results)
+    names = tuple(name for name in content.names if name not in others)
     left_out = content.left_out
     if results:
         left_out += (left_out_line("file", results, f"results, told by their {PLAN}"),)
@@ -105,8 +115,8 @@ def survey(
     for name in source.names:
         path = source.root / name
         with suppress(OSError):
-            status = path.stat()
-            states[name] = status.st_size, status.st_mtime_ns
+            files = [file.stat() for file in (path, mask_file(source.masks, name)) if file]
+            states[name] = tuple(n for s in files for n in (s.st_size, s.st_mtime_ns))
         try:
             header = image_header(path)
         except ImageError as error:

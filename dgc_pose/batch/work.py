@@ -13,6 +13,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
 from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.pose import pose_of_pair
@@ -32,6 +33,7 @@ class Job:
     matcher: MatcherOptions
     estimation: EstimationOptions
     memory_bytes: int  # of images and features that a worker keeps
+    masks: Path | None = None  # folder of the images' masks
 
 
 @dataclass(frozen=True)
@@ -175,7 +177,7 @@ class Worker:
 
     def _read(self, name: str) -> Image | str:
         try:
-            image = load_image(self.job.root / name)
+            image = masked(load_image(self.job.root / name), mask_file(self.job.masks, name))
         except DgcPoseError as error:
             return str(error)
         size = self.job.cameras[name].size

@@ -15,6 +15,7 @@ from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.matching.cache import BoundedCache
 
 _IMAGE_BYTES = 2**29  # of images in memory
@@ -48,9 +49,10 @@ def share(
     images: BoundedCache[str, Image] = BoundedCache(
         lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
     )
+    root, masks = batch.plan.root, batch.plan.settings.get("masks")
 
     def load(name: str) -> Image:
-        return images.get(name, lambda: load_image(batch.plan.root / name))
+        return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
 
     return track_corners(pairs, batch.plan.final_cameras, load, options.per_image, progress), pairs
 

@@ -88,10 +88,11 @@ def _tracks_of(
         raw = Matches(points1, points2, pair.scores, pair.row.error_px or 1.0)
         matches_of_pairs.append(consistent(raw, _AFFINITY_MATCHES))
     corners = _choose(grey, matches_of_pairs, per_image)
+    corners = corners[~image.is_masked(corners)]
     tracks = []
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other, *_ = pair.towards(name)
-        moved = transferred(grey, _grey(load(other)), matches, corners)
+        moved = transferred(image, load(other), matches, corners)
         points1, points2 = moved.points, corners[moved.corner]
         if pair.row.name1 == name:
             points1, points2 = points2, points1
@@ -113,22 +114,22 @@ class Transferred:
 
 
 def transferred(
-    grey2: np.ndarray, grey1: np.ndarray, matches: LocalMatches, corners: np.ndarray
+    image2: Image, image1: Image, matches: LocalMatches, corners: np.ndarray
 ) -> Transferred:
     """Where corners (N, 2) of image 2 lie in image 1: of those that have a match near, and whose
-    patches can be aligned. grey: (H, W) float32. matches: consistent ones of both images."""
-    start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(grey2.shape))
+    patches can be aligned. matches: consistent ones of both images."""
+    start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(image2.size))
     if len(start.index) == 0:
         return Transferred(start.index, start.points1, np.zeros(0), 1.0)
     scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
     aligned = locate(
-        _smoothed(grey1, scale),
-        _smoothed(grey2, 1 / scale),
+        _smoothed(_grey(image1), scale),
+        _smoothed(_grey(image2), 1 / scale),
         start,
         radius=_PATCH_RADIUS,
         max_shift=_MAX_SHIFT_PX * max(1.0, scale),
     )
-    good = aligned.converged & (aligned.zncc >= _MIN_ZNCC)
+    good = aligned.converged & (aligned.zncc >= _MIN_ZNCC) & ~image1.is_masked(aligned.points1)
     return Transferred(aligned.index[good], aligned.points1[good], aligned.zncc[good], scale)
 
 
@@ -141,7 +142,7 @@ def points_in(
     """
     turned = replace(matches, points1=matches.points2, points2=matches.points1)
     local = consistent(turned, _AFFINITY_MATCHES)
-    moved = transferred(_grey(reference), _grey(image), local, corners)
+    moved = transferred(reference, image, local, corners)
     return moved.corner, moved.points
 
 

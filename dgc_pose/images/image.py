@@ -15,6 +15,7 @@ import numpy as np
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.files.inputs import read_as, read_bytes, read_start
+from dgc_pose.geometry.pixels import within
 from dgc_pose.images.header import EXCHANGING, Exif, Header, UnreadableFormatError, read_header
 from dgc_pose.system.stderr import quiet
 
@@ -39,6 +40,7 @@ class Image:
             they were not.
         exif: The camera by the file's EXIF data.
         orientation: Orientation by EXIF, 1 to 8, that is still to be applied to `pixels`; 1: none.
+        mask: (H, W) bool, False for pixels that are not matched; None: all are.
     """
 
     pixels: np.ndarray
@@ -46,6 +48,7 @@ class Image:
     stored_size: tuple[int, int] | None = None
     exif: Exif = Exif()
     orientation: int = 1
+    mask: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         pixels = self.pixels
@@ -53,6 +56,8 @@ class Image:
             raise InputError(f"{self.name}: pixels must be a uint8 array")
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0:
             raise InputError(f"{self.name}: pixels must have shape (H, W, 3), not {pixels.shape}")
+        if self.mask is not None and (self.mask.dtype, self.mask.shape) != (bool, pixels.shape[:2]):
+            raise InputError(f"{self.name}: mask must be a bool array {pixels.shape[:2]}")
 
     def __repr__(self) -> str:
         return f"Image({self.name}, {self.size[0]} x {self.size[1]})"
@@ -62,17 +67,28 @@ class Image:
         """(width, height) in pixels."""
         return self.pixels.shape[1], self.pixels.shape[0]
 
+    def is_masked(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (..., 2), pixels, lie on pixels that are not matched: (...) bool. False
+        outside the image."""
+        inside = within(points, self.size)
+        if self.mask is None:
+            return np.zeros_like(inside)
+        x, y = np.moveaxis(np.floor(np.where(inside[..., None], points, 0) + 0.5), -1, 0)
+        return inside & ~self.mask[y.astype(np.intp), x.astype(np.intp)]
+
     def oriented(self, orientation: int) -> Image:
         """The image with an EXIF orientation, 1 to 8, applied."""
         if orientation == 1:
             return self
-        pixels = self.pixels
+        pixels = self.pixels if self.mask is None else np.dstack([self.pixels, self.mask])
         if orientation in EXCHANGING:
             pixels = pixels.transpose(1, 0, 2)
         # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
         pixels = pixels[:: -1 if orientation in (3, 4, 7, 8) else 1]
         pixels = pixels[:, :: -1 if orientation in (2, 3, 6, 7) else 1]
-        return replace(self, pixels=np.ascontiguousarray(pixels), orientation=1)
+        mask = None if self.mask is None else pixels[:, :, 3] != 0
+        pixels = np.ascontiguousarray(pixels[:, :, :3])
+        return replace(self, pixels=pixels, orientation=1, mask=mask)
 
 
 def load_image(

@@ -17,6 +17,7 @@ from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.localization.search import ReferenceSearch
@@ -54,7 +55,8 @@ def locate(
 class Locator:
     """A model whose images are described once, for many photographs.
 
-    matcher: a network's; by default `load_matcher()`.
+    matcher: a network's; by default `load_matcher()`. masks: folder of the masks of the model's
+    images and of the photographs, NAME.jpg.png of NAME.jpg (`mask_file`).
     """
 
     def __init__(
@@ -62,10 +64,11 @@ class Locator:
         model: PosedModel,
         matcher: Matcher | None = None,
         options: EstimationOptions | None = None,
+        masks: Path | None = None,
     ) -> None:
         check_type(model, PosedModel, "model")
         self.model, self.matcher = model, matcher or load_matcher()
-        self.options = options or EstimationOptions()
+        self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
         self._images: BoundedCache[str, Image] = BoundedCache(
             lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
@@ -89,6 +92,7 @@ class Locator:
         references; that of the photograph itself is none."""
         start, seconds = time.perf_counter(), dict[str, float]()
         image = load_image(photo, "photo")
+        image = masked(image, mask_file(self.masks, Path(image.name).name))
         names, warnings = self._references(image, left_out)
         camera = image_camera(K, image, "K", details)
         image = image.oriented(camera.orientation)
@@ -142,7 +146,7 @@ class Locator:
 
     def _image(self, name: str) -> Image:
         def read() -> Image:
-            image = load_image(self.model.root / name)
+            image = masked(load_image(self.model.root / name), mask_file(self.masks, name))
             return image.oriented(self.model.cameras[name].orientation)
 
         return self._images.get(name, read)

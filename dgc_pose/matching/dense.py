@@ -138,7 +138,7 @@ class DenseMatcher(Matcher):
             size1=image1.size,
             size2=image2.size,
             cycle=None if cycle is None else values[2],
-        )
+        ).masked(image1, image2)
 
 
 def load_dense_matcher(

@@ -43,7 +43,7 @@ class FlowMatcher(Matcher):
             agreement(forward, backward),
             image1.size,
             image2.size,
-        )
+        ).masked(image1, image2)
         return MatchResult(select_matches(correspondence_map, self.options), correspondence_map)
 
 

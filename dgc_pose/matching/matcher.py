@@ -35,6 +35,8 @@ class CorrespondenceMap:
         size2: Size (width, height) of image 2, pixels.
         cycle: Cycle error (H, W) float32, pixels of image 2: the distance between the cell and its
             point in image 1 mapped back by the reverse map; None if that map was not computed.
+        used: (H, W) bool, False where either point lies on a masked pixel, and matchability is 0;
+            None if no image has a mask.
     """
 
     map: np.ndarray
@@ -43,12 +45,19 @@ class CorrespondenceMap:
     size1: tuple[int, int]
     size2: tuple[int, int]
     cycle: np.ndarray | None = None
+    used: np.ndarray | None = None
 
     def __repr__(self) -> str:
         rows, columns = self.matchability.shape
         sizes = " to ".join(f"{width} x {height}" for width, height in (self.size2, self.size1))
-        mean = float(self.matchability.mean())
+        mean = self.mean_matchability
         return f"CorrespondenceMap({columns} x {rows} cells, {sizes}, matchability={mean:.2f})"
+
+    @property
+    def mean_matchability(self) -> float:
+        """Mean matchability of the cells that are used."""
+        count = self.matchability.size if self.used is None else max(self.used.sum(), 1)
+        return float(self.matchability.sum() / count)
 
     @property
     def cell_size(self) -> float:
@@ -66,7 +75,15 @@ class CorrespondenceMap:
             grid=self.grid[cells],
             matchability=self.matchability[cells],
             cycle=None if self.cycle is None else self.cycle[cells],
+            used=None if self.used is None else self.used[cells],
         )
+
+    def masked(self, image1: Image, image2: Image) -> CorrespondenceMap:
+        """The map between the two images with their masks."""
+        if image1.mask is None and image2.mask is None:
+            return self
+        used = ~(image1.is_masked(self.map) | image2.is_masked(self.grid))
+        return replace(self, matchability=self.matchability * used, used=used)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,16 +102,17 @@ class MatchResult:
 
     @property
     def map_matches(self) -> Matches | None:
-        """An even sample of the map, whatever its matchability, which is their confidence; None
+        """An even sample of the map's used cells, with any matchability, their confidence; None
         without a map. Evidence for or against a pose, not matches to estimate one from."""
         if self.correspondence_map is None:
             return None
         side = max(self.correspondence_map.matchability.shape)
         sample = self.correspondence_map.thinned(max(1, -(-side // _SAMPLE)))
+        used = np.ones(sample.matchability.shape, bool) if sample.used is None else sample.used
         return Matches(
-            sample.map.reshape(-1, 2),
-            sample.grid.reshape(-1, 2),
-            sample.matchability.ravel(),
+            sample.map[used],
+            sample.grid[used],
+            sample.matchability[used],
             error_px=ERROR_CELLS * self.correspondence_map.cell_size,
         )
 
@@ -181,8 +199,9 @@ class PairSearch:
         return replace(result, matches=self._textured(result.matches))
 
     def _textured(self, matches: Matches) -> Matches:
-        """The matches whose points have structure around them in both images."""
-        return textured(matches, *self._textures)
+        """The matches whose points have structure around them in both images, and no mask."""
+        masked = self.image1.is_masked(matches.points1) | self.image2.is_masked(matches.points2)
+        return textured(matches.subset(~masked), *self._textures)
 
     @cached_property
     def _textures(self) -> tuple[Texture, Texture]:

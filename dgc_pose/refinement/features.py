@@ -151,6 +151,7 @@ class FeatureMatches:
         points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
         points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
         inside = within(points1, image1.size) & within(points2, image2.size)
+        inside &= ~(image1.is_masked(points1) | image2.is_masked(points2))
         area1, area2 = (  # of a cell of stride 4, pixels of the original
             math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
             for features, view in ((source, view1), (target, view2))
@@ -195,7 +196,7 @@ def _views(
     size1, size2 = correspondence_map.size1, correspondence_map.size2
     # What a weak map shows is too little to crop by, unless the fields of view differ.
     wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
-    if correspondence_map.matchability.mean() < WEAK and 1 / _WIDER < wider < _WIDER:
+    if correspondence_map.mean_matchability < WEAK and 1 / _WIDER < wider < _WIDER:
         points1, points2 = points1[:0], points2[:0]
     window1 = window_shown(points1[within(points1, size1)], size1)
     window2 = window_shown(points2, size2)

@@ -111,7 +111,7 @@ class RefinedSearch(PairSearch):
         if features is None:
             return None
         dense = self.matcher.matcher.coarse_map(self.image1, self.image2)
-        if dense is None or dense.matchability.mean() < WEAK:
+        if dense is None or dense.mean_matchability < WEAK:
             return None
         matches = features.at_scale(self.image1, self.image2, dense)
         return self._keep(self._final(*self._aligned(matches, QUICK_CORNER_RADIUS), dense))

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batch_runs import Killed, assert_same_result, killed_after, run_sift
+from batch_runs import Killed, assert_same_result, killed_after, run_sift, write_masks
 
+from dgc_pose.batch.plan import read_plan
 from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.source import open_source
+from dgc_pose.batch.store import PairStore
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
@@ -49,9 +51,15 @@ def _move(photos: Path) -> Path:
     return shutil.copytree(photos, photos.with_name("elsewhere"))
 
 
+def _mask(photos: Path) -> Path:
+    write_masks(photos.with_name("masks"), ["view0.png"])
+    return photos
+
+
 CHANGES = {
     "K": (None, {"K": OTHER_K}, "had of view0.png the K [["),
     "folder": (_move, {}, "had the folder "),
+    "masks": (_mask, {"masks": "masks"}, "had the option masks null, not "),
     "added": (_add, {}, 'had the image 1 "view0.png", not "added.png"'),
     "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
     "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
@@ -68,6 +76,7 @@ def test_what_differs_is_named_and_nothing_changes(
     before = _files(out)
     apply, options, words = CHANGES[change]
     source = photos if apply is None else apply(photos)
+    options = {k: tmp_path / "masks" if k == "masks" else v for k, v in options.items()}
     with pytest.raises(InputError, match="that batch .*: resume needs the same") as raised:
         run_sift(source, out, resume=True, **options)  # type: ignore[arg-type]
     assert words in str(raised.value) and "\n" not in str(raised.value)
@@ -87,6 +96,25 @@ def test_a_photograph_that_was_half_copied_is_matched_when_it_is_whole(
     assert_same_result(out, whole)
     again = run_sift(photos, out, resume=True, start_workers=killed_after(0))
     assert again.summary == batch.summary
+
+
+def test_a_mask_that_changed_is_matched_again(photos: Path, tmp_path: Path) -> None:
+    """The pairs of its photograph are; so are those of a photograph that gets a mask."""
+    out, other, masks = tmp_path / "out", tmp_path / "other", tmp_path / "masks"
+    write_masks(masks, ["view0.png"])
+    with pytest.raises(Killed):
+        run_sift(photos, out, masks=masks, start_workers=killed_after(5))
+    plan = read_plan(out)
+    left = {plan.pair(index) for index in PairStore(out, plan).left}
+    of_mask = {pair for pair in map(plan.pair, range(6)) if "view0.png" in pair}
+    assert len(left) == 1 and len(of_mask - left) >= 2
+    write_masks(masks, ["view0.png"], share=0.3)
+    batch = run_sift(photos, out, masks=masks, resume=True)
+    assert batch.summary["matched_now"] == len(left | of_mask) < 6
+    write_masks(masks, ["view1.png"])
+    assert run_sift(photos, out, masks=masks, resume=True).summary["matched_now"] == 6
+    run_sift(photos, other, masks=masks)
+    assert_same_result(out, other)
 
 
 def _raising(error: Exception) -> Callable[..., object]:

@@ -173,3 +173,42 @@ def test_unusable_input_is_refused(folder, monkeypatch, arguments, words):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert_refused(estimate("--json", "p.json", *arguments), words)
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
+
+
+@pytest.fixture
+def masks(folder):
+    """A mask of each picture, black in a half, and some that are none of them."""
+    left = np.zeros((240, 320), np.uint8)
+    left[:, 150:] = 255
+    cv2.imwrite("left.png", left)
+    cv2.imwrite("low.png", left[::2, ::2])
+    cv2.imwrite("wide.png", np.full((50, 100), 255, np.uint8))
+    cv2.imwrite("black.png", np.zeros((240, 320), np.uint8))
+    return folder
+
+
+@pytest.mark.parametrize("command", ["estimate", "match"])
+def test_masked_pixels_are_not_matched(masks, network, command):
+    outputs = {"estimate": ("--K", dense_scene.K_TEXT, "--matches"), "match": ("--out",)}
+    options = ("one.png", "two.png", *FAST[4:], "--mask1", "left.png", "--mask2", "low.png")
+    result = run(command, *options, *outputs[command], "m.npz")
+    assert result.exit_code == 0, result.output
+    with np.load("m.npz", allow_pickle=False) as file:
+        x1, x2 = file["points1"][:, 0], file["points2"][:, 0]
+    assert len(x1) > 100 and x1.min() > 149 and x2.min() > 149
+
+
+@pytest.mark.parametrize("command", ["estimate", "match"])
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--mask1", "wide.png"), "--mask1 is 100 x 50 and the image 320 x 240"),
+        (("--mask2", "black.png"), "--mask2 leaves no pixel of the image"),
+        (("--mask2", "nowhere.png"), "nowhere.png cannot be read: No such file or directory"),
+    ],
+)
+def test_what_is_no_mask_is_refused(masks, network, command, options, words):
+    outputs = {"estimate": ("--K", dense_scene.K_TEXT, "--matches"), "match": ("--out",)}
+    result = run(command, "one.png", "two.png", *options, *outputs[command], "m.npz")
+    assert_refused(result, words)
+    assert not os.path.exists("m.npz")

@@ -1,21 +1,32 @@
 """Corners located anew in each pair: positions, tracks, and matches that are wrong."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from colmap_scene import camera, cloud_pairs, project
-from multi_view import render_views
+from multi_view import SIZE, render_views
 from scipy.spatial import cKDTree
 
 from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.images.image import Image
+from dgc_pose.images.mask import masked
 
 
-def _shared(noise_px: float, wrong: int = 0) -> tuple[SharedMatches, list]:
-    """Of four rendered views whose matches come from the true geometry of their back wall."""
+def _shared(
+    noise_px: float, wrong: int = 0, masks: Mapping[str, np.ndarray] | None = None
+) -> tuple[SharedMatches, list]:
+    """Of four rendered views whose matches come from the true geometry of their back wall.
+
+    masks: by the name of the image.
+    """
     views = render_views(4)
     pairs = cloud_pairs([(v.R, v.t) for v in views], count=10, noise_px=0)
     names = [f"view{i}.png" for i in range(4)]
-    images = {name: Image(v.pixels, name) for name, v in zip(names, views, strict=True)}
+    images = {
+        name: masked(Image(v.pixels, name), (masks or {}).get(name))
+        for name, v in zip(names, views, strict=True)
+    }
     rng = np.random.default_rng(3)
     made = []
     for pair in pairs:
@@ -66,3 +77,16 @@ def test_wrong_matches_give_no_key_points() -> None:
         right = cKDTree(pair.points1[100:]).query(first)[1] + 100
         far = np.linalg.norm(second - pair.points2[right], axis=1) > 15
         assert far.mean() < 0.02
+
+
+def test_neither_corners_nor_their_locations_are_masked() -> None:
+    """Every second pixel is, and there are matches everywhere."""
+    rng = np.random.default_rng(0)
+    masks = {f"view{i}.png": rng.random(SIZE[::-1]) < 0.5 for i in (0, 2)}
+    (shared, _), (plain, _) = _shared(0.3, masks=masks), _shared(0.3)
+    for name in masks:
+        on_masked = []
+        for points in (shared.key_points[name], plain.key_points[name]):
+            x, y = np.floor(points + 0.5).astype(int).T
+            on_masked.append((~masks[name][y, x]).mean())
+        assert on_masked[0] == 0 and on_masked[1] > 0.4 and len(shared.key_points[name]) > 50

@@ -1,0 +1,53 @@
+"""Masks of images: which pixels are matched."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.files.arrays import as_numpy
+from dgc_pose.images.image import Image, read_pixels
+
+_SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask is scaled
+
+
+def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") -> Image:
+    """The image with a mask of its pixels as stored; without one, None, the image as it is.
+
+    source: a path, or an array (H, W), or (H, W, C) of colours. Pixels that are 0, False or black
+    are not matched. A mask of another size is scaled to that of the image. name: of the argument
+    in errors, which have the path without it.
+
+    Raises ImageError, with the path, if a file cannot be read; InputError, with `name`, if an array
+    has another shape, if the mask has another aspect ratio than the image, and if it leaves no
+    pixel of it.
+    """
+    if source is None:
+        return image
+    argument = ArgumentName(name or source)
+    array = read_pixels(source) if isinstance(source, str | Path) else as_numpy(source, name)
+    if array.ndim not in (2, 3) or array.size == 0:
+        raise InputError(argument, f"must have shape (H, W), not {array.shape}")
+    used = array != 0 if array.ndim == 2 else (array[:, :, :3] != 0).any(2)  # without alpha
+    (height, width), (columns, rows) = used.shape, image.size
+    if abs(width * rows / (height * columns) - 1) > _SAME_SHAPE:
+        raise InputError(argument, f"is {width} x {height} and the image {columns} x {rows}")
+    if (width, height) != image.size:
+        nearest = cv2.INTER_NEAREST_EXACT  # by the half-pixel rule
+        used = cv2.resize(used.astype(np.uint8), image.size, interpolation=nearest).astype(bool)
+    if not used.any():
+        raise InputError(argument, "leaves no pixel of the image")
+    return replace(image, mask=used)
+
+
+def mask_file(folder: str | Path | None, name: str) -> Path | None:
+    """The mask of the image `name` in a folder of masks, by COLMAP's convention `name`.png; None
+    if it has none."""
+    path = None if folder is None else Path(f"{folder}/{name}.png")
+    return path if path and os.path.lexists(path) else None

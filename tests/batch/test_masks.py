@@ -1,0 +1,109 @@
+"""Masks of the photographs of a batch, and of what is made of it."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from batch_runs import run_sift, view_folder, write_masks
+from command_line import assert_refused, run
+from multi_view import SIZE, K_text
+
+from dgc_pose.batch.result import Batch
+from dgc_pose.batch.source import open_source
+from dgc_pose.colmap.export import share
+from dgc_pose.colmap.options import Sharing, SharingOptions
+
+MIDDLE = SIZE[0] / 2 - 0.5  # masks are black on the left of it
+NAMES = [f"sub/view{i}.png" for i in range(3)]
+
+
+@pytest.fixture
+def photos(tmp_path: Path) -> Path:
+    """Three views in a folder within the folder."""
+    view_folder(tmp_path / "photos" / "sub", 3)
+    return tmp_path / "photos"
+
+
+@pytest.fixture
+def batch(photos: Path, tmp_path: Path) -> Batch:
+    """Of photographs of which the last has no mask."""
+    write_masks(tmp_path / "masks", NAMES[:2])
+    return run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
+
+
+def test_masked_pixels_are_not_matched(batch: Batch) -> None:
+    assert [(row.name1, row.name2) for row in batch.rows] == [
+        (NAMES[0], NAMES[1]),
+        (NAMES[0], NAMES[2]),
+        (NAMES[1], NAMES[2]),
+    ]
+    for row, matches in batch.matches():
+        assert row.success and len(matches.scores) > 50
+        for name, points in ((row.name1, matches.points1), (row.name2, matches.points2)):
+            if name != NAMES[2]:
+                assert points[:, 0].min() >= MIDDLE
+    unmasked = [m.points2[:, 0].min() for row, m in batch.matches() if row.name2 == NAMES[2]]
+    assert min(unmasked) < MIDDLE - 5
+
+
+@pytest.mark.parametrize("sharing", ["tracks", "cells"])
+def test_no_key_point_of_a_reconstruction_is_masked(batch: Batch, sharing: Sharing) -> None:
+    shared, _ = share(batch, SharingOptions(sharing))
+    for name in NAMES[:2]:
+        assert len(shared.key_points[name]) > 100
+        assert shared.key_points[name][:, 0].min() >= MIDDLE
+
+
+@pytest.mark.parametrize("kind", ["shape", "black", "text"])
+def test_a_bad_mask_makes_its_photograph_bad(photos: Path, tmp_path: Path, kind: str) -> None:
+    masks, bad = tmp_path / "masks", tmp_path / "masks" / f"{NAMES[0]}.png"
+    write_masks(masks, NAMES[1:])
+    if kind == "text":
+        bad.write_text("a letter")
+    else:
+        shape = SIZE[::-1] if kind == "black" else (50, 100)
+        cv2.imwrite(str(bad), np.full(shape, 255 * (kind == "shape"), np.uint8))
+    batch = run_sift(photos, tmp_path / "out", masks=masks)
+    assert [row.status == "bad_input" for row in batch.rows] == [True, True, False]
+    reasons = {
+        "shape": f"{bad} is 100 x 50 and the image {SIZE[0]} x {SIZE[1]}",
+        "black": f"{bad} leaves no pixel of the image",
+        "text": f"{bad} is not an image of a known format",
+    }
+    assert batch.summary["bad_images"] == {NAMES[0]: reasons[kind]}
+
+
+@pytest.mark.parametrize("inside", ["masks", "."])
+def test_masks_in_the_folder_of_the_photographs_are_no_photographs(
+    photos: Path, inside: str
+) -> None:
+    """In a folder below it, or beside them."""
+    write_masks(photos / inside, NAMES)
+    assert len(open_source(photos).names) == 6
+    assert open_source(photos, masks=photos / inside).names == tuple(NAMES)
+
+
+@pytest.mark.parametrize("command", ["batch", "reconstruct"])
+def test_a_folder_without_any_mask_is_refused(photos: Path, tmp_path: Path, command: str) -> None:
+    (tmp_path / "empty").mkdir()
+    write_masks(tmp_path / "flat", ["view0.png"])  # the photograph is sub/view0.png
+    for folder in ("nowhere", "empty", "flat"):
+        masks, out = tmp_path / folder, tmp_path / "out"
+        words = ["--K", K_text(), "--weights", "sift", "--masks", masks, "--out", out]
+        reason = f"--masks {masks}: no {NAMES[0]}.png there, and no mask of another image"
+        assert_refused(run(command, photos, *words), reason)
+        assert not out.exists()
+
+
+def test_a_reconstruction_takes_masks(photos: Path, tmp_path: Path) -> None:
+    out, masks = tmp_path / "out", tmp_path / "masks"
+    write_masks(masks, NAMES, share=0.3)
+    words = ["--K", K_text(), "--weights", "sift", "--workers", "1", "--out", out, "--masks", masks]
+    result = run("reconstruct", photos, *words)
+    assert result.exit_code == 0, result.output
+    import pycolmap
+
+    model = pycolmap.Reconstruction(str(out / "sparse"))
+    left = [point.xy[0] for image in model.images.values() for point in image.points2D]
+    assert len(model.images) == 3 and min(left) >= 0.3 * SIZE[0]

@@ -1,0 +1,122 @@
+"""Masks: what is read, scaled and refused, and which points lie on masked pixels."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.images.image import Image
+from dgc_pose.images.mask import mask_file, masked
+
+USED = np.random.default_rng(0).random((40, 60)) < 0.6
+IMAGE = Image(np.random.default_rng(1).integers(0, 256, (40, 60, 3), np.uint8))
+
+
+def _file(path: Path, pixels: np.ndarray) -> Path:
+    assert cv2.imwrite(str(path), pixels)
+    return path
+
+
+def _mask(source: object) -> np.ndarray:
+    image = masked(IMAGE, source, "mask1")  # type: ignore[arg-type]
+    assert image.mask is not None and image.pixels is IMAGE.pixels and image.mask.dtype == bool
+    return image.mask
+
+
+def test_black_alone_is_ignored_in_files_of_every_kind(tmp_path: Path) -> None:
+    """Grey, 16 bit, one bit, of colours of which only one is not 0, and with alpha."""
+    blue = np.zeros((40, 60, 3), np.uint8)
+    blue[USED, 0] = 1
+    alpha = np.dstack([blue, np.full(USED.shape, 255, np.uint8)])
+    files = {"grey": USED * np.uint8(3), "deep": USED * np.uint16(700), "blue": blue}
+    for name, pixels in {**files, "alpha": alpha}.items():
+        path = _file(tmp_path / f"{name}.png", pixels)
+        for source in (path, str(path)):
+            assert np.array_equal(_mask(source), USED), name
+    PIL.Image.fromarray(USED).save(tmp_path / "bit.png")
+    assert np.array_equal(_mask(tmp_path / "bit.png"), USED)
+
+
+def test_arrays_and_tensors_are_masks() -> None:
+    sources = (USED, USED * 0.5, USED.tolist(), torch.from_numpy(USED), np.dstack(3 * [USED]))
+    for source in sources:
+        assert np.array_equal(_mask(source), USED)
+    assert masked(IMAGE, None) is IMAGE
+
+
+def test_a_mask_of_another_size_is_scaled() -> None:
+    """Twice as large, three times smaller, and of an aspect ratio within one per cent."""
+    assert np.array_equal(_mask(USED.repeat(2, 0).repeat(2, 1)), USED)
+    small = USED[::3, ::3][:13, :20]  # 20 x 13 for 60 x 40 is 2.6 per cent off
+    with pytest.raises(InputError, match="mask1 is 20 x 13 and the image 60 x 40"):
+        _mask(small)
+    small = USED[::4, ::4]
+    assert np.array_equal(_mask(small), small.repeat(4, 0).repeat(4, 1))
+    half = np.arange(604)[None] < np.full((400, 1), 302)
+    assert np.array_equal(_mask(half), np.arange(60)[None] < np.full((40, 1), 30))
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (np.zeros((40, 60)), "mask1 leaves no pixel of the image"),
+        (np.ones((50, 100)), "mask1 is 100 x 50 and the image 60 x 40"),
+        (np.ones(60), r"mask1 must have shape \(H, W\), not \(60,\)"),
+        (np.ones((0, 0)), r"mask1 must have shape \(H, W\), not \(0, 0\)"),
+        ([["a"]], "mask1 is not an array of real numbers"),
+    ],
+)
+def test_what_is_no_mask_of_the_image_is_refused(source: object, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        _mask(source)
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ImageError, match="nowhere.png"):
+        _mask(tmp_path / "nowhere.png")
+    (tmp_path / "text.png").write_text("a letter")
+    with pytest.raises(ImageError, match="text.png"):
+        _mask(str(tmp_path / "text.png"))
+    black = _file(tmp_path / "black.png", np.zeros((40, 60), np.uint8))
+    with pytest.raises(InputError, match="black.png leaves no pixel"):
+        masked(IMAGE, black)
+
+
+def test_the_masks_of_a_folder_are_those_of_colmap(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    path = _file(tmp_path / "sub" / "a.jpg.png", np.ones((4, 4), np.uint8))
+    assert mask_file(tmp_path, "sub/a.jpg") == path
+    assert mask_file(tmp_path, "a.jpg") is None and mask_file(None, "sub/a.jpg") is None
+
+
+def test_points_on_masked_pixels() -> None:
+    """A pixel reaches half a pixel around its centre. Nothing outside the image is masked."""
+    image = masked(IMAGE, USED)
+    points = np.random.default_rng(2).uniform(-3, 63, (5000, 2))
+    points[:2] = (np.nan, 3), (np.inf, 1e12)
+    expected = []
+    for x, y in points:
+        inside = np.isfinite([x, y]).all() and -0.5 <= x < 59.5 and -0.5 <= y < 39.5
+        expected.append(bool(inside and not USED[int(y + 0.5), int(x + 0.5)]))
+    assert image.is_masked(points).tolist() == expected and 500 < sum(expected) < 2500
+    assert np.array_equal(image.is_masked(points.reshape(50, 100, 2)).ravel(), expected)
+    assert not IMAGE.is_masked(points).any()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_mask_is_turned_with_its_pixels(orientation: int) -> None:
+    pixels = np.dstack([USED * np.uint8(255), *np.indices(USED.shape).astype(np.uint8)])
+    turned = masked(Image(np.ascontiguousarray(pixels)), USED).oriented(orientation)
+    plain = Image(np.ascontiguousarray(pixels)).oriented(orientation)
+    assert turned.mask is not None and np.array_equal(turned.mask, turned.pixels[..., 0] > 0)
+    assert np.array_equal(turned.pixels, plain.pixels) and turned.pixels.flags.c_contiguous
+
+
+@pytest.mark.parametrize("mask", [USED.astype(np.uint8), USED[1:]])
+def test_an_image_has_a_mask_of_its_size(mask: np.ndarray) -> None:
+    with pytest.raises(InputError, match=r"mask must be a bool array \(40, 60\)"):
+        Image(IMAGE.pixels, mask=mask)

@@ -1,0 +1,152 @@
+"""No match on a masked pixel, in any step of any matcher."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+import tiny_onnx
+
+from dgc_pose import load_matcher
+from dgc_pose.cameras.camera import Camera, TwoViews
+from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.geometry.pixels import within
+from dgc_pose.images.image import Image
+from dgc_pose.images.mask import masked
+from dgc_pose.matches import Matches
+from dgc_pose.matching import MatchingOptions, MatchResult
+from dgc_pose.matching.flow import FlowMatcher
+from dgc_pose.refinement import RefinementOptions, refiner
+
+SIDE = 4 * np.array(dense_scene.SIZE)  # more than textures are computed on
+CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
+
+
+def _on_masked(points: np.ndarray, image: Image) -> np.ndarray:
+    """By a look at the mask, point by point."""
+    assert image.mask is not None
+    return np.array([not image.mask[int(y + 0.5), int(x + 0.5)] for x, y in points], bool)
+
+
+def _assert_none_masked(matches: Matches, image1: Image, image2: Image) -> None:
+    assert not _on_masked(matches.points1, image1).any()
+    assert not _on_masked(matches.points2, image2).any()
+
+
+def _bars(seed: int, size: np.ndarray) -> np.ndarray:
+    """Bars of random widths, which cover some 40 per cent."""
+    edges = np.cumsum(np.random.default_rng(seed).integers(9, 60, size[0]))
+    return np.broadcast_to(np.searchsorted(edges, np.arange(size[0])) % 5 > 1, size[::-1]).copy()
+
+
+@pytest.fixture(scope="module")
+def plain() -> list[Image]:
+    return [Image(pixels) for pixels in dense_scene.pictures()]
+
+
+@pytest.fixture(scope="module")
+def images(plain: list[Image]) -> list[Image]:
+    size = np.array(dense_scene.SIZE)
+    return [masked(image, _bars(seed, size)) for seed, image in enumerate(plain)]
+
+
+def test_every_pixel_counts_on_images_of_any_size() -> None:
+    """Every second pixel is masked, of a large image; the map's matches lie anywhere."""
+    rng = np.random.default_rng(0)
+    large = [Image(cv2.resize(pixels, SIDE)) for pixels in dense_scene.pictures()]
+    both = [masked(image, rng.random(SIDE[::-1]) < 0.5) for image in large]
+    dense = dense_scene.true_map()
+    dense = replace(dense, map=4 * dense.map, grid=4 * dense.grid, size1=tuple(SIDE))
+    matcher = dense_scene.MapMatcher(replace(dense, size2=tuple(SIDE)))
+    all_matches, matches = (matcher.match(*pair).matches for pair in (large, both))
+    _assert_none_masked(matches, *both)
+    kept = ~(_on_masked(all_matches.points1, both[0]) | _on_masked(all_matches.points2, both[1]))
+    assert len(all_matches) > 1000 and 0.2 < kept.mean() < 0.3
+    np.testing.assert_array_equal(matches.points2, all_matches.points2[kept])
+
+
+@pytest.mark.parametrize("min_aligned", [100, 10_000])
+def test_no_step_of_the_network_matches_masked_pixels(
+    plain: list[Image], images: list[Image], monkeypatch: pytest.MonkeyPatch, min_aligned: int
+) -> None:
+    """Of aligned matches, and where those that agree complete them."""
+    monkeypatch.setattr(refiner, "MIN_ALIGNED", min_aligned)
+    hypotheses = [TwoViews(CAMERA, CAMERA, dense_scene.R, dense_scene.T)]
+    matcher = load_matcher()
+    searches = matcher.search(*images), matcher.search(*plain)
+    for step in ("quick", "fine", "whole", "more"):
+        results = []
+        for search in searches:
+            result = getattr(search, step)(*([hypotheses] if step == "more" else []))
+            assert result is not None, step
+            results.append(result.matches)
+        _assert_none_masked(results[0], *images)
+        assert len(results[0]) > 50 and _on_masked(results[1].points2, images[1]).mean() > 0.2
+
+
+@pytest.mark.parametrize("name", ["sift", "dis", "map", "none", "onnx"])
+def test_no_other_matcher_does(
+    name: str, plain: list[Image], images: list[Image], tmp_path: Path
+) -> None:
+    if name in ("map", "none"):
+        matcher = load_matcher(refinement=RefinementOptions(name))  # type: ignore[arg-type]
+    else:
+        matcher = load_matcher(_patches(tmp_path) if name == "onnx" else name)
+    matches = matcher.match(*images).matches
+    _assert_none_masked(matches, *images)
+    assert len(matches) > 20
+    assert _on_masked(matcher.match(*plain).matches.points2, images[1]).mean() > 0.2
+
+
+def _patches(folder: Path) -> Path:
+    """A model with a key point in each cell of 8x8 pixels, where its brightest one is."""
+    cut = np.eye(64, dtype=np.float32).reshape(64, 1, 8, 8)
+    weights = {"cut": cut, "logit": np.concatenate([20 * cut, np.zeros((1, 1, 8, 8), np.float32)])}
+    nodes = [("Conv", ["image", cut], out, {"strides": [8, 8]}) for cut, out in _PATCH_OUTPUTS]
+    outputs = {"logits": (1, 65, "h", "w"), "descriptors": (1, 64, "h", "w")}
+    path = folder / "patches.onnx"
+    return tiny_onnx.write_model(path, nodes, weights, {"image": (1, 1, "h", "w")}, outputs)
+
+
+_PATCH_OUTPUTS = (("logit", "logits"), ("cut", "descriptors"))
+
+
+def test_masked_cells_take_no_matches_from_the_others(images: list[Image]) -> None:
+    """A map's matches are chosen among the cells that are used."""
+    matcher = FlowMatcher(MatchingOptions(max_matches=300))
+    assert len(matcher.match(*images).matches) > 200
+
+
+def test_masked_cells_are_no_evidence(plain: list[Image], images: list[Image]) -> None:
+    """A map that is wrong in masked areas alone speaks for the pose as the true one does."""
+    both, true = (plain[0], images[1]), dense_scene.true_map()
+    hidden = _on_masked(true.grid.reshape(-1, 2), both[1]).reshape(true.matchability.shape)
+    noise = np.random.default_rng(0).random(true.map.shape) * dense_scene.SIZE - 0.5
+    wrong = replace(true, map=np.where(hidden[..., None], noise, true.map).astype(np.float32))
+    matches = dense_scene.MapMatcher(true).match(*both).matches
+    agreement, matchability = [], []
+    for dense in (wrong, wrong.masked(*both), true.masked(*both), true):
+        sample = MatchResult(matches, dense).map_matches
+        options = EstimationOptions(runs=1)
+        pose = estimate_pose(matches, CAMERA, CAMERA, options, map_matches=sample)
+        assert pose.evidence is not None
+        agreement.append(pose.evidence.map_agreement)
+        matchability.append(pose.evidence.map_matchability)
+    assert agreement[0] is not None and agreement[0] < 0.8
+    assert agreement[1:] == [pytest.approx(1, abs=1e-6)] * 3
+    assert matchability == [pytest.approx(matchability[3], abs=0.05)] * 4
+    dense = true.masked(*both)
+    assert dense.used is not None and np.array_equal(dense.used, ~hidden)
+    assert dense.mean_matchability == pytest.approx(true.matchability[~hidden].mean(), rel=1e-4)
+    assert not dense.matchability[hidden].any() and true.masked(*plain) is true
+
+
+def test_a_cell_is_masked_by_either_image(plain: list[Image], images: list[Image]) -> None:
+    true = dense_scene.true_map()
+    dense = true.masked(images[0], plain[1])
+    inside = within(true.map, true.size1)
+    expected = np.ones(inside.shape, bool)
+    expected[inside] = ~_on_masked(true.map[inside], images[0])
+    assert dense.used is not None and np.array_equal(dense.used, expected) and not expected.all()
