@@ -97,6 +97,8 @@ def locate(
 
     if place.plot is not None and len(photos) > 1:
         raise InputError(ArgumentName("plot"), f"draws a single photograph, not {len(photos)}")
+    if place.masks is not None and not place.masks.is_dir():
+        raise InputError(ArgumentName("masks"), f"{place.masks}: no such folder")
     for photo in photos:
         image_header(Path(photo))
     model = load_model(place.model, place.images)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations, product
-from typing import TypeVar
 
 import cv2
 import numpy as np
@@ -30,7 +29,6 @@ from dgc_pose.system.threads import in_threads
 
 AnySight = Sight | PointSight
 Part = tuple[AnySight, float]  # inliers, and the scale of their errors
-S = TypeVar("S", Sight, PointSight, AnySight)
 _SAMPLED = 300  # matches of a pair that RANSAC draws from
 _SCORED = 100  # matches of a pair that starts are compared by
 _FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alike
@@ -54,10 +52,10 @@ def located(
     spread: of the references' camera, which is exact, and of the photograph's. before: the pose
     without the last of the sights: if that agrees with it, it is the start.
     """
-    every = [*sights, *points]
+    every: list[AnySight] = [*sights, *points]
     if before is not None and sights[-1].agrees(before):
         return fitted(every, before, spread)
-    even = [_thinned(sight, _SCORED) for sight in every]
+    even = [sight.subset(_even(len(sight), _SCORED)) for sight in every]
     starts = _starts(sights, points, options)
     starts = sorted(starts, key=lambda pose: -score(even, pose))[:_MAX_STARTS]
     if not starts:
@@ -125,12 +123,13 @@ def _explained(sight: Sight) -> Sight:
     explained = np.zeros(len(sight), dtype=bool)
     for hypothesis in sight.hypotheses:
         explained |= hypothesis.inliers_in_front
-    return _thinned(sight.subset(explained), _SAMPLED)
+    chosen = np.flatnonzero(explained)
+    return sight.subset(chosen[_even(len(chosen), _SAMPLED)])
 
 
-def _thinned(sight: S, most: int) -> S:
-    chosen = np.linspace(0, len(sight) - 1, min(most, len(sight))).astype(int)
-    return sight.subset(chosen)
+def _even(count: int, most: int) -> np.ndarray:
+    """Indices of an even sample of at most so many."""
+    return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
 def fitted(sights: Sequence[AnySight], pose: WorldPose, spread: CameraSpread) -> WorldPose:
@@ -160,11 +159,11 @@ def _parts(sights: Sequence[AnySight], pose: WorldPose, most: int | None = None)
     parts = []
     for sight in sights:
         error, in_front = sight.errors(pose)
-        chosen = in_front & (error < sight.threshold)
-        if chosen.sum() >= _MIN_INLIERS:
-            part = sight.subset(chosen)
+        chosen = np.flatnonzero(in_front & (error < sight.threshold))
+        if len(chosen) >= _MIN_INLIERS:
             scale = error_scale(error[chosen], sight.threshold)
-            parts.append((part if most is None else _thinned(part, most), scale))
+            sample = chosen if most is None else chosen[_even(len(chosen), most)]
+            parts.append((sight.subset(sample), scale))
     return parts
 
 

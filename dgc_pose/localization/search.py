@@ -85,14 +85,14 @@ class ReferenceSearch:
             if pair.name not in self.sights:
                 self.sights[pair.name] = self._sight(pair)
         sights = list(self.sights.values())
-        points = [self._points(pair) for pair in useful if len(pair.points)]
+        shown = [self._points(pair) for pair in useful if len(pair.points)]
         spread = CameraSpread.of(self.model.cameras[name], replace(self.camera, identity=None))
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = pose_of_all = located(sights, points, spread, self.options, before)
+        self.pose = pose_of_all = located(sights, shown, spread, self.options, before)
         if pose_of_all is None:
             return
         self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(pose_of_all)}
-        covariance = world_covariance([*sights, *points], pose_of_all, spread)
+        covariance = world_covariance([*sights, *shown], pose_of_all, spread)
         if covariance is None:
             self.covariance = None
             return

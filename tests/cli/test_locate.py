@@ -91,6 +91,7 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
         (("--K", "auto", "--weights", "sift"), "no features of a network"),
         (("--model", tmp_path / "none"), "--model"),
         (("--images", tmp_path / "none"), "--images"),
+        (("--masks", tmp_path / "none"), "--masks"),
     ):
         assert_refused(locate(folder, *words, *given), expected)
     assert_refused(locate(folder, *given, photo="absent.png"), "absent.png")
