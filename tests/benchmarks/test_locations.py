@@ -1,0 +1,81 @@
+"""Photographs left out of a model, and their scores."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from command_line import assert_refused, run
+from multi_view import K, View, render_views, write_views
+
+from dgc_pose.benchmarks.locations import LocationScore, left_out, report, thinned, true_model
+from dgc_pose.errors import DgcPoseError
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
+    """A folder of posed RGB-D images without their depths."""
+    folder = tmp_path_factory.mktemp("rgbd")
+    views = render_views(5, step=0.5)
+    write_views(folder / "images", views)
+    np.savetxt(folder / "K.txt", K)
+    square = [np.vstack([np.column_stack([v.R, v.t]), [0, 0, 0, 1]]) for v in views]
+    np.savetxt(folder / "poses.txt", np.stack([np.linalg.inv(s).ravel() for s in square]))
+    return folder, views
+
+
+def test_posed_images_are_a_model(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
+    folder, views = scene
+    model = true_model(folder, None)
+    for i, view in enumerate(views):
+        np.testing.assert_allclose(model.centre(f"view{i}.png"), view.centre, atol=1e-9)
+        np.testing.assert_allclose(model.poses[f"view{i}.png"][:, :3], view.R, atol=1e-9)
+    (tmp_path / "images").mkdir()
+    cv2.imwrite(str(tmp_path / "images" / "a.png"), views[0].pixels)
+    for name in ("K.txt", "poses.txt"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    with pytest.raises(DgcPoseError, match="1 images and 5 poses"):
+        true_model(tmp_path, None)
+
+
+def test_what_is_left_out() -> None:
+    names = list("abcdefg")
+    each = dict(left_out(names, 1, 1))
+    assert list(each) == names and each["c"] == ["c"]
+    assert dict(left_out(names, 1, 2))["c"] == ["b", "c", "d"]
+    thirds = dict(left_out(names, 3, 1))
+    assert list(thirds) == ["b", "e"] and set(thirds["b"]) == {"b", "e"}
+    assert thinned(names, 3) == ["a", "d", "g"] and thinned(names, None) == names
+
+
+def test_a_report_counts_what_is_within_bounds() -> None:
+    right = LocationScore("a", "located", 0.99, 3, 2.0, 1.0, 0.1, 0.02, 0.1, 0.2, 0.01, 0.0)
+    wrong = LocationScore("b", "located", 0.95, 3, 4.0, 2.0, 30.0, 2.0, 20.0, 1.0, 0.1, 0.0)
+    none = LocationScore("c", "nowhere", 0.0, 5, 1.0, 1.0)
+    lines = dict(report([right, wrong, none]))
+    assert lines["located"] == "2 of 3"
+    assert lines["within 0.5 deg and 0.25 % of the extent"] == "1 of 3"
+    assert lines["within 2 deg and 0.05 of the unit"] == "1 of 3"
+    assert lines["R within its expected error"] == "1 of 2"
+    assert lines["position within its expected error"] == "0 of 2"
+    assert lines["right of those at 0.9 or more"] == "1 of 2"
+    assert lines["right of those at 0.99 or more"] == "1 of 1"
+    assert lines["seconds, median, most"] == "2.00, 4.00"
+    assert lines["over the time of the pairs"] == "2.00"
+
+
+def test_the_command_scores_views(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
+    fast = ("--effort", "fast", "--runs", "2", "--iterations", "200", "--count", "2")
+    result = run("bench-locate", scene[0], *fast, "--json", tmp_path / "scores.json")
+    assert result.exit_code == 0, result.output
+    scores = json.loads((tmp_path / "scores.json").read_text())
+    assert [score["name"] for score in scores] == ["view0.png", "view4.png"]
+    assert "located" in result.stdout and "right of those at 0.5 or more" in result.stdout
+    other = tmp_path / "other"
+    other.mkdir()
+    assert_refused(run("bench-locate", scene[0], "--other", other), "--other", "holds no images")
+    noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+    picture = cv2.resize(noise, (240, 180), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(other / "a.png"), picture)
+    assert "0 of 1 placed above 0.5" in run("bench-locate", scene[0], "--other", other).stdout
