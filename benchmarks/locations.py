@@ -11,7 +11,6 @@ from typing import TypeVar
 import numpy as np
 
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.files import decimals
 from dgc_pose.benchmarks.reconstructions import views_of_list
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -121,43 +120,29 @@ def placed(
 def report(scores: Sequence[LocationScore]) -> list[tuple[str, str]]:
     """What is measured, and its figures."""
     located = [score for score in scores if score.status == "located"]
-
-    def share(flags: Sequence[bool]) -> str:
-        return f"{sum(flags)} of {len(flags)}" if flags else "-"
-
-    def middle(name: str, digits: int) -> str:
-        values = [getattr(score, name) for score in located]
-        return decimals(float(np.median(values)), digits) if values else "-"
-
-    lines = [("located", share([score.status == "located" for score in scores]))]
-    lines += [
-        (f"within {deg:g} deg and {percent:g} % of the extent", share([*within]))
-        for deg, percent in SHARES
-        if (within := [score.within(deg, percent) for score in scores])
-    ]
-    lines += [
-        (
-            "within 2 deg and 0.05 of the unit",
-            share([s.rotation_deg < 2 and s.position < 0.05 for s in scores]),
-        ),
-        ("R, median, deg", middle("rotation_deg", 3)),
-        ("position, median, % of the extent", middle("position_percent", 3)),
-        ("position, median, unit", middle("position", 4)),
-        ("f off, median, %", middle("focal_percent", 3)),
-        (
-            "R within its expected error",
-            share([s.rotation_deg < s.rotation_error_90_deg for s in located]),
-        ),
-        (
-            "position within its expected error",
-            share([s.position < s.position_error_90 for s in located]),
-        ),
-    ]
+    counted = {"located": [score.status == "located" for score in scores]}
+    for deg, percent in SHARES:
+        within = [score.within(deg, percent) for score in scores]
+        counted[f"within {deg:g} deg and {percent:g} % of the extent"] = within
+    near = [score.rotation_deg < 2 and score.position < 0.05 for score in scores]
+    counted["within 2 deg and 0.05 of the unit"] = near
     for least in CLAIMS:
         claims = [score.within(*RIGHT) for score in scores if score.probability >= least]
-        lines.append((f"right of those at {least:g} or more", share(claims)))
-    seconds = [score.seconds for score in scores]
-    over = [score.seconds / score.pair_seconds for score in scores if score.pair_seconds]
-    lines.append(("seconds, median, most", f"{np.median(seconds):.2f}, {max(seconds):.2f}"))
-    lines.append(("over the time of the pairs", decimals(float(np.median(over)), 2)))
-    return lines
+        counted[f"right of those at {least:g} or more"] = claims
+    expected = [score.rotation_deg < score.rotation_error_90_deg for score in located]
+    counted["R within its expected error"] = expected
+    expected = [score.position < score.position_error_90 for score in located]
+    counted["position within its expected error"] = expected
+    medians = {
+        "R, median, deg": [score.rotation_deg for score in located],
+        "position, median, % of the extent": [score.position_percent for score in located],
+        "position, median, unit": [score.position for score in located],
+        "f off, median, %": [score.focal_percent for score in located],
+        "references, median": [float(score.references) for score in scores],
+        "seconds, median": [score.seconds for score in scores],
+        "seconds over those of the pairs, median": [
+            score.seconds / score.pair_seconds for score in scores if score.pair_seconds
+        ],
+    }
+    lines = [(name, f"{sum(flags)} of {len(flags)}") for name, flags in counted.items()]
+    return lines + [(name, f"{np.median(v):.3g}" if v else "-") for name, v in medians.items()]
