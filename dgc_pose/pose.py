@@ -17,6 +17,7 @@ from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.camera_fit import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
+from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.matchers import load_matcher
@@ -60,6 +61,7 @@ def estimate_relative_pose(
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
+    scale: ScaleSource | None = None,
     trace: Literal[False] = False,
 ) -> RelativePose: ...
 
@@ -73,6 +75,7 @@ def estimate_relative_pose(
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
+    scale: ScaleSource | None = None,
     trace: Literal[True],
 ) -> Trace: ...
 
@@ -85,6 +88,7 @@ def estimate_relative_pose(
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
+    scale: ScaleSource | None = None,
     trace: bool = False,
 ) -> RelativePose | Trace:
     """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
@@ -93,8 +97,8 @@ def estimate_relative_pose(
     pixels of those images, (0, 0) the centre of the top-left pixel; or `Camera`s, which may have
     lens distortion; or texts and files as of --K. Without K2, K1 serves for both. matcher: by
     default `load_matcher()`, the shipped network with refinement. trace: whether to return a
-    `Trace`, the images, the map and the matches besides the pose. Without a pose, `success` is
-    False and `reason` says why.
+    `Trace`, the images, the map and the matches besides the pose. scale: what tells the length of
+    t. Without a pose, `success` is False and `reason` says why.
 
     A K that is not known is None or "auto"; for K2 alone "auto". The matches determine the focal
     length then: see `K1`, `K2`, `focal_std1` and `focal_std2` of the pose. One camera took both
@@ -116,10 +120,14 @@ def estimate_relative_pose(
     check_type(options, EstimationOptions, "options")
     matcher = load_matcher() if matcher is None else matcher
     check_type(matcher, Matcher, "matcher")
+    scale = ScaleSource() if scale is None else scale
+    check_type(scale, ScaleSource, "scale")
+    maps = scale.maps((first, second), (prior1, prior2))
     load_seconds = time.perf_counter() - start
 
     search = matcher.search(first, second)
     pose = pose_of_pair(search, prior1, prior2, options)
+    pose = with_length(pose, search.last.matches, scale, maps)
     pose = replace(pose, seconds={"load": load_seconds, **pose.seconds})
     return Trace.of(search, prior1, prior2, pose) if trace else pose
 
