@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -29,6 +30,8 @@ _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the 
 _ALIKE = 30.0  # neighbouring depths err alike: so many are worth one beside the pose's covariance
 _MIN_NEAR, _NEAREST = 3, 9  # inliers that tell the depth at a point
 _STEPS = 30  # of reweighted least squares
+_UNKNOWN = np.full((1, 1), np.nan, np.float32)  # in place of a depth map
+_source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
 
@@ -48,11 +51,13 @@ class ScaleSource:
             metres between them, or a text.
     """
 
-    depth1: _Depth = option(None, "Depth map of image 1, for metres.", metavar="FILE", type=str)
-    depth2: _Depth = option(None, "Depth map of image 2.", metavar="FILE", type=str)
-    depth_std: float = option(0.02, "Relative deviation of depths.", metavar="STD", above=0, max=1)
-    baseline: _Numbers = option(None, "Length of t.", metavar=_FORMS["baseline"], type=str)
-    distance: _Numbers = option(None, "A line in image 1.", metavar=_FORMS["distance"], type=str)
+    depth1: _Depth = _source("Depth map of image 1: PNG in mm; TIFF, .npy in m.", metavar="FILE")
+    depth2: _Depth = _source("Depth map of image 2.", metavar="FILE")
+    depth_std: float = option(
+        0.02, "Relative deviation of depths.", metavar="STD", above=0, max=1, section="scale"
+    )
+    baseline: _Numbers = _source("Distance between the cameras.", metavar=_FORMS["baseline"])
+    distance: _Numbers = _source("That of two points of image 1.", metavar=_FORMS["distance"])
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -60,21 +65,18 @@ class ScaleSource:
         if len(names) > 1 and names != ["depth1", "depth2"]:
             first, *_, last = map(ArgumentName, names)
             raise InputError(first, "and", last, "both tell the length of t, and one is needed")
-        for name, counts, metres in (("baseline", (1, 2), 0), ("distance", (5,), 4)):
-            value = getattr(self, name)
-            values = numbers(value) or [0.0]
-            is_length = len(values) in counts and min(values[metres:]) > 0
-            if value is not None and not (is_length and np.isfinite(values).all()):
+        for name, counts, n in ("baseline", (1, 2), 0), ("distance", (5,), 4):
+            value, values = getattr(self, name), numbers(getattr(self, name)) or [0.0]
+            is_length = len(values) in counts and min(values[n:]) > 0 and np.isfinite(values).all()
+            if value is not None and not is_length:
                 form = f"must be {_FORMS[name]}, METRES and STD above 0"
                 raise InputError(ArgumentName(name), f"{form}, not {value!r}")
 
     def maps(self, images: Sequence[Image], cameras: Sequence[Camera]) -> list[np.ndarray | None]:
         """By `read_depth`, of two images that have the orientations of their cameras applied."""
-        sources = {"depth1": self.depth1, "depth2": self.depth2}.items()
-        return [
-            None if source is None else read_depth(source, image.size, camera.orientation, name)
-            for (name, source), image, camera in zip(sources, images, cameras, strict=True)
-        ]
+        sources = (self.depth1, "depth1"), (self.depth2, "depth2")
+        seen = zip(sources, images, cameras, strict=True)
+        return [read_depth(*of, image.size, camera.orientation) for of, image, camera in seen]
 
 
 def with_length(
@@ -94,21 +96,21 @@ def with_length(
         return pose
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
     x1, x2 = pose.camera1.normalise(points[0]), pose.camera2.normalise(points[1])
-    errors = sampson_distance(x1, x2, essential_from_pose(pose.R, pose.t))
+    E = essential_from_pose(pose.R, pose.t)
+    error = DEVIATION * float(np.median(sampson_distance(x1, x2, E)))
     poses = [(pose.R, pose.t)]  # and those a deviation off, in each direction but along t
     if pose.covariance is not None:
         values, vectors = np.linalg.eigh(pose.covariance)
         for step in (vectors * np.sqrt(values.clip(min=0))).T[1:]:
             t = pose.t + step[3:]
             poses.append((cv2.Rodrigues(step[:3])[0] @ pose.R, t / np.linalg.norm(t)))
-    inverse, of_match = _inverse_depths(x1, x2, poses, errors)
+    inverse, of_match = _inverse_depths(x1, x2, poses, error)
     scatter, warnings = 0.0, pose.warnings
     if distance:
         length, variance = _by_distance(x1, inverse, of_match, pose.camera1, distance)
     else:
-        of_2 = _inverse_depths(x2, x1, [(R.T, -R.T @ t) for R, t in poses], errors)
-        none = np.full((1, 1), np.nan, np.float32)
-        seen = zip([none if of is None else of for of in maps], points, strict=True)
+        of_2 = _inverse_depths(x2, x1, [(R.T, -R.T @ t) for R, t in poses], error)
+        seen = zip([_UNKNOWN if of is None else of for of in maps], points, strict=True)
         z = [1 / bilinear_at(of, *at.T[:, :, None])[:, 0].astype(np.float64) for of, at in seen]
         known = np.isfinite(z).ravel()
         if known.sum() < _MIN_DEPTHS:
@@ -121,28 +123,24 @@ def with_length(
         length, variance, scatter = _by_depth(single, of_match, places, scale.depth_std, prior)
     # The focal lengths scale the angles that depths are triangulated from.
     shares = 0 if distance else scale.depth_std, pose.camera1.focal_std, pose.camera2.focal_std
-    length_std = math.hypot(math.sqrt(variance), *(share * length for share in shares))
+    std = math.hypot(math.sqrt(variance), *(share * length for share in shares))
     if scatter > _CONTRADICTS:
         off = f"the lengths that inliers tell scatter by {scatter:.1f} times their deviations"
         warnings += (f"the matches contradict the depth: {off}",)
-    is_sure = pose.covariance is not None and scatter <= _CONTRADICTS
-    std = length_std if is_sure else None
-    return replace(pose, length=length, length_std=std, warnings=warnings)
+    sure = pose.covariance is not None and scatter <= _CONTRADICTS
+    return replace(pose, length=length, length_std=std if sure else None, warnings=warnings)
 
 
 def _inverse_depths(
-    x1: np.ndarray,
-    x2: np.ndarray,
-    poses: Sequence[tuple[np.ndarray, np.ndarray]],
-    errors: np.ndarray,
+    x1: np.ndarray, x2: np.ndarray, poses: Sequence[tuple[np.ndarray, np.ndarray]], error: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """1 / depth (P, N) in camera 1 under each pose, unit 1 / |t|, and its deviation (N,) by the
-    errors of the first: points in image 2 move along epipolar lines with it."""
+    error of matches: points in image 2 move along epipolar lines with it."""
     inverse = np.stack([1 / depths(x1, x2, R, t)[0] for R, t in poses])
     R, t = poses[0]
     ratio = homogeneous(x1) @ R[2] + inverse[0] * t[2]  # of the depths in cameras 2 and 1
     moved = np.linalg.norm(t[:2] - t[2] * x2, axis=1) / np.abs(ratio)
-    return inverse, math.sqrt(2) * DEVIATION * float(np.median(errors)) / moved
+    return inverse, math.sqrt(2) * error / moved
 
 
 def _by_depth(
@@ -177,19 +175,18 @@ def _by_distance(
     x1: np.ndarray, inverse: np.ndarray, std: np.ndarray, camera1: Camera, distance: Sequence[float]
 ) -> tuple[float, float]:
     """The length and its variance by a distance in the scene, see `ScaleSource`."""
-    points, radius = [], cell_side(camera1)
-    for end in np.reshape(distance[:4], (2, 2)):
-        ray = camera1.normalise(end[None])[0]
-        away = np.linalg.norm(x1 - ray, axis=1)
-        near = [n for n in np.argsort(away)[:_NEAREST] if away[n] < radius]
+    rays, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
+    at, off = np.ones((2, len(inverse))), np.ones(2)
+    for n, away in enumerate(np.linalg.norm(x1 - ray, axis=1) for ray in rays):
+        near = [k for k in np.argsort(away)[:_NEAREST] if away[k] < radius]
         if len(near) < _MIN_NEAR:
-            within = f"{len(near)} inliers within {radius * camera1.focal:.0f} pixels"
-            told = f"has the point ({end[0]:g}, {end[1]:g}), with {within} of it"
-            raise InputError(ArgumentName("distance"), told)
-        at = np.median(inverse[:, near], axis=1)
-        off = DEVIATION * np.median(np.abs(inverse[0, near] - at[0])) + np.median(std[near])
-        points.append(np.append(ray, 1) / np.append(at, at[0] + off)[:, None])
-    poses = range(len(inverse))  # and the two points a deviation off
-    apart = points[0][[*poses, -1, 0]] - points[1][[*poses, 0, -1]]
-    lengths = distance[4] / np.linalg.norm(apart, axis=1)
+            point = f"the point ({distance[2 * n]:g}, {distance[2 * n + 1]:g})"
+            told = f"with {len(near)} inliers within {radius * camera1.focal:.0f} pixels of it"
+            raise InputError(ArgumentName("distance"), f"has {point}, {told}")
+        at[n] = np.median(inverse[:, near], axis=1)
+        spread = np.median(np.abs(inverse[0, near] - at[n, 0]))
+        off[n] = DEVIATION * spread + np.median(std[near])
+    at = np.hstack([at, at[:, :1] + np.diag(off)])  # under each pose, and each point off
+    ends = homogeneous(rays)[:, :, None] / at[:, None]
+    lengths = distance[4] / np.linalg.norm(ends[0] - ends[1], axis=0)
     return float(lengths[0]), float(((lengths - lengths[0]) ** 2).sum())

@@ -16,15 +16,17 @@ _MAX_ASPECT_DIFFERENCE = 0.01  # of a map and its photograph
 
 
 def read_depth(
-    source: str | Path | np.ndarray, size: Size, orientation: int, name: str
-) -> np.ndarray:
+    source: str | Path | np.ndarray | None, name: str, size: Size, orientation: int
+) -> np.ndarray | None:
     """1 / depth (H, W), 1 / metres, at the pixels of a photograph of `size`, NaN where not known.
 
-    source: the depth map, of any size, or its .npy, .npz of one array, PNG or TIFF: integers are
-    millimetres, floats metres; what is not finite and above 0 is not known, and edges are neither.
-    orientation: by EXIF, that the photograph has had applied. Raises InputError, naming the
-    argument `name`; for a damaged file InputError or ImageError, with the path.
+    source: the depth map, of any size, or its .npy, .npz of one array, PNG or TIFF; None of None.
+    Integers are millimetres, floats metres; what is not finite and above 0 is not known, and edges
+    are not. orientation: by EXIF, that the photograph has had applied. Raises InputError, naming
+    the argument `name`; for a damaged file InputError or ImageError, with the path.
     """
+    if source is None:
+        return None
     stored = source if isinstance(source, np.ndarray) else _read(Path(source))
     told = f"has shape {stored.shape} and type {stored.dtype}"
     if stored.ndim != 2 or stored.dtype.kind not in "uif" or stored.dtype.itemsize < 2:

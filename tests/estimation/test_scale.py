@@ -27,13 +27,15 @@ def scene_and_pose(seed: int) -> tuple[TwoViewScene, np.ndarray, RelativePose]:
     return scene, (points[:3] / points[3]).T, pose
 
 
-def depth_map(pixels: np.ndarray, z: np.ndarray, size: tuple[int, int], noise: float) -> np.ndarray:
+def depth_map(
+    pixels: np.ndarray, z: np.ndarray, size: tuple[int, int], noise: float
+) -> np.ndarray | None:
     """A depth map that is known around the pixels (N, 2) alone, z (N,) of each with its noise."""
     depth = np.zeros(size[::-1])
     factors = 1 + noise * np.random.default_rng(0).standard_normal(len(z))
     for (x, y), value in zip(np.rint(pixels).astype(int), z * factors, strict=True):
         depth[y - 2 : y + 3, x - 2 : x + 3] = max(value, 0)
-    return read_depth(depth, size, 1, "depth1")
+    return read_depth(depth, "depth1", size, 1)
 
 
 def maps_of(seed: int, noise: float = 0.02) -> list[np.ndarray | None]:
