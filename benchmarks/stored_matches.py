@@ -19,9 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.benchmarks.files import read_arrays
 from dgc_pose.errors import ImageError, InputError, reason
-from dgc_pose.files.arrays import ARRAY_BYTES, read_array
+from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.images.image import Image, read_pixels

@@ -12,7 +12,7 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, traced
 from dgc_pose.cli.options import CameraChoice
 from dgc_pose.cli.output import pose_text, row_lines
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import EstimationOptions, RelativePose, ScaleSource
 from dgc_pose.files.outputs import staged
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -31,7 +31,7 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
     K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:
         choice = CameraChoice(k1=K1, k2=K2)
-        trace = traced(pair.path1, pair.path2, choice, matcher, estimation)
+        trace = traced(pair.path1, pair.path2, choice, matcher, estimation, ScaleSource())
         if outputs.plot is not None:
             draw(trace, stage(outputs.plot))
     click.echo(f"image 1: {pair.path1}, K {K1}\nimage 2: {pair.path2}, K {K2}\n")

@@ -15,6 +15,7 @@ from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MaskChoice
 from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
@@ -58,6 +59,7 @@ class Outputs:
 @dataclass_options(CameraChoice, "cameras")
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
+@dataclass_options(ScaleSource, "scale")
 @dataclass_options(Outputs, "outputs")
 def estimate(
     image1: str,
@@ -66,16 +68,18 @@ def estimate(
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
+    scale: ScaleSource,
     outputs: Outputs,
 ) -> int:
     """Estimate the relative pose of two photographs.
 
-    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale. Exits with 3 and the reason
-    if there is no pose, and with all of them if several explain the matches alike.
+    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map, --baseline
+    or --distance tells its length. Exits with 3 and the reason if there is no pose, and with all of
+    them if several explain the matches alike.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
-        trace = traced(image1, image2, cameras, matcher, estimation, masks)
+        trace = traced(image1, image2, cameras, matcher, estimation, scale, masks)
         pose, data = trace.pose, json_text(trace.pose.as_dict())
         if json_file is not None:
             save_text(stage(json_file), data)
@@ -105,6 +109,7 @@ def traced(
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
+    scale: ScaleSource,
     masks: MaskChoice = MaskChoice(),  # noqa: B008, it is frozen
 ) -> Trace:
     """The trace of the pose of two images. In its `seconds`, `load` is the time for images and
@@ -114,6 +119,7 @@ def traced(
     image2 = masked(load_image(path2), masks.mask2, "mask2")
     camera1, camera2 = cameras.resolve(image1, image2)
     image1, image2 = image1.oriented(camera1.orientation), image2.oriented(camera2.orientation)
+    maps = scale.maps((image1, image2), (camera1, camera2))
     read_seconds = time.perf_counter() - start
     from dgc_pose.pose import pose_of_pair  # heavy; unusable input is refused without it
     from dgc_pose.trace import Trace
@@ -123,6 +129,7 @@ def traced(
     seconds = read_seconds + time.perf_counter() - start
     search = loaded.search(image1, image2)
     pose = pose_of_pair(search, camera1, camera2, estimation)
+    pose = with_length(pose, search.last.matches, scale, maps)
     pose = replace(pose, seconds={"load": seconds, **pose.seconds})
     return Trace.of(search, camera1, camera2, pose)
 

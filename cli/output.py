@@ -20,7 +20,7 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     if pose.success:
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
-        lines += _pose_lines(pose.R, pose.t)
+        lines += _pose_lines(pose.R, pose.t, pose.length_text)
     lines += [
         f"image {n}: EXIF orientation {prior.orientation} is applied, and the pose is of that image"
         for n, prior in enumerate(priors or (), start=1)
@@ -50,13 +50,13 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     return "\n".join(lines)
 
 
-def _pose_lines(R: np.ndarray, t: np.ndarray | None) -> list[str]:
-    """R and t, each row a line; t is None after a rotation alone."""
+def _pose_lines(R: np.ndarray, t: np.ndarray | None, length: str = "up to scale") -> list[str]:
+    """R and t, each row a line; t is None after a rotation alone. length: of t."""
     lines = [f"  R  {line}" for line in row_lines(*R)]
     lines.append(f"     rotation angle {rotation_angle_deg(R):.2f} deg")
     if t is None:
         return [*lines, "  t  undefined: the images show a rotation alone"]
-    return [*lines, f"  t  {row_lines(t)[0]}  (translation up to scale)"]
+    return [*lines, f"  t  {row_lines(t)[0]}  (translation {length})"]
 
 
 def row_lines(*rows: np.ndarray) -> list[str]:

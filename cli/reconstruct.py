@@ -43,9 +43,10 @@ def reconstruct(
     Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
     the folder of the batch.
     """
-    from dgc_pose.batch.source import BATCH, PICTURE, PLAN
+    from dgc_pose.batch.source import BATCH, PICTURE, PLAN, open_source
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MIN_IMAGES
+    from dgc_pose.colmap.metric import known_metres
     from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.reconstruction import plot_reconstruction
 
@@ -57,6 +58,8 @@ def reconstruct(
             f"{out / known[0]} is there already, and {out} holds no batch to go on with"
         )
     reconstruction.require_model_folder(out / reconstruction.MODEL)
+    images = open_source(Path(source), inputs.root)
+    known_metres(images.root, images.names, options)  # refused before the matching
     start = time.perf_counter()
     batch = work_through(
         source,
@@ -83,6 +86,8 @@ def reconstruct(
         f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "
         f"reprojection error {data['reprojection_error_px']:.3f} px"
     )
+    for fact, value in model.metric.items():
+        click.echo(f"{fact.replace('_', ' ')}: {value}")
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
     click.echo(f"{out / PICTURE}: cameras and points, from above and from the front")
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from dgc_pose.estimation import EstimationOptions as EstimationOptions
     from dgc_pose.estimation import Hypothesis as Hypothesis
     from dgc_pose.estimation import RelativePose as RelativePose
+    from dgc_pose.estimation import ScaleSource as ScaleSource
     from dgc_pose.estimation import estimate_pose as estimate_pose
     from dgc_pose.images.image import Image as Image
     from dgc_pose.images.image import load_image as load_image
@@ -51,6 +52,7 @@ _PUBLIC = {
         "EstimationOptions",
         "Hypothesis",
         "RelativePose",
+        "ScaleSource",
         "estimate_pose",
     ),
     "images.image": ("Image", "load_image"),

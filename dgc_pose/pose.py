@@ -17,6 +17,7 @@ from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.camera_fit import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
+from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import masked
@@ -64,6 +65,7 @@ def estimate_relative_pose(
     options: EstimationOptions | None = None,
     mask1: MaskSource = None,
     mask2: MaskSource = None,
+    scale: ScaleSource | None = None,
     trace: Literal[False] = False,
 ) -> RelativePose: ...
 
@@ -79,6 +81,7 @@ def estimate_relative_pose(
     options: EstimationOptions | None = None,
     mask1: MaskSource = None,
     mask2: MaskSource = None,
+    scale: ScaleSource | None = None,
     trace: Literal[True],
 ) -> Trace: ...
 
@@ -93,6 +96,7 @@ def estimate_relative_pose(
     options: EstimationOptions | None = None,
     mask1: MaskSource = None,
     mask2: MaskSource = None,
+    scale: ScaleSource | None = None,
     trace: bool = False,
 ) -> RelativePose | Trace:
     """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
@@ -101,8 +105,8 @@ def estimate_relative_pose(
     pixels of those images, (0, 0) the centre of the top-left pixel; or `Camera`s, which may have
     lens distortion; or texts and files as of --K. Without K2, K1 serves for both. matcher: by
     default `load_matcher()`, the shipped network with refinement. trace: whether to return a
-    `Trace`, the images, the map and the matches besides the pose. Without a pose, `success` is
-    False and `reason` says why.
+    `Trace`, the images, the map and the matches besides the pose. scale: what tells the length of
+    t. Without a pose, `success` is False and `reason` says why.
 
     mask1, mask2: paths, or arrays (H, W), of the pixels as stored: where they are 0 or black,
     nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.
@@ -128,10 +132,14 @@ def estimate_relative_pose(
     check_type(options, EstimationOptions, "options")
     matcher = load_matcher() if matcher is None else matcher
     check_type(matcher, Matcher, "matcher")
+    scale = ScaleSource() if scale is None else scale
+    check_type(scale, ScaleSource, "scale")
+    maps = scale.maps((first, second), (prior1, prior2))
     load_seconds = time.perf_counter() - start
 
     search = matcher.search(first, second)
     pose = pose_of_pair(search, prior1, prior2, options)
+    pose = with_length(pose, search.last.matches, scale, maps)
     pose = replace(pose, seconds={"load": load_seconds, **pose.seconds})
     return Trace.of(search, prior1, prior2, pose) if trace else pose
 

@@ -55,10 +55,16 @@ def grid(columns: int, rows: int) -> np.ndarray:
     return np.stack(np.meshgrid(x, y), -1)
 
 
+def depth_in_camera2(points2: np.ndarray) -> np.ndarray:
+    """Depths (...) of the surface at (..., 2) pixels of image 2, in units of |t|."""
+    x, y = np.moveaxis((points2 - K[:2, 2]) / 300.0, -1, 0)
+    return 5.0 + 1.2 * np.sin(5 * x) + 0.9 * np.cos(7 * y) + 1.5 * x * y
+
+
 def points_in_image1(points2: np.ndarray, t: np.ndarray = T) -> np.ndarray:
     """The surface points at (..., 2) pixels of image 2, in pixels of image 1."""
     x, y = np.moveaxis((points2 - K[:2, 2]) / 300.0, -1, 0)
-    depth = 5.0 + 1.2 * np.sin(5 * x) + 0.9 * np.cos(7 * y) + 1.5 * x * y
+    depth = depth_in_camera2(points2)
     in_camera2 = np.stack([x * depth, y * depth, depth], -1)
     in_camera1 = (in_camera2 - t) @ R
     return in_camera1[..., :2] / in_camera1[..., 2:] * 300.0 + K[:2, 2]

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.benchmarks.files import read_arrays
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.arrays import read_arrays
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing

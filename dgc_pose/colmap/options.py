@@ -75,3 +75,7 @@ class ReconstructionOptions:
 
     sharing: SharingOptions = field(default_factory=SharingOptions)
     mapping: MappingOptions = field(default_factory=MappingOptions)
+    gps: bool = option(False, "Metres by the GPS positions in EXIF data.", section="reconstruction")
+    scale: str | None = option(
+        None, "Distance of two cameras.", metavar="NAME1,NAME2,METRES", section="reconstruction"
+    )

@@ -1,7 +1,7 @@
 """From a finished batch to a model, its points and a summary in one folder."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.export import Exported, share, write_shared
 from dgc_pose.colmap.mapping import map_database
+from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.points_file import write_model_points
 from dgc_pose.errors import InputError
@@ -47,6 +48,7 @@ class SparseModel:
     mean_track_length: float
     reprojection_error_px: float  # mean over the observations
     cameras: tuple[ModelCamera, ...]
+    metric: Mapping[str, Any] = field(default_factory=dict)  # unit and frame, see `to_metres`
 
     def centre(self, name: str) -> np.ndarray:
         """Position (3,) of a camera."""
@@ -65,8 +67,8 @@ def reconstruct(
     Bundle adjustment refines the cameras of a batch that had no focal length for one of them.
 
     Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
-    model's, another process writes into `out`, or no pair has a pose; ImageError if an image cannot
-    be read any more; OSError if the disk is full.
+    model's, another process writes into `out`, or no pair has a pose; both as `to_metres` too;
+    ImageError if an image cannot be read any more; OSError if the disk is full.
     """
     options = options or ReconstructionOptions()
     mapping = replace(options.mapping, refine_intrinsics=refines(batch, options))
@@ -76,6 +78,7 @@ def reconstruct(
         shared, pairs = share(batch, options.sharing, progress)
         exported = write_shared(batch, shared, pairs, out / DATABASE)
         reconstruction = map_database(out / DATABASE, batch.plan.root, mapping)
+        metric = to_metres(reconstruction, batch.plan.root, batch.plan.names, options)
         # pycolmap raises nothing for a disk that is full.
         points = _POINT_BYTES * reconstruction.num_points3D()
         require_room(out / MODEL, _KEY_POINT_BYTES * exported.key_points + points)
@@ -83,7 +86,7 @@ def reconstruct(
             reconstruction.write_binary(folder)
         with replaced(out / POINTS) as temporary:
             write_model_points(temporary, reconstruction, out / POINTS)
-    return sparse_model(reconstruction), exported
+    return replace(sparse_model(reconstruction), metric=metric), exported
 
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
@@ -156,6 +159,7 @@ def write_summary(
         "tracks_by_length": exported.tracks_by_length,
         "bad_images": batch.summary["bad_images"],
         "cameras": [asdict(camera) for camera in model.cameras],
+        **model.metric,
         "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
     }
     write_json(out / SUMMARY, data)

@@ -4,12 +4,14 @@ from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.relative_pose import estimate_pose
 from dgc_pose.estimation.result import RelativePose
+from dgc_pose.estimation.scale import ScaleSource
 from dgc_pose.estimation.status import Status
 
 __all__ = [
     "EstimationOptions",
     "Hypothesis",
     "RelativePose",
+    "ScaleSource",
     "Status",
     "estimate_pose",
 ]

@@ -21,7 +21,7 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
-_SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
+SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
 NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
 _RIDGE = 1e-9  # keeps the remaining information regular if one block has nearly all
 
@@ -80,7 +80,7 @@ def pose_covariance(
         total = total + prior
     covariances = []
     try:
-        for shift in _SHIFTS:
+        for shift in SHIFTS:
             sums = block_sums(terms, inliers.points2, shift)
             blocks = len(sums)
             left_out = sums[:, : count**2].reshape(-1, count, count)

@@ -15,7 +15,7 @@ from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
-_DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
+DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
 EFFICIENT = 2.385  # Cauchy loss of 95 % efficiency on Gaussian noise, in standard deviations
 # Neighbouring matches err alike: so many are worth one that errs by itself, where they are weighed
 # against a prior. See docs/experiments.md.
@@ -110,5 +110,5 @@ def error_scale(error: np.ndarray, threshold: float) -> float:
 
     From the median error, as if the errors were Gaussian; at most the threshold.
     """
-    scale = EFFICIENT * _DEVIATION * float(np.median(error))
+    scale = EFFICIENT * DEVIATION * float(np.median(error))
     return min(max(scale, _MIN_SCALE * threshold), threshold)

@@ -68,7 +68,7 @@ class TwoViewProblem:
             points1=points1,
             points2=points2,
             threshold=pixels * (1 / camera1.focal + 1 / camera2.focal) / 2,
-            cells=(_cell_side(camera1), _cell_side(camera2)),
+            cells=(cell_side(camera1), cell_side(camera2)),
             seed=options.seed,
             index=index,
             confidence=matches.confidence[index],
@@ -93,7 +93,7 @@ class TwoViewProblem:
         )
 
 
-def _cell_side(camera: Camera) -> float:
+def cell_side(camera: Camera) -> float:
     """The side of a grid cell, normalised.
 
     A camera without an image size counts as one whose principal point is the middle of the image.

@@ -18,7 +18,8 @@ from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
 
 _PLAIN = (  # in `as_dict` as they are, arrays as lists
-    *("status", "success", "R", "t", "quaternion_wxyz", "E", "camera1", "camera2"),
+    *("status", "success", "R", "t", "length", "length_std"),
+    *("quaternion_wxyz", "E", "camera1", "camera2"),
     *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
     *("rotation_error_90_deg", "translation_error_90_deg", "covariance", "probability"),
 )
@@ -41,6 +42,8 @@ class RelativePose:
         R: Rotation (3, 3) from camera 1 to camera 2; None if it is not known.
         t: Direction (3,) of the translation, unit length, in camera 2's axes: where camera 1 is
             seen from camera 2. None if it is not known.
+        length: Distance between the cameras, metres, if a `ScaleSource` tells it.
+        length_std: Its standard deviation; None if that is not known.
         covariance: Covariance (6, 6), rad^2, of rank 5, of a rotation vector w and a change d of t,
             in camera 2's axes; the true pose is exp([w]x) R and t + d. None without a pose, and if
             the inliers do not determine it. Scaled so that the expected error of right poses holds
@@ -75,6 +78,8 @@ class RelativePose:
     num_matches: int
     R: np.ndarray | None = None
     t: np.ndarray | None = None
+    length: float | None = None
+    length_std: float | None = None
     covariance: np.ndarray | None = None
     camera1: Camera | None = None
     camera2: Camera | None = None
@@ -96,7 +101,7 @@ class RelativePose:
         if self.R is not None:
             lines.append(f"R {short_text(self.R)}")
         if self.t is not None:
-            lines.append(f"t {short_text(self.t)}, up to scale")
+            lines.append(f"t {short_text(self.t)}, {self.length_text}")
         errors = self.rotation_error_90_deg, self.translation_error_90_deg
         if errors[0] is not None and errors[1] is not None:
             lines.append(
@@ -113,6 +118,13 @@ class RelativePose:
     def success(self) -> bool:
         """Whether R and t are known."""
         return STATUSES[self.status].has_t
+
+    @property
+    def length_text(self) -> str:
+        """The length of t for people: `1.234 m +- 0.012 m`, or `up to scale`."""
+        if self.length is None:
+            return "up to scale"
+        return f"{self.length:.4g} m" + (f" +- {self.length_std:.2g} m" if self.length_std else "")
 
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:

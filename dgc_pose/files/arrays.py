@@ -1,6 +1,8 @@
-"""Arrays: those of an argument, and those of NumPy's files .npy."""
+"""Arrays: those of an argument, and those of NumPy's files .npy and .npz."""
 
 import io
+import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,3 +44,25 @@ def read_array(path: str | Path) -> np.ndarray:
     data = read_bytes(path, ARRAY_BYTES + 2**16)
     with read_as("an .npy", path):
         return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
+
+
+def read_arrays(path: str | Path) -> Mapping[str, np.ndarray]:
+    """The arrays of an .npz by name.
+
+    Raises InputError, with the path, if it is damaged, holds Python objects, or is larger than
+    `ARRAY_BYTES` unpacked; OSError if it cannot be read.
+    """
+    data = read_bytes(path, ARRAY_BYTES + 2**20)
+    with read_as("an .npz", path), zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {
+            name: info
+            for info in archive.infolist()
+            if (name := info.filename.removesuffix(".npy")) != info.filename
+        }
+        if sum(info.file_size for info in members.values()) > ARRAY_BYTES:
+            raise InputError(f"{path} is too large: at most {ARRAY_BYTES} bytes of arrays are read")
+        arrays = {}
+        for name, info in members.items():
+            with archive.open(info) as stream:
+                arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
+        return arrays

@@ -37,7 +37,7 @@ _FORMATS = {
     }.items()
 }
 _KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  # tags of TIFF
-MAKE, MODEL, EXIF_DIRECTORY = 271, 272, 34665
+MAKE, MODEL, EXIF_DIRECTORY, _GPS_DIRECTORY = 271, 272, 34665, 34853
 FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 37386, 40962, 40963
 _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
 _DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL = 41988, 41989, 42036
@@ -65,6 +65,7 @@ class Exif:
     digital_zoom: float = 1.0  # at least 1
     size: tuple[int, int] | None = None  # (width, height) of the image that the camera wrote
     pixels_per_mm: float | None = None  # of that image, on the sensor
+    position: tuple[float, float, float] | None = None  # latitude, longitude, degrees; altitude, m
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
             return _heif_header(data)
         if name == "TIFF":
             tags = _tiff_tags(data)
-            if not complete and any(tag in tags for tag in (EXIF_DIRECTORY, MAKE, MODEL)):
+            if not complete and {EXIF_DIRECTORY, _GPS_DIRECTORY, MAKE, MODEL}.intersection(tags):
                 raise ValueError("the EXIF data may lie behind the start")
             size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
             return Header(name, size, _known(tags.get(_ORIENTATION, 1)), _tiff_exif(data, tags))
@@ -145,7 +146,8 @@ def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
 
 def _tiff_exif(data: bytes, tags: Any) -> Exif:
     try:
-        more = _tiff_tags(data, tags[EXIF_DIRECTORY]) if EXIF_DIRECTORY in tags else {}
+        directories = [tags[tag] for tag in (EXIF_DIRECTORY, _GPS_DIRECTORY) if tag in tags]
+        more = {k: v for offset in directories for k, v in _tiff_tags(data, offset).items()}
         return _camera_tags(tags, more)
     except Exception:  # the pixels may be intact
         return Exif()
@@ -185,14 +187,14 @@ def read_exif(block: bytes) -> tuple[int, Exif]:
     try:
         exif = PIL.Image.Exif()
         exif.load(block)
-        camera = _camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY))
+        camera = _camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY) | exif.get_ifd(_GPS_DIRECTORY))
         return _known(exif.get(_ORIENTATION, 1)), camera
     except Exception:  # a damaged block raises almost anything
         return 1, Exif()
 
 
 def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
-    """The camera by the tags of the first directory and of that of EXIF.
+    """The camera by the tags of the first directory and of those of EXIF and GPS.
 
     Raises any exception for a tag that is damaged.
     """
@@ -207,7 +209,21 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
         zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
         _size(more.get(_EXIF_WIDTH), more.get(_EXIF_HEIGHT)),
         _pixels_per_mm(*plane),
+        _position(more),
     )
+
+
+def _position(tags: Mapping[int, Any]) -> tuple[float, float, float] | None:
+    """By the tags of GPS; the altitude is 0 without one."""
+    try:
+        degrees = [sum(float(part) / 60**n for n, part in enumerate(tags[k])) for k in (2, 4)]
+        altitude = float(tags.get(6, 0)) * (-1 if tags.get(5) in (1, b"\1") else 1)
+    except (KeyError, TypeError, ValueError, ArithmeticError):
+        return None
+    latitude = -degrees[0] if tags.get(1) == "S" else degrees[0]
+    longitude = -degrees[1] if tags.get(3) == "W" else degrees[1]
+    is_there = abs(latitude) <= 90 and abs(longitude) <= 180 and math.isfinite(altitude)
+    return (latitude, longitude, altitude) if is_there else None
 
 
 def _number(value: Any) -> float | None:

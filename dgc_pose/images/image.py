@@ -80,15 +80,18 @@ class Image:
         """The image with an EXIF orientation, 1 to 8, applied."""
         if orientation == 1:
             return self
-        pixels = self.pixels if self.mask is None else np.dstack([self.pixels, self.mask])
-        if orientation in EXCHANGING:
-            pixels = pixels.transpose(1, 0, 2)
-        # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
-        pixels = pixels[:: -1 if orientation in (3, 4, 7, 8) else 1]
-        pixels = pixels[:, :: -1 if orientation in (2, 3, 6, 7) else 1]
-        mask = None if self.mask is None else pixels[:, :, 3] != 0
-        pixels = np.ascontiguousarray(pixels[:, :, :3])
-        return replace(self, pixels=pixels, orientation=1, mask=mask)
+        pixels = np.ascontiguousarray(turned(self.pixels, orientation))
+        mask = None if self.mask is None else np.ascontiguousarray(turned(self.mask, orientation))
+        return replace(self, pixels=pixels, mask=mask, orientation=1)
+
+
+def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
+    """A view of pixels (H, W, ...) with an EXIF orientation, 1 to 8, applied."""
+    if orientation in EXCHANGING:
+        pixels = pixels.swapaxes(0, 1)
+    # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
+    pixels = pixels[:: -1 if orientation in (3, 4, 7, 8) else 1]
+    return pixels[:, :: -1 if orientation in (2, 3, 6, 7) else 1]
 
 
 def load_image(

@@ -18,7 +18,7 @@ MAX_SEED = 2**63 - 1  # what torch takes
 
 # Of a command's help, in the order that they have there.
 Section = Literal[
-    "cameras", "output", "options", "reconstruction", "matching", "estimation", "advanced"
+    "cameras", "output", "options", "scale", "reconstruction", "matching", "estimation", "advanced"
 ]
 
 _KEY = "option"

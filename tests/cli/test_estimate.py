@@ -10,9 +10,9 @@ from command_line import assert_refused, run
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
-KEYS = """status success R t quaternion_wxyz E camera1 camera2 num_matches num_inliers inlier_ratio
-    median_triangulation_angle_deg rotation_error_90_deg translation_error_90_deg covariance
-    probability alternatives warnings seconds""".split()
+KEYS = """status success R t length length_std quaternion_wxyz E camera1 camera2 num_matches
+    num_inliers inlier_ratio median_triangulation_angle_deg rotation_error_90_deg
+    translation_error_90_deg covariance probability alternatives warnings seconds""".split()
 # Later ones override these.
 FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000", "--refine", "none")
 
@@ -103,6 +103,57 @@ def test_the_points_in_space_are_written_with_their_colours(folder, network):
     x, y = np.rint(pixels1).astype(int).T
     same = (colours == dense_scene.pictures()[0][y, x]).all(axis=1)
     assert same.mean() > 0.99  # but for points half-way between two pixels
+
+
+@pytest.mark.parametrize("kind", ["png", "npy", "npz", "tiff", "--baseline", "--distance"])
+def test_t_has_a_length(folder, network, kind):
+    """By depth maps of half the size of the image; |t| of the scene is 1."""
+    depth = 2.5 * dense_scene.depth_in_camera2(dense_scene.grid(160, 120))
+    if kind == "png":
+        cv2.imwrite("depth.png", (1000 * depth).astype(np.uint16))
+    elif kind == "tiff":
+        cv2.imwrite("depth.tiff", depth.astype(np.float32))
+    elif kind[:2] == "np":
+        {"npy": np.save, "npz": np.savez}[kind](f"depth.{kind}", depth)
+    scale = ("--depth2", f"depth.{kind}")
+    if kind == "--baseline":
+        scale = (kind, "2.5,0.01")
+    elif kind == "--distance":
+        ends2 = np.array([[80.0, 60.0], [230.0, 170.0]])
+        x1 = (dense_scene.points_in_image1(ends2) - dense_scene.K[:2, 2]) / 300
+        x2 = np.append((ends2 - dense_scene.K[:2, 2]) / 300, np.ones((2, 1)), 1)
+        ends = (x2 * dense_scene.depth_in_camera2(ends2)[:, None] - dense_scene.T) @ dense_scene.R
+        assert np.allclose(ends[:, :2] / ends[:, 2:], x1)
+        pixels = ",".join(map(str, (x1 * 300 + dense_scene.K[:2, 2]).ravel()))
+        scale = (kind, f"{pixels},{2.5 * np.linalg.norm(ends[0] - ends[1])}")
+    text = estimate(*scale, "--json", "p.json").stdout
+    data = json.loads((folder / "p.json").read_text())
+    assert data["warnings"] == [] and np.linalg.norm(data["t"]) == pytest.approx(1)
+    assert data["length"] == pytest.approx(2.5, rel=0.02)
+    assert abs(data["length"] - 2.5) < 2 * data["length_std"] or kind == "--baseline"
+    assert data["length_std"] < 0.25
+    told = f"(translation {data['length']:.4g} m +- {data['length_std']:.2g} m)"
+    assert told in text and "up to scale" not in text
+
+
+def test_a_source_of_the_length_is_refused(folder, network):
+    np.save("zero.npy", np.zeros((240, 320)))
+    np.save("wide.npy", np.ones((120, 320)))
+    np.save("bytes.npy", np.ones((240, 320), np.uint8))
+    np.savez("two.npz", a=np.ones((240, 320)), b=np.ones((240, 320)))
+    assert_refused(estimate("--depth1", "zero.npy"), "--depth1 has", "no depth above 0")
+    assert_refused(estimate("--depth1", "wide.npy"), "--depth1 has", "another aspect ratio")
+    assert_refused(estimate("--depth2", "bytes.npy"), "--depth2 has", "type uint8")
+    assert_refused(estimate("--depth2", "two.npz"), "two.npz holds 2 arrays")
+    assert_refused(estimate("--depth1", "one.png"), "--depth1 has", "(240, 320, 3)")
+    assert_refused(estimate("--depth1", "nosuch.npy"), "nosuch.npy")
+    assert_refused(estimate("--baseline", "1m"), "--baseline must be METRES[,STD]", "'1m'")
+    assert_refused(estimate("--baseline", "0"), "--baseline must be")
+    assert_refused(estimate("--distance", "1,2,3,4"), "--distance must be")
+    assert_refused(estimate("--baseline", 1, "--depth1", "zero.npy"), "--depth1 and --baseline")
+    far = estimate("--distance", "-500,3,200,100,2", "--json", "p.json")
+    assert_refused(far, "--distance has the point (-500, 3), with 0 inliers within 13 pixels")
+    assert not (folder / "p.json").exists()
 
 
 def test_noise_has_no_pose(folder, network):

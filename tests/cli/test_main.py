@@ -59,7 +59,7 @@ def test_commands_are_completed_without_being_imported(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("command", "more"), [("estimate", ()), ("reconstruct", ("Reconstruction",))]
+    ("command", "more"), [("estimate", ("Scale",)), ("reconstruct", ("Reconstruction",))]
 )
 def test_what_people_use_first_is_first(monkeypatch, command, more):
     """In 80 columns the help's first part, which ends with --help, has a dozen options."""

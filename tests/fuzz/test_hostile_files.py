@@ -19,11 +19,10 @@ from safetensors.torch import load_file, save_file
 
 from dgc_pose import load_image
 from dgc_pose.batch.result import read_batch
-from dgc_pose.benchmarks.files import read_arrays
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
-from dgc_pose.files.arrays import ARRAY_BYTES, read_array
+from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet

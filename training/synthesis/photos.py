@@ -63,11 +63,6 @@ def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
     return _decode(held_back, side, lacking)
 
 
-def held_back_paths(root: str | Path) -> list[Path]:
-    """The files below a folder that `load_photos` holds back, sorted."""
-    return _split(root)[1]
-
-
 def resized_planes(pixels: np.ndarray, size: tuple[int, int]) -> Tensor:
     """Pixels (h, w, 3) uint8 resized to (width, height), as planes (3, height, width)."""
     shrinks = pixels.shape[1] >= size[0] and pixels.shape[0] >= size[1]

@@ -1,0 +1,87 @@
+"""A model in metres: by GPS positions of its photographs, or by the distance of two cameras."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dgc_pose.colmap.mapping import MIN_IMAGES, MappingError
+from dgc_pose.colmap.options import ReconstructionOptions
+from dgc_pose.errors import ArgumentName, ImageError, InputError
+from dgc_pose.images.image import image_header
+from dgc_pose.system.colmap_library import pycolmap
+
+_MAX_ERROR_M = 15.0  # of a GPS position that agrees with the model
+_MIN_WIDTH = 0.02  # of GPS positions, as a share of their length: less is a line
+
+
+def known_metres(
+    root: Path, names: Sequence[str], options: ReconstructionOptions
+) -> tuple[dict[str, Any], str]:
+    """What is known before the matching, and the frame: of GPS the positions (3,) by name, metres
+    from the first; of `scale` the distance, by both names.
+
+    Raises InputError for fewer than three positions or a line of them, and for an unknown name.
+    """
+    if options.scale:
+        *pair, metres = options.scale.split(",")
+        with suppress(ValueError):
+            if not options.gps and len({*names} & {*pair}) == len(pair) == 2 and float(metres) > 0:
+                return dict.fromkeys(pair, float(metres)), "the model's own"
+        told = f"must be two of the {len(names)} images and metres, without --gps"
+        raise InputError(ArgumentName("scale"), f"{told}, not {options.scale!r}")
+    if not options.gps:
+        return {}, ""
+    tags = {}
+    for name in names:
+        with suppress(ImageError):
+            tags[name] = image_header(root / name).exif.position
+    tags = {name: position for name, position in tags.items() if position}
+    places = np.array([*tags.values()]).reshape(-1, 3)
+    if len(tags) < MIN_IMAGES:
+        told = f"{len(tags)} of {len(names)} photographs have a GPS position"
+        raise InputError(ArgumentName("gps"), f"needs {MIN_IMAGES} positions, and {told}")
+    frame = "east, north, up; origin at {:.7f}, {:.7f}, {:.2f} m".format(*places[0])
+    places = pycolmap.GPSTransform().ellipsoid_to_enu(places, *places[0])
+    length, width, _ = np.linalg.svd(places - places.mean(0), compute_uv=False)
+    if width <= _MIN_WIDTH * length:
+        raise InputError(ArgumentName("gps"), f"has {len(tags)} positions on one line")
+    return dict(zip(tags, places, strict=True)), frame
+
+
+def to_metres(
+    model: pycolmap.Reconstruction, root: Path, names: Sequence[str], options: ReconstructionOptions
+) -> dict[str, Any]:
+    """Bring a model into metres, by a scale or, by GPS, a similarity of RANSAC; for the summary the
+    unit, the frame and the residuals, nothing without either.
+
+    Raises MappingError if GPS does not agree with the model, InputError as `known_metres` and for a
+    camera of `scale` that is not in the model.
+    """
+    known, frame = known_metres(root, names, options)
+    centres = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
+    both = [name for name in known if name in centres]
+    residuals: dict[str, float] = {}
+    if options.scale:
+        for name in known.keys() - centres.keys():
+            raise InputError(ArgumentName("scale"), f"{name} is not in the model")
+        apart = np.linalg.norm(np.subtract(*(centres[name] for name in both)))
+        similarity = pycolmap.Sim3d(known[both[0]] / apart, pycolmap.Rotation3d(), np.zeros(3))
+    elif options.gps:
+        places = np.array([known[name] for name in both]).reshape(-1, 3)
+        ransac = pycolmap.RANSACOptions(max_error=_MAX_ERROR_M, random_seed=0)
+        args = model, both, places, MIN_IMAGES, ransac
+        aligned = pycolmap.align_reconstruction_to_locations(*args)
+        if aligned is None:
+            told = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
+            raise MappingError(f"pycolmap has no similarity that brings {told}")
+        similarity = aligned
+        off = [np.linalg.norm(aligned * centres[name] - known[name]) for name in both]
+        residuals["median_gps_residual_m"] = round(float(np.median(off)), 3)
+        residuals["largest_gps_residual_m"] = round(float(max(off)), 3)
+    else:
+        return {}
+    model.transform(similarity)
+    return {"unit": "m", "frame": frame, **residuals}

@@ -1,0 +1,167 @@
+"""Models of known cameras brought into metres."""
+
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pycolmap
+import pytest
+from batch_runs import view_folder
+from command_line import assert_refused, run
+from multi_view import K_text
+from scipy.spatial.transform import Rotation
+
+from dgc_pose import InputError
+from dgc_pose.colmap.mapping import MappingError
+from dgc_pose.colmap.metric import known_metres, to_metres
+from dgc_pose.colmap.options import ReconstructionOptions
+
+LATITUDE, LONGITUDE, ALTITUDE = -33.8568, -70.2153, 1210.0  # south and west
+NAMES = [f"view{n}.png" for n in range(6)]
+GPS = ReconstructionOptions(gps=True)
+
+
+def gps_tags(latitude: float, longitude: float, altitude: float) -> PIL.Image.Exif:
+    exif = PIL.Image.Exif()
+    exif[271] = "Maker"  # Pillow writes no block of GPS alone
+    angles = [(int(a), int(a * 60) % 60, a * 3600 % 60) for a in (abs(latitude), abs(longitude))]
+    exif.get_ifd(34853).update(
+        {1: "NS"[int(latitude < 0)], 2: angles[0], 3: "EW"[int(longitude < 0)], 4: angles[1], 5: 0}
+        | {6: altitude}
+    )
+    return exif
+
+
+def tag(path: Path, enu: np.ndarray) -> None:
+    """Write GPS tags of a place (3,), metres east, north and up, into a photograph."""
+    place = pycolmap.GPSTransform().enu_to_ellipsoid(enu[None], LATITUDE, LONGITUDE, ALTITUDE)[0]
+    image = PIL.Image.open(path) if path.exists() else PIL.Image.new("RGB", (40, 30))
+    image.save(path, exif=gps_tags(*place))
+
+
+def places(seed: int = 0) -> np.ndarray:
+    """East, north, up (6, 3), metres: a walk; the first is the origin."""
+    walk = np.random.default_rng(seed).uniform(-60, 60, (6, 3)) * (1, 1, 0.1)
+    return walk - walk[0]
+
+
+def model_of(centres: np.ndarray) -> pycolmap.Reconstruction:
+    """A model with a camera at each centre (N, 3), all of one rotation."""
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera.create_from_model_name(1, "PINHOLE", 30, 40, 30)
+    )
+    rotation = pycolmap.Rotation3d(Rotation.from_euler("xyz", [0.4, -0.3, 0.2]).as_quat())
+    for number, centre in enumerate(centres, start=1):
+        image = pycolmap.Image(NAMES[number - 1], camera_id=1, image_id=number)
+        pose = pycolmap.Rigid3d(rotation, -rotation.matrix() @ centre)
+        model.add_image_with_trivial_frame(image, pose)
+        model.register_frame(model.images[number].frame_id)
+    return model
+
+
+def centres_of(model: pycolmap.Reconstruction) -> np.ndarray:
+    by_name = {image.name: image.projection_center() for image in model.images.values()}
+    return np.array([by_name[name] for name in sorted(by_name)])
+
+
+def test_gps_gives_metres_east_north_and_up(tmp_path: Path) -> None:
+    true = places()
+    noise = np.random.default_rng(1).normal(0, 0.5, true.shape)
+    for name, place in zip(NAMES, true + noise, strict=True):
+        tag(tmp_path / name, place)
+    turn = Rotation.from_euler("xyz", [1.0, 0.5, -2.0]).as_matrix()
+    model = model_of(0.013 * true @ turn.T + (3, -2, 8))
+    facts = to_metres(model, tmp_path, NAMES, GPS)
+    assert np.linalg.norm(centres_of(model) - (true - noise[0]), axis=1).max() < 2
+    assert facts["unit"] == "m" and facts["frame"].startswith("east, north, up; origin at -33.85")
+    assert 0.1 < facts["median_gps_residual_m"] <= facts["largest_gps_residual_m"] < 2
+
+
+def test_a_wrong_position_counts_as_none(tmp_path: Path) -> None:
+    true = places()
+    for number, name in enumerate(NAMES):
+        tag(tmp_path / name, true[number] + (300 * (number == 4), 0, 0))
+    model = model_of(0.5 * true)
+    facts = to_metres(model, tmp_path, NAMES, GPS)
+    assert np.linalg.norm(centres_of(model) - true, axis=1).max() < 0.1
+    assert facts["largest_gps_residual_m"] == pytest.approx(300, abs=0.1)
+    assert facts["median_gps_residual_m"] < 0.1
+
+
+def test_positions_that_do_not_agree_are_told(tmp_path: Path) -> None:
+    for name, place in zip(NAMES, 1000 * places(), strict=True):
+        tag(tmp_path / name, place)
+    rng = np.random.default_rng(3)
+    with pytest.raises(MappingError, match="no similarity that brings 6 cameras to 15 m from"):
+        to_metres(model_of(rng.standard_normal((6, 3))), tmp_path, NAMES, GPS)
+
+
+@pytest.mark.parametrize("count", [0, 2])
+def test_few_positions_are_refused(tmp_path: Path, count: int) -> None:
+    for number, name in enumerate(NAMES):
+        PIL.Image.new("RGB", (40, 30)).save(tmp_path / name)
+        if number < count:
+            tag(tmp_path / name, places()[number])
+    with pytest.raises(InputError, match=f"{count} of 6 photographs have a GPS position"):
+        known_metres(tmp_path, NAMES, GPS)
+
+
+def test_positions_on_a_line_are_refused(tmp_path: Path) -> None:
+    for number, name in enumerate(NAMES):
+        tag(tmp_path / name, number * np.array([20.0, 5.0, 0.1]))
+    with pytest.raises(InputError, match="6 positions on one line"):
+        known_metres(tmp_path, NAMES, GPS)
+
+
+def test_the_distance_of_two_cameras_gives_the_scale(tmp_path: Path) -> None:
+    true = places()
+    model = model_of(0.02 * true)
+    metres = float(np.linalg.norm(true[1] - true[4]))
+    options = ReconstructionOptions(scale=f"{NAMES[1]},{NAMES[4]},{metres}")
+    facts = to_metres(model, tmp_path, NAMES, options)
+    assert facts == {"unit": "m", "frame": "the model's own"}
+    np.testing.assert_allclose(centres_of(model), true, atol=1e-6)
+    with pytest.raises(InputError, match="view4.png is not in the model"):
+        to_metres(model_of(true[:4]), tmp_path, NAMES, options)
+
+
+def test_without_either_a_model_stays(tmp_path: Path) -> None:
+    model = model_of(places())
+    assert to_metres(model, tmp_path, NAMES, ReconstructionOptions()) == {}
+    np.testing.assert_allclose(centres_of(model), places(), atol=1e-9)
+
+
+def test_the_command(tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    views = view_folder(folder)
+    true = np.array([view.centre for view in views])
+    for number, place in enumerate(7.5 * (true - true[0])):
+        tag(folder / NAMES[number], place)
+    fast = ("--K", K_text(), "--weights", "sift", "--runs", 1, "--workers", 1)
+
+    def reconstruct(*words: object) -> tuple[object, Path]:
+        out = tmp_path / str(len(list(tmp_path.iterdir())))
+        return run("reconstruct", folder, "--out", out, *fast, *words), out
+
+    for words in (("--gps",), ("--scale", f"view0.png,view3.png,{7.5 * apart(true)}")):
+        result, out = reconstruct(*words)
+        assert result.exit_code == 0, result.output  # type: ignore[attr-defined]
+        assert "unit: m\nframe: " in result.stdout  # type: ignore[attr-defined]
+        assert '"unit": "m"' in (out / "summary.json").read_text()
+        centres = centres_of(pycolmap.Reconstruction(out / "sparse"))
+        assert apart(centres) == pytest.approx(7.5 * apart(true), rel=0.02)
+    for words in (
+        ("--scale", "view0.png,nosuch.png,2"),
+        ("--scale", "view0.png,view1.png,0"),
+        ("--scale", "view0.png,view0.png,2"),
+        ("--scale", "view0.png,view1.png,2", "--gps"),
+    ):
+        result, out = reconstruct(*words)
+        assert_refused(result, "--scale must be two of the 4 images")  # type: ignore[arg-type]
+        assert not out.exists()
+
+
+def apart(centres: np.ndarray) -> float:
+    """The distance of the first and the last of four."""
+    return float(np.linalg.norm(centres[3] - centres[0]))

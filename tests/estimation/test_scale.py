@@ -1,0 +1,130 @@
+"""The length of t of scenes whose points are known, beside deviations that it states."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from dgc_pose import InputError, RelativePose, ScaleSource, estimate_pose
+from dgc_pose.estimation.scale import with_length
+from dgc_pose.images.depth import read_depth
+from two_view import SIZE1, SIZE2, TwoViewScene, two_view_scene
+
+LENGTH = 1.7  # metres, of t
+
+
+@lru_cache
+def scene_and_pose(seed: int) -> tuple[TwoViewScene, np.ndarray, RelativePose]:
+    """A scene, its points (N, 3) in camera 1, metres, and the estimated pose."""
+    scene, exact = two_view_scene(seed=seed), two_view_scene(seed=seed, sigma_px=0.0)
+    cam1 = exact.K1 @ np.eye(3, 4)
+    cam2 = exact.K2 @ np.column_stack([exact.R, LENGTH * exact.t])
+    points = cv2.triangulatePoints(cam1, cam2, exact.points1.T, exact.points2.T)
+    pose = estimate_pose(scene.matches, *scene.cameras)
+    assert pose.success and pose.length is None and pose.length_std is None
+    return scene, (points[:3] / points[3]).T, pose
+
+
+def depth_map(
+    pixels: np.ndarray, z: np.ndarray, size: tuple[int, int], noise: float
+) -> np.ndarray | None:
+    """A depth map that is known around the pixels (N, 2) alone, z (N,) of each with its noise."""
+    depth = np.zeros(size[::-1])
+    factors = 1 + noise * np.random.default_rng(0).standard_normal(len(z))
+    for (x, y), value in zip(np.rint(pixels).astype(int), z * factors, strict=True):
+        depth[y - 2 : y + 3, x - 2 : x + 3] = max(value, 0)
+    return read_depth(depth, "depth1", size, 1)
+
+
+def maps_of(seed: int, noise: float = 0.02) -> list[np.ndarray | None]:
+    scene, points, _ = scene_and_pose(seed)
+    z2 = (points @ scene.R.T + LENGTH * scene.t)[:, 2]
+    true = scene.true
+    return [
+        depth_map(scene.points1[true], points[true, 2], SIZE1, noise),
+        depth_map(scene.points2[true], z2[true], SIZE2, noise),
+    ]
+
+
+@pytest.mark.parametrize("images", [(1,), (2,), (1, 2)])
+def test_depth_maps_tell_the_length_as_surely_as_they_say(images: tuple[int, ...]) -> None:
+    within = []
+    for seed in range(8):
+        scene, _, pose = scene_and_pose(seed)
+        both = maps_of(seed)
+        maps = [both[n] if n + 1 in images else None for n in range(2)]
+        result = with_length(pose, scene.matches, ScaleSource(), maps)
+        assert result.length is not None and result.length_std is not None
+        assert result.warnings == pose.warnings and result.t is pose.t
+        assert abs(result.length / LENGTH - 1) < 0.03
+        assert 0.01 < result.length_std / LENGTH < 0.04
+        within.append(abs(result.length - LENGTH) < 1.645 * result.length_std)
+    assert sum(within) >= 6
+
+
+def test_a_depth_map_of_another_scene_is_doubted() -> None:
+    scene, points, pose = scene_and_pose(0)
+    z = np.random.default_rng(1).permutation(points[scene.true, 2])
+    maps = [depth_map(scene.points1[scene.true], z, SIZE1, 0.0), None]
+    result = with_length(pose, scene.matches, ScaleSource(), maps)
+    assert result.length_std is None
+    assert "the matches contradict the depth" in result.warnings[-1]
+
+
+def test_too_few_depths_tell_nothing() -> None:
+    scene, points, pose = scene_and_pose(0)
+    few = np.flatnonzero(pose.inliers)[:5]
+    maps = [depth_map(scene.points1[few], points[few, 2], SIZE1, 0.0), None]
+    result = with_length(pose, scene.matches, ScaleSource(), maps)
+    assert result.length is None
+    assert result.warnings[-1] == "the length of t is not known: 5 inliers have a depth"
+
+
+def test_a_focal_length_that_is_uncertain_widens_the_deviation() -> None:
+    scene, _, pose = scene_and_pose(0)
+    assert pose.camera1 is not None
+    unsure = replace(pose, camera1=replace(pose.camera1, focal_std=0.1))
+    results = [with_length(p, scene.matches, ScaleSource(), maps_of(0)) for p in (pose, unsure)]
+    assert results[0].length == results[1].length
+    assert results[0].length_std is not None and results[1].length_std is not None
+    assert results[1].length_std > 0.1 * LENGTH > 3 * results[0].length_std
+
+
+def test_the_length_is_text() -> None:
+    scene, _, pose = scene_and_pose(0)
+    assert "t [" in repr(pose) and "], up to scale" in repr(pose)
+    stated = with_length(pose, scene.matches, ScaleSource(baseline=(1.5,)), [None, None])
+    assert (stated.length, stated.length_std) == (1.5, None)
+    assert "], 1.5 m\n" in repr(stated)
+    stated = with_length(pose, scene.matches, ScaleSource(baseline=(1.5, 0.02)), [None, None])
+    assert "], 1.5 m +- 0.02 m\n" in repr(stated)
+    assert stated.as_dict()["length"] == 1.5 and stated.as_dict()["length_std"] == 0.02
+
+
+def test_without_a_pose_or_a_source_nothing_changes() -> None:
+    scene, _, pose = scene_and_pose(0)
+    assert with_length(pose, scene.matches, ScaleSource(), [None, None]) is pose
+    matches = two_view_scene("random").matches
+    failure = estimate_pose(matches, *scene.cameras)
+    assert not failure.success
+    source = ScaleSource(baseline="2")
+    assert with_length(failure, matches, source, [None, None]) is failure
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"baseline": (0.0,)},
+        {"baseline": (1.0, np.inf)},
+        {"distance": (1.0, 2.0, 3.0, 4.0)},
+        {"distance": "1,2,3,4,nan"},
+        {"depth_std": 0.0},
+        {"baseline": (1.0,), "distance": (1.0, 2.0, 3.0, 4.0, 5.0)},
+        {"depth1": "a.png", "depth2": "b.png", "baseline": (1.0,)},
+    ],
+)
+def test_sources_out_of_range_are_refused(values: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=list(values)[0]):
+        ScaleSource(**values)  # type: ignore[arg-type]
