@@ -26,15 +26,24 @@ _SPARSE = "sparse"  # the folder of models in a folder of results
 
 @dataclass(frozen=True, eq=False)
 class PosedModel:
-    """Images of one folder with their cameras and poses, all in one frame and unit."""
+    """Images of one folder with their cameras and poses, all in one frame and unit.
 
-    root: Path  # of the image names
-    cameras: Mapping[str, Camera]  # by name, with the size of the image
-    poses: Mapping[str, np.ndarray]  # cam_from_world (3, 4) by name
-    # Points (N, 3) in the world by image name, and where the image shows them (N, 2), pixels.
+    Attributes:
+        root: Folder of the image names.
+        cameras: By image name, with the size of the image.
+        poses: cam_from_world (3, 4), [R | t] with x = R X + t, by image name.
+        points: By image name the points (N, 3), world, that the image shows, and where, (N, 2),
+            pixels; empty without points.
+        warnings: Sentences about what is missing, for people.
+        files: COLMAP's folder of the model; None if it is of another kind.
+    """
+
+    root: Path
+    cameras: Mapping[str, Camera]
+    poses: Mapping[str, np.ndarray]
     points: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    files: Path | None = None  # COLMAP's folder of the model, if it is of COLMAP
+    files: Path | None = None
 
     def centre(self, name: str) -> np.ndarray:
         """Position (3,) of a camera, world."""
@@ -45,14 +54,6 @@ class PosedModel:
         """The largest distance of two cameras, in the model's unit."""
         centres = np.stack([self.centre(name) for name in self.poses])
         return float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
-
-    def without(self, name: str) -> PosedModel:
-        """The model without an image."""
-        return replace(
-            self,
-            poses={other: pose for other, pose in self.poses.items() if other != name},
-            cameras={other: camera for other, camera in self.cameras.items() if other != name},
-        )
 
 
 def centre_of(pose: np.ndarray) -> np.ndarray:
