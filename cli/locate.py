@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from dgc_pose.cli.guard import STDOUT, OutputFile, OutputFolder
 from dgc_pose.cli.options import KChoice
 from dgc_pose.cli.output import row_lines
 from dgc_pose.cli.process import say
+from dgc_pose.cli.progress import progress_bars
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import percent_text
@@ -105,6 +107,8 @@ def locate(
     for warning in model.warnings:
         say(f"warning: {warning}")
     locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)
+    with progress_bars() as progress:
+        locator.describe(partial(progress, "images"))
     json_file = None if place.json == STDOUT else place.json
     locations: dict[str, Location] = {}
     with staged(json_file, place.plot) as stage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -74,11 +74,12 @@ class Locator:
             lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
         )
 
-    def describe(self) -> None:
+    def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Compute the coarsest features of the model's images, which choose references."""
-        for name in self.model.poses:
+        for done, name in enumerate(self.model.poses, start=1):
             if name not in self._features:
                 self._features[name] = self.matcher.coarse_features(self._image(name))
+            progress(done, len(self.model.poses))
 
     def locate(
         self,
