@@ -112,7 +112,9 @@ class Locator:
             start = time.perf_counter()
             pair = self.matcher.search(self._image(name), image)
             cameras = self.model.cameras[name], search.pair_camera
-            pose = pose_of_pair(pair, *cameras, self.options)
+            # The pose of a further pair is hardly in doubt where the location is known.
+            effort = "fast" if search.is_placed else self.options.effort
+            pose = pose_of_pair(pair, *cameras, replace(self.options, effort=effort))
             matches, matched = pair.last.matches, time.perf_counter()
             search.add(name, pose, matches, *self._points(name, image, pose, matches))
             seconds["match"] += matched - start

@@ -31,7 +31,7 @@ _PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice o
 _CHANCE = 0.1  # that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # of a pair
 _MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the references
-_ERROR_FACTOR = 1.5  # of expected errors, over the jackknife's: docs/experiments.md
+_ERROR_FACTOR = 1.75  # of expected errors, over the jackknife's: docs/experiments.md
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +107,11 @@ class ReferenceSearch:
                 lens_std=float(stds[3]),
                 focal_source="matches",
             )
+
+    @property
+    def is_placed(self) -> bool:
+        """Whether the location is nearly certain."""
+        return len(self.agreeing) > 1 and self._probability() > _MOST_PROBABLE
 
     @property
     def pair_camera(self) -> Camera:
