@@ -21,8 +21,8 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
     """The image with a mask of its pixels as stored; without one, None, the image as it is.
 
     source: a path, or an array (H, W), or (H, W, C) of colours. Pixels that are 0, False or black
-    are not matched. A mask of another size is scaled to that of the image. name: of the argument
-    in errors, which have the path without it.
+    are not matched, and get the mean colour of the others. A mask of another size is scaled to that
+    of the image. name: of the argument in errors, which have the path without it.
 
     Raises ImageError, with the path, if a file cannot be read; InputError, with `name`, if an array
     has another shape, if the mask has another aspect ratio than the image, and if it leaves no
@@ -43,7 +43,9 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
         used = cv2.resize(used.astype(np.uint8), image.size, interpolation=nearest).astype(bool)
     if not used.any():
         raise InputError(argument, "leaves no pixel of the image")
-    return replace(image, mask=used)
+    pixels = image.pixels.copy()
+    pixels[~used] = pixels[used].mean(0)  # or the network would match what is masked
+    return replace(image, pixels=pixels, mask=used)
 
 
 def mask_file(folder: str | Path | None, name: str) -> Path | None:

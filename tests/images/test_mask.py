@@ -1,5 +1,6 @@
 """Masks: what is read, scaled and refused, and which points lie on masked pixels."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -23,8 +24,12 @@ def _file(path: Path, pixels: np.ndarray) -> Path:
 
 def _mask(source: object) -> np.ndarray:
     image = masked(IMAGE, source, "mask1")  # type: ignore[arg-type]
-    assert image.mask is not None and image.pixels is IMAGE.pixels and image.mask.dtype == bool
-    return image.mask
+    assert image.mask is not None and image.mask.dtype == bool
+    used = image.mask
+    assert np.array_equal(image.pixels[used], IMAGE.pixels[used])
+    mean = IMAGE.pixels[used].mean(0)
+    assert np.abs(image.pixels[~used] - mean).max(initial=0) < 1
+    return used
 
 
 def test_black_alone_is_ignored_in_files_of_every_kind(tmp_path: Path) -> None:
@@ -110,8 +115,8 @@ def test_points_on_masked_pixels() -> None:
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_a_mask_is_turned_with_its_pixels(orientation: int) -> None:
     pixels = np.dstack([USED * np.uint8(255), *np.indices(USED.shape).astype(np.uint8)])
-    turned = masked(Image(np.ascontiguousarray(pixels)), USED).oriented(orientation)
-    plain = Image(np.ascontiguousarray(pixels)).oriented(orientation)
+    image = Image(np.ascontiguousarray(pixels), mask=USED)
+    turned, plain = image.oriented(orientation), replace(image, mask=None).oriented(orientation)
     assert turned.mask is not None and np.array_equal(turned.mask, turned.pixels[..., 0] > 0)
     assert np.array_equal(turned.pixels, plain.pixels) and turned.pixels.flags.c_contiguous
 

@@ -56,7 +56,7 @@ def test_every_pixel_counts_on_images_of_any_size() -> None:
     """Every second pixel is masked, of a large image; the map's matches lie anywhere."""
     rng = np.random.default_rng(0)
     large = [Image(cv2.resize(pixels, SIDE)) for pixels in dense_scene.pictures()]
-    both = [masked(image, rng.random(SIDE[::-1]) < 0.5) for image in large]
+    both = [replace(image, mask=rng.random(SIDE[::-1]) < 0.5) for image in large]
     dense = dense_scene.true_map()
     dense = replace(dense, map=4 * dense.map, grid=4 * dense.grid, size1=tuple(SIDE))
     matcher = dense_scene.MapMatcher(replace(dense, size2=tuple(SIDE)))
