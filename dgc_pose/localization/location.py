@@ -23,7 +23,7 @@ class Reference:
     """A photograph of the model that was matched with the one to be located."""
 
     name: str
-    matches: Matches  # points1 in the reference, points2 in the photograph
+    matches: Matches  # points1 in the reference; points2 in the photograph as its camera has it
     inliers: np.ndarray  # (N,) bool, the matches that agree with the location
     probability: float  # that the pose of the pair is right
     agrees: bool  # whether the location rests on it
@@ -47,8 +47,8 @@ class Location:
             the expected errors of right locations hold nine times in ten. None unless located.
         probability: Probability that R is within 5 degrees and the centre within 5 % of the
             largest distance of two cameras of the model; 0 unless located.
-        camera: The photograph's camera, with the focal length that the matches determine, if it had
-            a deviation; None if it is nowhere.
+        camera: The photograph's camera; if it is located, with the focal length that the matches
+            determine, if it had a deviation.
         warnings: Sentences for people.
         seconds: Time by what was done: "load", "describe", "match", "estimate".
     """

@@ -180,7 +180,7 @@ class ReferenceSearch:
         likely = [pair for pair in self.pairs if pair.pose.success]
         if not likely:
             reason = f"none of {len(self.pairs)} references has a pose that is likely"
-            return Location("nowhere", reason, references)
+            return Location("nowhere", reason, references, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
         assert best.pose.R is not None and best.pose.t is not None  # of a success
         R, t, camera = best.pose.R @ self.model.poses[best.name][:, :3], best.pose.t, self.camera
@@ -188,7 +188,7 @@ class ReferenceSearch:
         if len(likely) > 1:
             if pose is None or not self._is_claimed(self._probability()):
                 reason = f"the poses of {len(likely)} references do not agree"
-                return Location("nowhere", reason, references)
+                return Location("nowhere", reason, references, camera=self.camera)
             R, t = pose.R, self.sights[best.name].pair_pose(pose)[1]
             camera, why = self.fitted, "they lie on one line of sight"
         return Location(

@@ -30,13 +30,14 @@ def plot_location(model: PosedModel, photo: str, location: Location) -> Figure:
     place = f"the centre within {location.position_error_90 or 0:.2g}, nine times in ten"
     error = f"R within {location.rotation_error_90_deg or 0:.2f}°, {place}"
     figure.suptitle(f"{Path(photo).name}: {error if location.success else location.reason}")
-    image = load_image(photo, upright=True)
+    image = load_image(photo).oriented(location.camera.orientation if location.camera else 1)
     used = [reference for reference in location.references if reference.agrees]
     best = sorted(used or location.references, key=lambda r: -r.inliers.sum())[:2]
     for row, reference in enumerate(best):
         matches = reference.matches.subset(reference.inliers)
         drawn = matches.subset(spread(matches.points2, matches.confidence, image.size, _DRAWN))
-        pixels = load_image(model.root / reference.name).pixels
+        orientation = model.cameras[reference.name].orientation
+        pixels = load_image(model.root / reference.name).oriented(orientation).pixels
         panel = figure.add_subplot(grid[row, 1])
         points = drawn.points1, drawn.points2
         draw_matches(panel, pixels, image.pixels, *points, drawn.confidence)

@@ -95,6 +95,8 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
     ):
         assert_refused(locate(folder, *words, *given), expected)
     assert_refused(locate(folder, *given, photo="absent.png"), "absent.png")
+    inside = locate(folder, *given, "--K", K_text(), photo="images/view2.png")
+    assert_refused(inside, "--add", "has an image view2.png of the model already")
     several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
     assert_refused(several, "--plot", "draws a single photograph, not 2")
     assert contents(tmp_path) == {} and contents(folder) == before
