@@ -104,9 +104,11 @@ class Sight:
         return replace(problem, points2=points2)
 
     def agrees(self, pose: WorldPose) -> bool:
-        """Whether a hypothesis of the pair has the rotation of a pose, and the matches fit both
-        alike."""
+        """Whether a hypothesis of the pair is within 10 degrees of a pose; or its rotation is, and
+        the matches fit both alike, as where the cameras are near each other."""
         under = self.hypothesis(pose)
+        if under.is_among(self.hypotheses):
+            return True
         most = max(hypothesis.num_in_front for hypothesis in self.hypotheses)
         near = any(rotation_error_deg(under.R, h.R) < DISTINCT_DEG for h in self.hypotheses)
         return near and under.num_in_front >= _AGREEING_SHARE * most
