@@ -183,8 +183,8 @@ def generalized_pose(
     options: EstimationOptions,
     seed: int,
 ) -> RigidPose | None:
-    """The pose of image 2 of several problems, whose images 1 have these poses: one RANSAC run on
-    the generalised relative pose (six-point solver); None if it fails."""
+    """The pose of image 2 of several problems of five matches or more, whose images 1 have these
+    poses: one RANSAC run on the generalised relative pose (six-point solver); None if it fails."""
     matches = []
     for number, problem in enumerate(problems):
         match = poselib.PairwiseMatches()

@@ -78,7 +78,8 @@ def _starts(
     sights: Sequence[Sight], points: Sequence[PointSight], options: EstimationOptions
 ) -> list[WorldPose]:
     poses = [pose for pair in combinations(sights, 2) for pose in _of_two(*pair)]
-    samples = [sample for sample in map(_explained, sights) if len(sample)]
+    # PoseLib draws five matches of a pair without end, if no pair has them.
+    samples = [sample for sample in map(_explained, sights) if len(sample) >= _MIN_INLIERS]
     runs: list[RigidPose | None] = []
     if len(samples) > 1:
         problems = [sample.problem for sample in samples]

@@ -102,6 +102,17 @@ def test_expected_errors_hold() -> None:
     assert 0.75 <= np.mean(within) <= 1.0
 
 
+def test_hypotheses_of_few_matches_are_no_start() -> None:
+    """PoseLib would draw from them for ever."""
+    sights = []
+    for sight in _sights(world_scene())[:2]:
+        hypothesis = sight.hypotheses[0]
+        few = np.arange(len(sight)) < 4
+        hypothesis = replace(hypothesis, inliers=few, in_front=few, R=hypothesis.R.T)
+        sights.append(replace(sight, hypotheses=[hypothesis]))
+    assert located(sights, [], EXACT, OPTIONS) is None
+
+
 def test_a_previous_pose_is_the_start_where_the_last_sight_agrees() -> None:
     scene = world_scene()
     sights = _sights(scene)
