@@ -81,12 +81,7 @@ def pose_covariance(
     covariances = []
     try:
         for shift in SHIFTS:
-            sums = block_sums(terms, inliers.points2, shift)
-            blocks = len(sums)
-            left_out = sums[:, : count**2].reshape(-1, count, count)
-            gradient = sums[:, count**2 :, None]
-            moves = np.linalg.solve((1 + _RIDGE) * total - left_out, gradient)[:, :, 0]
-            covariances.append((blocks - 1) / blocks * moves.T @ moves)
+            covariances.append(jackknife(total, block_sums(terms, inliers.points2, shift)))
         covariance = np.mean(covariances, axis=0)
         if count > 5:
             inverse = np.linalg.inv(total)
@@ -155,6 +150,20 @@ def _incomplete_gamma(a: float, x: float) -> float:
         term *= x / a
         total += term
     return total
+
+
+def jackknife(total: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """The covariance (P, P) of P parameters by leaving out one group after the other.
+
+    total: their information (P, P), with any prior's. sums: (G, P * P + P) of each group, its
+    information and the gradient of its loss. Raises LinAlgError if the rest determines none.
+    """
+    count, groups = len(total), len(sums)
+    left_out = sums[:, : count**2].reshape(-1, count, count)
+    gradient = sums[:, count**2 :, None]
+    moves = np.linalg.solve((1 + _RIDGE) * total - left_out, gradient)[:, :, 0]
+    covariance: np.ndarray = (groups - 1) / groups * moves.T @ moves
+    return covariance
 
 
 def block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:

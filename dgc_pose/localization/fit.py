@@ -15,7 +15,7 @@ import numpy as np
 
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
-from dgc_pose.estimation.covariance import block_sums
+from dgc_pose.estimation.covariance import block_sums, jackknife
 from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, error_scale
 from dgc_pose.estimation.robust_fit import (
     RigidPose,
@@ -37,7 +37,6 @@ _MAX_STARTS = 3  # that are fitted
 _ALIKE_DEG = 15.0  # between the rotations of two pairs that may be of one pose
 _STEPS, _CONVERGED = 12, 1e-6
 _MIN_KEPT = 0.95  # of the score, or a fit is rejected
-_RIDGE = 1e-9
 
 
 def located(
@@ -215,16 +214,8 @@ def world_covariance(
     total = prior + groups[0][:, : count**2].sum(0).reshape(count, count)
     try:
         inverse = np.linalg.inv(total)
-        covariance = np.mean([_jackknife(total, sums) for sums in groups], axis=0)
+        covariance = np.mean([jackknife(total, sums) for sums in groups], axis=0)
     except np.linalg.LinAlgError:
         return None
     covariance += inverse @ prior @ inverse
     return covariance if np.isfinite(covariance).all() else None
-
-
-def _jackknife(total: np.ndarray, sums: np.ndarray) -> np.ndarray:
-    count, groups = len(total), len(sums)
-    left_out = sums[:, : count**2].reshape(-1, count, count)
-    moves = np.linalg.solve((1 + _RIDGE) * total - left_out, sums[:, count**2 :, None])[:, :, 0]
-    covariance: np.ndarray = (groups - 1) / groups * moves.T @ moves
-    return covariance
