@@ -11,6 +11,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
+from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.localization.fit import located, world_covariance
@@ -165,18 +166,27 @@ class ReferenceSearch:
         return float(np.trace(np.linalg.pinv(information + added)))
 
     def _accurate(self) -> bool:
-        location = self._located()
-        if location is None or len(self.agreeing) < _MIN_AGREEING:
+        """Whether the expected errors suffice."""
+        if self.covariance is None or len(self.agreeing) < _MIN_AGREEING or not self._is_located():
             return False
-        rotation, position = location.rotation_error_90_deg, location.position_error_90
-        assert rotation is not None and position is not None  # of a location
+        rotation = error_radius_deg(self.covariance[:3, :3])
+        position = error_radius(self.covariance[3:6, 3:6])
         return rotation < _ACCURATE_DEG and position < _ACCURATE_SHARE * self.model.extent
 
     def location(self) -> Location:
         """The result of the references that were matched."""
-        if (location := self._located()) is not None:
-            return location
-        references, pose = self._references(), self.pose
+        references, pose = tuple(map(self._reference, self.pairs)), self.pose
+        if pose is not None and self.covariance is not None and self._is_located():
+            return Location(
+                "located",
+                "",
+                references,
+                pose.R,
+                pose.centre,
+                covariance=self.covariance[:6, :6],
+                probability=self._probability(),
+                camera=self.fitted,
+            )
         likely = [pair for pair in self.pairs if pair.pose.success]
         if not likely:
             reason = f"none of {len(self.pairs)} references has a pose that is likely"
@@ -186,7 +196,7 @@ class ReferenceSearch:
         R, t, camera = best.pose.R @ self.model.poses[best.name][:, :3], best.pose.t, self.camera
         why = f"{best.name} alone has a pose"
         if len(likely) > 1:
-            if pose is None or not self._is_claimed(self._probability()):
+            if pose is None or not self._is_claimed():
                 reason = f"the poses of {len(likely)} references do not agree"
                 return Location("nowhere", reason, references, camera=self.camera)
             R, t = pose.R, self.sights[best.name].pair_pose(pose)[1]
@@ -201,29 +211,17 @@ class ReferenceSearch:
             camera=camera,
         )
 
-    def _is_claimed(self, probability: float) -> bool:
-        return probability >= (self.options.min_probability or 0)
-
-    def _located(self) -> Location | None:
-        """The location, if there is one."""
-        probability, pose, covariance = self._probability(), self.pose, self.covariance
-        if pose is None or covariance is None or not self.agreeing:
-            return None
+    def _is_located(self) -> bool:
+        """Whether the location is probable, and its distance from the references determined."""
+        if self.pose is None or self.covariance is None or not self.agreeing:
+            return False
         centres = np.stack([sight.centre for sight in self.agreeing.values()])
-        distance = float(np.median(np.linalg.norm(centres - pose.centre, axis=1)))
-        std = math.sqrt(float(np.linalg.eigvalsh(covariance[3:6, 3:6])[-1]))
-        if not self._is_claimed(probability) or std > _MAX_RELATIVE_STD * distance:
-            return None
-        return Location(
-            "located",
-            "",
-            self._references(),
-            pose.R,
-            pose.centre,
-            covariance=covariance[:6, :6],
-            probability=probability,
-            camera=self.fitted,
-        )
+        distance = float(np.median(np.linalg.norm(centres - self.pose.centre, axis=1)))
+        std = math.sqrt(float(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1]))
+        return self._is_claimed() and std <= _MAX_RELATIVE_STD * distance
+
+    def _is_claimed(self) -> bool:
+        return self._probability() >= (self.options.min_probability or 0)
 
     def _probability(self) -> float:
         """That the location is right: the pairs that agree with it are, and the others are not; or
@@ -233,9 +231,6 @@ class ReferenceSearch:
             right = min(max(pair.probability, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
             log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)
         return 1 / (1 + math.exp(-log_odds))
-
-    def _references(self) -> tuple[Reference, ...]:
-        return tuple(self._reference(pair) for pair in self.pairs)
 
     def _reference(self, pair: Pair) -> Reference:
         sight, inliers = self.agreeing.get(pair.name), pair.pose.inliers
