@@ -58,8 +58,9 @@ def reconstruct(
             f"{out / known[0]} is there already, and {out} holds no batch to go on with"
         )
     reconstruction.require_model_folder(out / reconstruction.MODEL)
-    images = open_source(Path(source), inputs.root)
-    known_metres(images.root, images.names, options)  # refused before the matching
+    if options.gps or options.scale:  # refused before the matching
+        images = open_source(Path(source), inputs.root, inputs.masks)
+        known_metres(images.root, images.names, options)
     start = time.perf_counter()
     batch = work_through(
         source,
