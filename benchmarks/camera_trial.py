@@ -48,7 +48,7 @@ class CameraTrial:
         return self != CameraTrial()
 
     def cameras(self, pair: PosedPair) -> tuple[Camera, Camera]:
-        """What a method is told of a pair, with the warnings that a user would get.
+        """What a method gets of a pair, with the warnings that a user would get.
 
         Raises InputError if a user would be refused the cameras.
         """

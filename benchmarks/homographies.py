@@ -58,7 +58,7 @@ class HomographyPair:
     path1: Path
     path2: Path
     H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
-    size1: tuple[int, int] | None = None  # (width, height) that H was made for, if a list says
+    size1: tuple[int, int] | None = None  # (width, height) that H was made for, if a list has it
 
 
 @dataclass(frozen=True)

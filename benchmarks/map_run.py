@@ -34,7 +34,7 @@ class MapSet:
 
     cases: Iterable[MapCase]
     total: int  # pairs
-    facts: Mapping[str, Any]  # what the JSON says of the set
+    facts: Mapping[str, Any]  # what the JSON has of the set
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:

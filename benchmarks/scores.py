@@ -66,16 +66,16 @@ class PairScore(PoseScore):
 class CameraScore(PairScore):
     """A row of bench-pairs whose cameras are withheld or changed."""
 
-    rotation_90_deg: float  # what the pose expects of its error; NaN if it does not say
+    rotation_90_deg: float  # what the pose expects of its error; NaN if it has none
     translation_90_deg: float
     probability: float  # that R and t are both within 10 degrees
     focal1_error: float  # ln of the focal length of the pose over the true one; NaN without a pose
     focal2_error: float
-    focal1_std: float  # what the pose expects of it; 0 if it was told that K is exact
+    focal1_std: float  # what the pose expects of it; 0 if K was exact for it
     focal2_std: float
-    focal_ratio: float  # f that the matches suggest over that of K; NaN if they do not say
+    focal_ratio: float  # f that the matches suggest over that of K; NaN if they suggest none
     focal_ratio_std: float  # of its logarithm
-    doubts_camera: bool  # whether the pose says that a K may be wrong
+    doubts_camera: bool  # whether by the pose a K may be wrong
 
     tables = {RESULTS: (*PairScore.tables[RESULTS], *_CAMERA)}
 

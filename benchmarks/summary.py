@@ -103,7 +103,7 @@ class CameraSummary(MethodSummary):
 
     claimed: int  # poses
     wrong: int  # of them, over 10 degrees off in R or t (0 to 180)
-    doubted: int  # of all pairs: the pose says that a K may be wrong
+    doubted: int  # of all pairs: by the pose a K may be wrong
     told_percent: float  # doubted, or without a pose
     probability_error_percent: float  # expected calibration error, over the pairs that have one
     # Of the right poses that expect an error: whether that of R, of t, is within

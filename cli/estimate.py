@@ -74,8 +74,8 @@ def estimate(
     """Estimate the relative pose of two photographs.
 
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map, --baseline
-    or --distance tells its length. Exits with 3 and the reason if there is no pose, and with all of
-    them if several explain the matches alike.
+    or --distance states its length. Exits with 3 and the reason if there is no pose, and with all
+    of them if several explain the matches alike.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:

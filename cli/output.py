@@ -75,7 +75,7 @@ _SOURCES = {
 
 
 def _check_lines(pose: RelativePose) -> list[str]:
-    """What the matches say of exact focal lengths."""
+    """What the matches suggest of exact focal lengths."""
     check = None if pose.evidence is None or not pose.success else pose.evidence.focal_check
     if check is None:
         return []

@@ -105,8 +105,8 @@ def estimate_relative_pose(
     pixels of those images, (0, 0) the centre of the top-left pixel; or `Camera`s, which may have
     lens distortion; or texts and files as of --K. Without K2, K1 serves for both. matcher: by
     default `load_matcher()`, the shipped network with refinement. trace: whether to return a
-    `Trace`, the images, the map and the matches besides the pose. scale: what tells the length of
-    t. Without a pose, `success` is False and `reason` says why.
+    `Trace`, the images, the map and the matches besides the pose. scale: what determines the
+    length of t. Without a pose, `success` is False and `reason` says why.
 
     mask1, mask2: paths, or arrays (H, W), of the pixels as stored: where they are 0 or black,
     nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.

@@ -45,10 +45,10 @@ class PlanEntry:
     seed: int = option(0, min=0)
     scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
     altered: bool = False  # whether each pair is altered, see `altered.py`
-    # Scenes whose true poses are a tracker's, off by a degree or more: they tell right from wrong,
+    # Scenes whose true poses are a tracker's, off by a degree or more: they part right from wrong,
     # but not how accurate a pose is.
     rough: tuple[str, ...] = ()
-    # Whether its pairs are estimated without K, too. A plane tells no focal length: many of them
+    # Whether its pairs are estimated without K, too. A plane has no focal length: many of them
     # would teach little but that.
     withheld: bool = True
 

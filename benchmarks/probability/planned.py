@@ -50,7 +50,7 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     """The pairs of an entry. Pairs that are drawn are written as a list to the folder `lists`, and
     read from there the next time.
 
-    Raises InputError or ImageError if the data are not as the plan says.
+    Raises InputError or ImageError if the data are not as the plan has them.
     """
     folders = [data / path for path in entry.path]
     makers = {

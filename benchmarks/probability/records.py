@@ -31,7 +31,7 @@ _CHUNK = 16
 CameraCase = Literal["exact", "auto"]
 _SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken both images
 # Principal points farther from the middle, over the longer side, are of no photograph: of drawn
-# cameras. They say nothing of what the deviation of a focal length is worth.
+# cameras. They show nothing of what the deviation of a focal length is worth.
 _USUAL_CENTRE = 0.015
 _EQUAL_FOCAL = 1e-4  # difference of ln f of the K of one camera
 

@@ -46,7 +46,7 @@ class Judged:
 
     record: Record
     by_probability: bool
-    probability: float  # 0 if the evidence says that the translation is not determined
+    probability: float  # 0 if by the evidence the translation is not determined
     rotation_90_deg: float
     translation_90_deg: float
     ambiguous: bool = False

@@ -73,7 +73,7 @@ class PairBenchOptions:
     )
 
     def pair_set(self, pair_list: str | None, *, trial: bool) -> PairSet[Any]:
-        """The data set. trial: whether some method is told other cameras than the list's.
+        """The data set. trial: whether some method gets other cameras than the list's.
 
         Raises InputError or ImageError if it cannot be made.
         """
@@ -122,10 +122,10 @@ def bench_pairs(
 
     With --K and its like the K of LIST are withheld or changed, for all methods or, by NAME:K=auto,
     NAME:K=auto:shared or NAME:K_scale=0.8, for one of several that share their matches. Errors are
-    of the true cameras as before; a second table has the focal lengths and what the poses say.
+    of the true cameras as before; a second table has the focal lengths and what the poses state.
     """
     if options.out is not None:
-        import_module("dgc_pose.viz")  # it may be missing, which is better told before the work
+        import_module("dgc_pose.viz")  # it may be missing, which is better known before the work
     chosen = parse_methods(split_names(methods), matcher, estimation, cameras=cameras)
     trial = any(method.cameras.reports for method in chosen)
     pairs = options.pair_set(pair_list, trial=trial)

@@ -72,7 +72,7 @@ def bench_reconstruct(
 
     K is known and stays fixed, unless --K auto withholds it. Positions are compared after the best
     similarity; "% of extent" is their rms over the largest distance of two cameras. "f off" is the
-    mean error of the model's focal lengths, "pooled f off" of those that all pairs tell together;
+    mean error of the model's focal lengths, "pooled f off" of those that all pairs give together;
     AUC@5 is of the pairs' poses. All methods map with the same options.
     """
     out, truth, scale = bench.out, bench.truth, bench.scale

@@ -128,7 +128,7 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
 
     Photographs may have changed: their pairs are matched again.
 
-    Raises InputError, saying what differs, if the batch had other settings, images, pairs, or other
+    Raises InputError, naming what differs, if the batch had other settings, images, pairs, or other
     cameras of photographs that have not changed.
     """
     unchanged = [name for name in now.names if now.same_files([name], before.states)]

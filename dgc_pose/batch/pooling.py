@@ -122,7 +122,7 @@ def pooled_fit(
 
     fits: of pairs whose fits contain the prior, of the deviations `prior` (D,). images: that the
     camera took. Fits of pairs that share an image err alike: as many count as there are pairs
-    without an image in common. Fits that scatter more than their covariances say widen the result.
+    without an image in common. Fits that scatter more than by their covariances widen the result.
     """
     count = len(prior)
     if not fits:

@@ -30,8 +30,8 @@ def known_metres(
         with suppress(ValueError):
             if not options.gps and len({*names} & {*pair}) == len(pair) == 2 and float(metres) > 0:
                 return dict.fromkeys(pair, float(metres)), "the model's own"
-        told = f"must be two of the {len(names)} images and metres, without --gps"
-        raise InputError(ArgumentName("scale"), f"{told}, not {options.scale!r}")
+        needed = f"must be two of the {len(names)} images and metres, without --gps"
+        raise InputError(ArgumentName("scale"), f"{needed}, not {options.scale!r}")
     if not options.gps:
         return {}, ""
     tags = {}
@@ -41,8 +41,8 @@ def known_metres(
     tags = {name: position for name, position in tags.items() if position}
     places = np.array([*tags.values()]).reshape(-1, 3)
     if len(tags) < MIN_IMAGES:
-        told = f"{len(tags)} of {len(names)} photographs have a GPS position"
-        raise InputError(ArgumentName("gps"), f"needs {MIN_IMAGES} positions, and {told}")
+        count = f"{len(tags)} of {len(names)} photographs have a GPS position"
+        raise InputError(ArgumentName("gps"), f"needs {MIN_IMAGES} positions, and {count}")
     frame = "east, north, up; origin at {:.7f}, {:.7f}, {:.2f} m".format(*places[0])
     places = pycolmap.GPSTransform().ellipsoid_to_enu(places, *places[0])
     length, width, _ = np.linalg.svd(places - places.mean(0), compute_uv=False)
@@ -75,8 +75,8 @@ def to_metres(
         args = model, both, places, MIN_IMAGES, ransac
         aligned = pycolmap.align_reconstruction_to_locations(*args)
         if aligned is None:
-            told = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
-            raise MappingError(f"pycolmap has no similarity that brings {told}")
+            cameras = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
+            raise MappingError(f"pycolmap has no similarity that brings {cameras}")
         similarity = aligned
         off = [np.linalg.norm(aligned * centres[name] - known[name]) for name in both]
         residuals["median_gps_residual_m"] = round(float(np.median(off)), 3)

@@ -285,7 +285,7 @@ def check_focals(
 
     problem: of the matches, normalised by the cameras. first: the pose that these give. is_plane:
     whether its inliers lie on a plane, which poses of any focal length explain: then only other
-    matches tell that K is wrong.
+    matches show that K is wrong.
     """
     loose1, loose2 = (
         replace(c, focal_std=_CHECK_STD, centre_std=_CHECK_CENTRE_STD * c.focal, identity="both")

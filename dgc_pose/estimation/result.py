@@ -42,7 +42,7 @@ class RelativePose:
         R: Rotation (3, 3) from camera 1 to camera 2; None if it is not known.
         t: Direction (3,) of the translation, unit length, in camera 2's axes: where camera 1 is
             seen from camera 2. None if it is not known.
-        length: Distance between the cameras, metres, if a `ScaleSource` tells it.
+        length: Distance between the cameras, metres, if a `ScaleSource` determines it.
         length_std: Its standard deviation; None if that is not known.
         covariance: Covariance (6, 6), rad^2, of rank 5, of a rotation vector w and a change d of t,
             in camera 2's axes; the true pose is exp([w]x) R and t + d. None without a pose, and if

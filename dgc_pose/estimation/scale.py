@@ -28,7 +28,7 @@ _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
 _MIN_DEPTHS = 10  # inliers of known depth that a length needs
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
 _ALIKE = 30.0  # neighbouring depths err alike: so many are worth one beside the pose's covariance
-_MIN_NEAR, _NEAREST = 3, 9  # inliers that tell the depth at a point
+_MIN_NEAR, _NEAREST = 3, 9  # inliers that determine the depth at a point
 _STEPS = 30  # of reweighted least squares
 _UNKNOWN = np.full((1, 1), np.nan, np.float32)  # in place of a depth map
 _source = partial(option, None, type=str, section="scale")
@@ -38,7 +38,7 @@ _Numbers = str | tuple[float, ...] | None
 
 @dataclass(frozen=True, eq=False)
 class ScaleSource:
-    """What tells the length of t: one of depth maps, `baseline` and `distance`, or nothing.
+    """What determines the length of t: one of depth maps, `baseline` and `distance`, or nothing.
 
     Raises InputError, naming the field, for a value out of range, and for two of them.
 
@@ -84,7 +84,7 @@ def with_length(
 ) -> RelativePose:
     """The pose with the length of its t; as it is without a pose or a source.
 
-    matches: those that the pose is of. maps: of `scale`. A warning tells of depths that the matches
+    matches: those that the pose is of. maps: of `scale`. A warning states depths that the matches
     contradict, and of too few. Raises InputError for a point of `distance` with few inliers near.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
@@ -181,8 +181,8 @@ def _by_distance(
         near = [k for k in np.argsort(away)[:_NEAREST] if away[k] < radius]
         if len(near) < _MIN_NEAR:
             point = f"the point ({distance[2 * n]:g}, {distance[2 * n + 1]:g})"
-            told = f"with {len(near)} inliers within {radius * camera1.focal:.0f} pixels of it"
-            raise InputError(ArgumentName("distance"), f"has {point}, {told}")
+            count = f"with {len(near)} inliers within {radius * camera1.focal:.0f} pixels of it"
+            raise InputError(ArgumentName("distance"), f"has {point}, {count}")
         at[n] = np.median(inverse[:, near], axis=1)
         spread = np.median(np.abs(inverse[0, near] - at[n, 0]))
         off[n] = DEVIATION * spread + np.median(std[near])

@@ -28,16 +28,16 @@ def read_depth(
     if source is None:
         return None
     stored = source if isinstance(source, np.ndarray) else _read(Path(source))
-    told = f"has shape {stored.shape} and type {stored.dtype}"
+    shape = f"has shape {stored.shape} and type {stored.dtype}"
     if stored.ndim != 2 or stored.dtype.kind not in "uif" or stored.dtype.itemsize < 2:
-        raise InputError(ArgumentName(name), f"{told}, not (H, W) of floats or 16-bit integers")
+        raise InputError(ArgumentName(name), f"{shape}, not (H, W) of floats or 16-bit integers")
     depth = turned(stored, orientation) * np.float32(1 if stored.dtype.kind == "f" else 1e-3)
     known = np.isfinite(depth) & (depth > 0)
     if not known.any():
-        raise InputError(ArgumentName(name), f"{told}, and no depth above 0")
+        raise InputError(ArgumentName(name), f"{shape}, and no depth above 0")
     if abs(depth.shape[1] * size[1] / (depth.shape[0] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
         aspect = f"another aspect ratio than the {size[0]} x {size[1]} pixels of the photograph"
-        raise InputError(ArgumentName(name), f"{told}, {aspect}")
+        raise InputError(ArgumentName(name), f"{shape}, {aspect}")
     inverse = np.divide(1, depth, out=np.zeros(depth.shape, np.float32), where=known)
     least = cv2.erode(np.where(known, inverse, np.float32(np.inf)), np.ones(_WINDOW))
     is_surface = cv2.dilate(inverse, np.ones(_WINDOW)) / (1 + _STRADDLES) <= least

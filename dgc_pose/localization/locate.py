@@ -127,7 +127,7 @@ class Locator:
     def _references(
         self, image: Image, left_out: Sequence[str]
     ) -> tuple[list[str], tuple[str, ...]]:
-        """The images of the model that may be references, and what is told of others."""
+        """The images of the model that may be references, and a warning of others."""
         root = self.model.root
         same = [n for n in self.model.poses if _same_file(root / n, Path(image.name))]
         names = [n for n in self.model.poses if n not in {*left_out, *same}]

@@ -82,7 +82,7 @@ class Engine(Protocol):
         """16 hexadecimal digits that identify the weights, whatever runs them."""
 
     def encode(self, pixels: np.ndarray) -> MapFeatures:
-        """Features of an image, resized as `config.input_size` says."""
+        """Features of an image, resized as `config.input_size` has it."""
 
     def coarsest(self, features: MapFeatures) -> np.ndarray:
         """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
