@@ -7,7 +7,7 @@ import numpy as np
 from click.core import ParameterSource
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.pair_list import Pair, bundled_pair
+from dgc_pose.cameras.pair_list import Pair, rendered_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, traced
 from dgc_pose.cli.options import CameraChoice
@@ -27,7 +27,7 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
 
     The command that is printed too does the same as one of yours.
     """
-    pair = bundled_pair()
+    pair = rendered_pair()
     K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:
         choice = CameraChoice(k1=K1, k2=K2)

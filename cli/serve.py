@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import click
 
-from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import rendered_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import scratch_folder
@@ -48,7 +48,7 @@ def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOption
     from dgc_pose.serve.estimator import Estimator
     from dgc_pose.serve.guard import local_hosts
 
-    pair = bundled_pair()
+    pair = rendered_pair()
     views = ((pair.path1, pair.camera1), (pair.path2, pair.camera2))
     example = [
         (path, ",".join(f"{value:g}" for value in camera.K[(0, 1, 0, 1), (0, 1, 2, 2)]))

@@ -27,7 +27,7 @@ from dgc_pose import (
     load_image,
     load_matcher,
 )
-from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import rendered_pair
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
@@ -368,7 +368,7 @@ def test_a_likely_pose_of_the_mirror_image_ends_the_search(
 
 def test_a_mirrored_photograph_is_recognised() -> None:
     """The bundled pair: the second image as selfie cameras store it."""
-    pair = bundled_pair()
+    pair = rendered_pair()
     second = load_image(pair.path2)
     K2 = pair.camera2.K.copy()
     K2[0, 2] = second.size[0] - 1 - K2[0, 2]

@@ -25,6 +25,7 @@ from dgc_pose.geometry.rotation import is_rotation
 FIELDS = 38
 Names = tuple[str, str]
 
+_DATA = Path(str(files("dgc_pose"))) / "data"
 _SHORTER = (2, 4, 22)  # fields of a line that ends after the names, the rotations or the K
 _COLUMN = re.compile(r"[^\d./\\]+[01][^\d./\\]*")  # has no file's ending
 
@@ -118,9 +119,14 @@ def read_pair_list(path: Path) -> PairList:
     return PairList(tuple(dict.fromkeys(chain.from_iterable(listed))), listed, cameras)
 
 
-def bundled_pair() -> Pair:
+def rendered_pair() -> Pair:
     """The rendered pair that comes with the package, with its exact pose."""
-    return read_pairs(Path(str(files("dgc_pose") / "data" / "demo" / "pair.txt")))[0]
+    return read_pairs(_DATA / "rendered" / "pair.txt")[0]
+
+
+def bundled_photographs() -> tuple[Path, Path]:
+    """The two photographs by a phone that come with the package, K not known."""
+    return _DATA / "photographs" / "image1.jpg", _DATA / "photographs" / "image2.jpg"
 
 
 def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:

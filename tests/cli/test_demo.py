@@ -4,7 +4,7 @@ import shlex
 import numpy as np
 from command_line import run
 
-from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import rendered_pair
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import load_image
 from dgc_pose.matching.sift import SiftMatcher
@@ -12,7 +12,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 
 def test_the_known_pose_is_that_of_the_pictures():
-    pair = bundled_pair()
+    pair = rendered_pair()
     matches = SiftMatcher().match(load_image(pair.path1), load_image(pair.path2)).matches
     pose = estimate_pose(matches, pair.camera1, pair.camera2, EstimationOptions())
     assert pose.success
@@ -29,7 +29,7 @@ def test_demo_prints_the_estimate_the_known_pose_and_a_command_that_does_the_sam
     errors = re.search(r"errors: rotation ([\d.]+) deg, .* ([\d.]+) deg", shown)
     assert float(errors[1]) < 5 and float(errors[2]) < 15
     assert (tmp_path / "p.png").stat().st_size > 10_000
-    pair = bundled_pair()
+    pair = rendered_pair()
     cameras = re.findall(r"^image \d: (.*), K (.*)$", shown, re.MULTILINE)
     for (path, K), expected, camera in zip(
         cameras, (pair.path1, pair.path2), (pair.camera1, pair.camera2), strict=True

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import rendered_pair
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 TOLERANCE_DEG = 0.01  # as README.md states
@@ -24,10 +24,10 @@ pytestmark = pytest.mark.slow
 _POSE = """
 import json, sys
 from dgc_pose import load_matcher
-from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import rendered_pair
 from dgc_pose.images.image import load_image
 from dgc_pose.pose import estimate_relative_pose
-pair = bundled_pair()
+pair = rendered_pair()
 images = load_image(pair.path1), load_image(pair.path2)
 matcher = load_matcher(device="cpu", **json.loads(sys.argv[1]))
 pose = estimate_relative_pose(*images, pair.camera1, pair.camera2, matcher=matcher)
@@ -75,5 +75,5 @@ def test_a_processor_without_avx512_gives_the_same_pose(here: Pose, runtime: str
 
 def test_half_precision_gives_a_pose_as_right_on_any_processor() -> None:
     """Under the variables of this run, whatever they are."""
-    pair = bundled_pair()
+    pair = rendered_pair()
     assert _apart_deg((pair.R, pair.t), _pose(dict(os.environ), half_precision=True)) < 1.0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ambiguous_pose import ambiguous_pose
 
-from dgc_pose.cameras.pair_list import bundled_pair
+from dgc_pose.cameras.pair_list import rendered_pair
 
 pytestmark = pytest.mark.slow
 
@@ -24,7 +24,7 @@ def numbers(text):
 def test_the_bundled_pair_gets_its_pose(example):
     assert example.text("#verdict") == "A pose"
     assert "inliers" in example.text("#numbers") and "expected error" in example.text("#numbers")
-    pair = bundled_pair()
+    pair = rendered_pair()
     R, t = (numbers(example.text(f"#poses table[aria-label={name}]")) for name in "Rt")
     np.testing.assert_allclose(R, pair.R, atol=0.01)
     np.testing.assert_allclose(t[:, 0], pair.t / np.linalg.norm(pair.t), atol=0.02)
@@ -102,7 +102,7 @@ def test_the_pointer_brings_epipolar_lines(example):
 
 
 def test_photographs_that_are_chosen_are_estimated_at_once(page, tmp_path):
-    pair = bundled_pair()
+    pair = rendered_pair()
     page.choose("#file1", pair.path1, pair.path2)  # both at once
     page.wait(DONE)
     assert page.text("#caption2").startswith("image2.jpg, 720 x 640")
@@ -131,7 +131,7 @@ def test_what_is_wrong_is_told(page, tmp_path):
     words = "bad <b>.png: the file is not an image of a known format"
     assert page.text("#error").startswith(words)
     good = tmp_path / "good.png"
-    cv2.imwrite(str(good), cv2.imread(str(bundled_pair().path1))[::4, ::4])
+    cv2.imwrite(str(good), cv2.imread(str(rendered_pair().path1))[::4, ::4])
     page.choose("#file1", good)
     page.wait("document.querySelector('#error').hidden")
     page.choose("#file2", good)
