@@ -1,13 +1,17 @@
-"""`dgc-pose demo`: the bundled pair, its estimated pose beside the known pose."""
+"""`dgc-pose demo`: two photographs by a phone, and a rendered pair beside its known pose."""
+
+from __future__ import annotations
 
 import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
 from click.core import ParameterSource
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.pair_list import Pair, rendered_pair
+from dgc_pose.cameras.pair_list import Pair, bundled_photographs, rendered_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, traced
 from dgc_pose.cli.options import CameraChoice
@@ -17,31 +21,49 @@ from dgc_pose.files.outputs import staged
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
+if TYPE_CHECKING:
+    from dgc_pose.trace import Trace
+
 
 @click.command()
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 @dataclass_options(Outputs, "outputs", only=("plot",))
 def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Outputs) -> int:
-    """Estimate the pose of the bundled pair and print it beside the known pose.
+    """Estimate the poses of the two pairs that come with the package.
 
-    The command that is printed too does the same as one of yours.
+    The first are photographs by a phone, whose K is not known; --plot draws them. The second is
+    rendered: its estimated pose stands beside the known pose. The commands that are printed too do
+    the same as commands of yours.
     """
     pair = rendered_pair()
     K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:
-        choice = CameraChoice(k1=K1, k2=K2)
-        trace = traced(pair.path1, pair.path2, choice, matcher, estimation, ScaleSource())
+        photographs = _shown(bundled_photographs(), CameraChoice(k="auto"), matcher, estimation)
         if outputs.plot is not None:
-            draw(trace, stage(outputs.plot))
-    click.echo(f"image 1: {pair.path1}, K {K1}\nimage 2: {pair.path2}, K {K2}\n")
-    words = ["dgc-pose", "estimate", str(pair.path1), str(pair.path2), "--K1", K1, "--K2", K2]
-    click.echo(f"the same by: {shlex.join([*words, *_chosen(click.get_current_context())])}\n")
-    click.echo(pose_text(trace.pose) + "\n")
-    if not trace.pose.success:
+            draw(photographs, stage(outputs.plot))
+    click.echo("")
+    rendered = _shown((pair.path1, pair.path2), CameraChoice(k1=K1, k2=K2), matcher, estimation)
+    if not (photographs.pose.success and rendered.pose.success):
         return NO_POSE
-    click.echo(_beside(trace.pose, pair))
+    click.echo("\n" + _beside(rendered.pose, pair))
     return 0
+
+
+def _shown(
+    paths: tuple[Path, Path],
+    cameras: CameraChoice,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
+) -> Trace:
+    """The trace of a pair, printed below the command that does the same."""
+    trace = traced(*paths, cameras, matcher, estimation, ScaleSource())
+    Ks = {"--K": cameras.k, "--K1": cameras.k1, "--K2": cameras.k2}
+    words = [word for flag, K in Ks.items() if K is not None for word in (flag, K)]
+    words = ["dgc-pose", "estimate", *map(str, paths), *words]
+    click.echo(shlex.join([*words, *_chosen(click.get_current_context())]))
+    click.echo(pose_text(trace.pose, (trace.prior1, trace.prior2)))
+    return trace
 
 
 def _numbers(camera: Camera) -> str:
@@ -63,7 +85,7 @@ def _chosen(context: click.Context) -> list[str]:
 
 
 def _beside(pose: RelativePose, pair: Pair) -> str:
-    """An estimated pose that has R and t and the known pose in two columns, and the errors."""
+    """The estimated and the known pose in two columns, and the errors."""
     assert pose.R is not None and pose.t is not None
     known = row_lines(*pair.R, pair.t / np.linalg.norm(pair.t))
     lines = [f"     {'estimated':{len(known[0])}}   known{' ' * (len(known[0]) - 5)}"]

@@ -1,10 +1,11 @@
-"""Write what the documentation shows of the tool's own output on the bundled pair.
+"""Write what the documentation shows of the tool's own output on the bundled pairs.
 
     make figures
 
 A line `<!-- output of: dgc-pose COMMAND -->` stands above each block of such output, in README.md
-and docs/*.md; a block that is out of date is replaced, as tests/test_docs.py demands. docs/demo.png
-is drawn anew.
+and docs/*.md; a block that is out of date is replaced, as tests/test_docs.py demands. `words of:`
+stands above those whose numbers are of one machine: with K not known they differ by more than the
+last digits. docs/demo.png is drawn anew.
 """
 
 import re
@@ -24,7 +25,9 @@ DEMO = "dgc-pose demo"
 PALETTE = 256  # colours of the picture: a quarter of the bytes
 RELATIVE, PLACES = 0.01, 2  # between processors: a share, and units of the last place printed
 
-_BLOCK = re.compile(r"(<!-- output of: (dgc-pose [^\n]+) -->\n+```\w*\n)(.*?)(\n```)", re.DOTALL)
+_BLOCK = re.compile(
+    r"(<!-- (output|words) of: (dgc-pose [^\n]+) -->\n+```\w*\n)(.*?)(\n```)", re.DOTALL
+)
 _TIME = re.compile(r"\d+\.\d+ s\b")
 _NUMBER = re.compile(r"-?\d+(?:\.(\d+))?")
 
@@ -37,10 +40,10 @@ def output(command: str) -> str:
     return "\n".join(line.rstrip() for line in lines)
 
 
-def quoted(text: str) -> Iterator[tuple[str, str]]:
-    """The blocks of output in a page: each command and what the page says that it prints."""
-    for _, command, block, _ in _BLOCK.findall(text):
-        yield command, block
+def quoted(text: str) -> Iterator[tuple[str, str, str]]:
+    """The blocks of output in a page: its marker, the command and what the page says it prints."""
+    for _, marker, command, block, _ in _BLOCK.findall(text):
+        yield marker, command, block
 
 
 def renewed(text: str, run: Callable[[str], str]) -> str:
@@ -48,19 +51,21 @@ def renewed(text: str, run: Callable[[str], str]) -> str:
     command."""
 
     def renew(block: re.Match[str]) -> str:
-        start, command, old, end = block.groups()
+        start, marker, command, old, end = block.groups()
         new = run(command)
-        return start + (old if agree(old, new) else new) + end  # not for times and last digits
+        # Not for times and last digits.
+        return start + (old if agree(old, new, marker) else new) + end
 
     return _BLOCK.sub(renew, text)
 
 
-def agree(left: str, right: str) -> bool:
-    """Whether two outputs differ only as those of two processors do: in times and last digits."""
+def agree(left: str, right: str, marker: str = "output") -> bool:
+    """Whether two outputs differ only as those of two processors do: in times and last digits; of
+    `words`, in any numbers."""
     left, right = _TIME.sub("", left), _TIME.sub("", right)
     # The space in front of a number depends on its sign and its length.
-    if _words(left) != _words(right):
-        return False
+    if _words(left) != _words(right) or marker == "words":
+        return _words(left) == _words(right)
     for number, other in zip(_NUMBER.finditer(left), _NUMBER.finditer(right), strict=True):
         first, second = float(number[0]), float(other[0])
         place = 10.0 ** -len(number[1] or "")

@@ -1,9 +1,9 @@
-"""Write the tables of relative poses, in README.md and docs/results.md, from docs/results.csv; draw
-docs/speed.png from docs/speed.csv.
+"""Write the table of relative poses, in README.md and docs/results.md, from docs/results.csv.
 
     python docs/results.py [RUNS]
 
-With RUNS the figures of each row come first of RUNS/run, the --out of `dgc-pose bench-pairs`.
+With RUNS the figures of each row come first of RUNS/run, the --out of `dgc-pose bench-pairs`; those
+of XFeat of RUNS/run.xfeat, a line a pair: `name1 name2 matches N R DEG t DEG SECONDSs`.
 """
 
 import csv
@@ -13,64 +13,73 @@ import re
 import sys
 from datetime import date
 from pathlib import Path
+from typing import Any
 
-from dgc_pose.viz.figure import new_figure, save_figure
+import numpy as np
+
+from dgc_pose.benchmarks.metrics import folded, pose_auc
 
 DOCS = Path(__file__).resolve().parent
-SPEED, PICTURE = DOCS / "speed.csv", DOCS / "speed.png"
 RESULTS, PAGES = DOCS / "results.csv", (DOCS.parent / "README.md", DOCS / "results.md")
 FIGURES = {
     **{name: f"{{{name}}}" for name in ("date", "pairs", "failures", "wrong")},
     "R": "{median_rotation_deg:.2f}",
-    "t": "{median_translation_deg:.2f}",
     "t folded": "{median_translation_folded_deg:.2f}",
     **{f"AUC@{limit}": f"{{auc{limit}:.1f}}" for limit in (5, 10, 20)},
+    "s": "{seconds_per_pair:.2f}",
 }
 WRONG_DEG = 10  # of R or t of a pose
-TABLE = re.compile(r"(<!-- table of: results\.csv(, in short)? -->\n\n)(?:\|.*\n)*")
+PEER = "XFeat"
+TABLE = re.compile(r"(<!-- table of: results\.csv -->\n\n)(?:\|.*\n)*")
 
 
 def read(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
 
 
-def measured(row: dict[str, str], folder: Path) -> dict[str, str]:
-    """The row with what a run found."""
-    path, errors = folder / "summary.json", ("rotation_error_deg", "translation_error_deg")
-    methods = {m["method"]: m for m in json.loads(path.read_text(encoding="utf-8"))["methods"]}
-    found = {k: math.inf if v is None else v for k, v in methods[row["method"]].items()}
-    pairs = [pair for pair in read(folder / "results.csv") if pair["method"] == row["method"]]
-    wrong = sum(WRONG_DEG < max(float(pair[e]) for e in errors) < math.inf for pair in pairs)
-    found |= {"date": date.fromtimestamp(path.stat().st_mtime), "wrong": wrong}
-    return row | {name: text.format(**found) for name, text in FIGURES.items()}
+def measured(row: dict[str, str], run: Path) -> dict[str, str]:
+    """The row with the figures of a run."""
+    if row["method"] == PEER:
+        path = run.with_suffix(".xfeat")
+        figures, errors = of_peer([line.split() for line in path.read_text().splitlines()[:-1]])
+    else:
+        path = run / "summary.json"
+        methods = {m["method"]: m for m in json.loads(path.read_text(encoding="utf-8"))["methods"]}
+        figures = {k: math.inf if v is None else v for k, v in methods[row["method"]].items()}
+        pairs = [pair for pair in read(run / "results.csv") if pair["method"] == row["method"]]
+        names = "rotation_error_deg", "translation_error_deg"
+        errors = np.array([[float(pair[name]) for name in names] for pair in pairs])
+    wrong = (errors.max(1) > WRONG_DEG) & np.isfinite(errors).all(1)
+    figures |= {"date": date.fromtimestamp(path.stat().st_mtime), "wrong": wrong.sum()}
+    return row | {name: text.format(**figures) for name, text in FIGURES.items()}
+
+
+def of_peer(lines: list[list[str]]) -> tuple[dict[str, Any], np.ndarray]:
+    """The figures of a peer's lines, and the errors (N, 2) of R and t; it has 180 for no pose."""
+    errors = np.array([[float(words[5]), float(words[7])] for words in lines])
+    errors[(errors == 180).all(1)] = math.inf
+    R, t = errors[:, 0], np.array([folded(error) for error in errors[:, 1]])
+    areas = zip((5, 10, 20), pose_auc(np.maximum(R, t)), strict=True)
+    figures = {
+        "pairs": len(errors),
+        "failures": int(np.isinf(R).sum()),
+        "median_rotation_deg": np.median(R),
+        "median_translation_folded_deg": np.median(t),
+        "seconds_per_pair": np.mean([float(words[8].rstrip("s")) for words in lines]),
+    }
+    return figures | {f"auc{limit}": area for limit, area in areas}, errors
 
 
 def table(place: re.Match[str]) -> str:
-    """A marker of a page and the table below it; in short: the rows for README.md, without t."""
-    rows = [row for row in read(RESULTS) if row["readme"] or not place[2]]
-    names = [name for name in FIGURES if name != "date" and not (place[2] and name == "t")]
+    """A marker of a page and the table below it."""
+    rows = read(RESULTS)
+    names = [name for name in FIGURES if name != "date"]
     lines = [[f"list, measured {max(row['date'] for row in rows)}", "method", *names]]
     lines.append(["---"] * len(lines[0]))
     for row, before in zip(rows, [{"list": ""}, *rows], strict=False):
         title = row["list"] if row["list"] != before["list"] else ""
         lines.append([title, f"`{row['method']}`", *(row[name] for name in names)])
     return place[1] + "".join(f"| {' | '.join(line)} |\n" for line in lines)
-
-
-def draw_speed() -> None:
-    """A panel a list, in it a point a method: AUC@10 against the seconds of a pair."""
-    rows = read(SPEED)
-    lists = list(dict.fromkeys(row["list"] for row in rows))
-    figure = new_figure(4.6 * len(lists), 3.8)
-    for axes, name in zip(figure.subplots(1, len(lists)), lists, strict=True):
-        axes.margins(0.2)
-        for row in (row for row in rows if row["list"] == name):
-            place = float(row["seconds"]), float(row["AUC@10"])
-            axes.plot(*place, "o")
-            axes.annotate(row["method"], place, (0, -15), textcoords="offset points", ha="center")
-        axes.set(xlim=(0, None), title=name, xlabel="seconds a pair", ylabel="AUC@10 (%)")
-        axes.grid(alpha=0.3)
-    save_figure(figure, PICTURE)
 
 
 def main(runs: str | None = None) -> None:
@@ -80,7 +89,6 @@ def main(runs: str | None = None) -> None:
             writer = csv.DictWriter(stream, [*rows[0]], lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
-    draw_speed()
     for page in PAGES:
         page.write_text(TABLE.sub(table, page.read_text(encoding="utf-8")), encoding="utf-8")
 

@@ -4,7 +4,7 @@ import shlex
 import numpy as np
 from command_line import run
 
-from dgc_pose.cameras.pair_list import rendered_pair
+from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import load_image
 from dgc_pose.matching.sift import SiftMatcher
@@ -20,7 +20,7 @@ def test_the_known_pose_is_that_of_the_pictures():
     assert translation_error_deg(pose.t, pair.t) < 2
 
 
-def test_demo_prints_the_estimate_the_known_pose_and_a_command_that_does_the_same(tmp_path):
+def test_demo_prints_both_pairs_with_commands_that_do_the_same_and_the_known_pose(tmp_path):
     options = ("--weights", "sift", "--runs", "2", "--effort", "fast")
     result = run("demo", *options, "--plot", tmp_path / "p.png")
     assert result.exit_code == 0
@@ -29,18 +29,20 @@ def test_demo_prints_the_estimate_the_known_pose_and_a_command_that_does_the_sam
     errors = re.search(r"errors: rotation ([\d.]+) deg, .* ([\d.]+) deg", shown)
     assert float(errors[1]) < 5 and float(errors[2]) < 15
     assert (tmp_path / "p.png").stat().st_size > 10_000
-    pair = rendered_pair()
-    cameras = re.findall(r"^image \d: (.*), K (.*)$", shown, re.MULTILINE)
-    for (path, K), expected, camera in zip(
-        cameras, (pair.path1, pair.path2), (pair.camera1, pair.camera2), strict=True
-    ):
-        assert path == str(expected)
-        fx, fy, cx, cy = map(float, K.split(","))
+    commands = re.findall(r"^dgc-pose (.*)$", shown, re.MULTILINE)
+    for command, paths in zip(commands, (bundled_photographs(), rendered_paths()), strict=True):
+        words = shlex.split(command)
+        assert words[1:3] == [str(path) for path in paths]
+        again = run(*words)
+        assert again.exit_code == 0
+        *pose, times = again.stdout.splitlines()
+        assert "\n".join(pose) in shown and times.startswith("load ")
+    words = shlex.split(commands[1])
+    cameras = rendered_pair().camera1, rendered_pair().camera2
+    for flag, camera in zip(("--K1", "--K2"), cameras, strict=True):
+        fx, fy, cx, cy = map(float, words[words.index(flag) + 1].split(","))
         assert np.array_equal(camera.K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    (command,) = re.findall(r"^the same by: dgc-pose (.*)$", shown, re.MULTILINE)
-    words = shlex.split(command)
-    assert sorted(words[7:]) == sorted(options)
-    again = run(*words)
-    assert again.exit_code == 0
-    *pose, times = again.stdout.splitlines()
-    assert "\n".join(pose) in shown and times.startswith("load ")
+
+
+def rendered_paths():
+    return rendered_pair().path1, rendered_pair().path2
