@@ -128,8 +128,8 @@ OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 class ErrorModel:
     """The error that nine right poses in ten stay below, from the jackknife's: a power of it.
 
-    The jackknife underestimates small errors most: it does not show what the errors of neighbouring
-    matches have in common.
+    The jackknife underestimates it: it does not show what the errors of neighbouring matches have
+    in common.
     """
 
     slope: float
