@@ -132,7 +132,7 @@ async function present(answer, pair, asked, how) {
   at("count").value = drawn;
   at("view-tools").hidden = points.length === 0;
   view.show(answer, pictures[0], pictures[1]);
-  scene.show(answer);
+  scene.show(answer.scene);
   at("scene-part").hidden = scene.points === null;
   redraw();
   const seconds = Object.values(answer.pose.seconds).reduce((sum, part) => sum + part, 0);

@@ -1,21 +1,25 @@
-// Both cameras and the points between them, in camera 1's axes (x right, y down, z forward), seen
-// from a place that mouse, fingers and keys move.
+// Cameras and points in space (x right, y down, z forward), seen from a place that mouse, fingers and
+// keys move.
 import { colour, prepared } from "./canvas.js";
 
 const VIEWS = { aslant: [-35, 25], above: [0, 89], behind: [0, 0] }; // azimuth and elevation, degrees
-const FRUSTUM = 0.18; // depth of a camera's pyramid, as a share of the median depth of the points
 const MARGIN = 1.15; // around what is drawn
-const CLOSEST = 1.6; // than a ball around all, at most: turned, more would leave the canvas
+const CLOSEST = 2.2; // than a ball around all, at most: turned, more would leave the canvas
 const FAR = 2.6; // of the eye from the middle, in radii of what is drawn
 const STEP = 6; // degrees that an arrow key turns
 const KEYS = { ArrowLeft: [STEP, 0], ArrowRight: [-STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP] };
 const ZOOMS = { "+": 1.15, "=": 1.15, "-": 1 / 1.15 };
-const EDGES = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]];
+const FRUSTUM = [[1, 2, 3, 4, 1, 0, 2], [3, 0, 4]]; // lines through a camera's centre and its corners
+const QUICK = 5000; // points drawn while it moves
+const REST = 200; // milliseconds after which all of them are
+const NEAR = 24; // CSS pixels of the pointer from a camera
 
 export class Scene {
-  constructor(canvas) {
+  /** alone: nothing else is on the page, so that the wheel needs no click first. */
+  constructor(canvas, alone = false) {
     this.canvas = canvas;
     this.points = null;
+    this.shown = { names: true, photographs: true, size: 1 }; // size: of the cameras
     this.fingers = new Map(); // places of the pointers that are down, by their identifiers
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -26,7 +30,7 @@ export class Scene {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener("wheel", (event) => {
-      if (document.activeElement !== canvas) return; // the wheel scrolls the page
+      if (!alone && document.activeElement !== canvas) return; // the wheel scrolls the page
       event.preventDefault();
       this.zoomBy(Math.exp(-event.deltaY / 500));
     }, { passive: false });
@@ -39,21 +43,18 @@ export class Scene {
     });
   }
 
-  /** The cameras and the points of a result; nothing without a pose. */
-  show({ pose, points, sizes }) {
-    this.points = null;
-    if (!points || !pose.t) return;
-    const depths = points.xyz.map(([, , z]) => z).sort((a, b) => a - b);
-    const depth = FRUSTUM * (depths[Math.floor(depths.length / 2)] ?? 2);
-    const first = frustum(pose.camera1.K, sizes[0], depth);
-    const second = frustum(pose.camera2.K, sizes[1], depth).map((point) => intoCamera1(point, pose));
-    this.cameras = [first, second];
-    this.points = points;
-    this.all = [...points.xyz, ...first, ...second];
-    const axes = [0, 1, 2].map((axis) => this.all.map((point) => point[axis]));
-    const bounds = axes.map((values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))]);
-    this.middle = bounds.map(([low, high]) => (low + high) / 2);
-    this.radius = Math.hypot(...bounds.map(([low, high]) => high - low)) / 2;
+  /** Cameras, each with a centre, corners from the top left clockwise, a label, a colour of the style
+      sheet and perhaps a picture; points in a random order; what `unit` they are in, if one is known. */
+  show(content) {
+    this.points = content?.points ?? null;
+    if (!content) return;
+    this.cameras = content.cameras.map((camera) => ({ ...camera, corners: [camera.centre, ...camera.corners] }));
+    this.unit = content.unit;
+    this.styles = this.points.rgb.map((rgb) => `rgb(${rgb})`);
+    this.all = [...this.points.xyz, ...this.cameras.flatMap((camera) => camera.corners)];
+    const ranges = [0, 1, 2].map((axis) => range(this.all, axis));
+    this.middle = ranges.map(([low, high]) => (low + high) / 2);
+    this.radius = Math.hypot(...ranges.map(([low, high]) => high - low)) / 2;
     this.lookFrom("aslant", false);
   }
 
@@ -61,82 +62,119 @@ export class Scene {
   lookFrom(name, drawn = true) {
     [this.azimuth, this.elevation] = VIEWS[name];
     this.zoom = 1;
+    this.shift = [0, 0];
     const places = this.all.map(this.projection(0, 0, 1));
-    const most = [0, 1].map((axis) => places.reduce((far, place) => Math.max(far, Math.abs(place[axis])), 0));
-    this.extent = most.map((far) => MARGIN * Math.max(far, 1 / FAR / CLOSEST));
+    const ranges = [0, 1].map((axis) => range(places, axis));
+    this.extent = ranges.map(([low, high]) => MARGIN * Math.max(high - low, 2 / FAR / CLOSEST));
+    this.focus = ranges.map(([low, high]) => (low + high) / 2);
     if (drawn) this.draw();
   }
 
   turn(azimuth, elevation) {
     this.azimuth += azimuth;
     this.elevation = Math.min(89, Math.max(-89, this.elevation + elevation));
-    this.draw();
+    this.drawSoon();
   }
 
   zoomBy(factor) {
     this.zoom = Math.min(20, Math.max(0.3, this.zoom * factor));
-    this.draw();
+    this.drawSoon();
   }
 
-  /** One pointer turns, two zoom. */
+  /** One pointer turns, or moves the scene with Shift or the right button; two zoom and move it. None
+      points at a camera. */
   drag(event) {
     const before = this.fingers.get(event.pointerId);
-    if (!before) return;
     const now = [event.clientX, event.clientY];
+    if (!before) return this.point(event.offsetX, event.offsetY);
     this.fingers.set(event.pointerId, now);
-    if (this.fingers.size === 1) {
-      this.turn((before[0] - now[0]) * 0.4, (now[1] - before[1]) * 0.4);
-    } else {
-      const [, other] = [...this.fingers].find(([finger]) => finger !== event.pointerId);
-      const apart = (place) => Math.hypot(place[0] - other[0], place[1] - other[1]) || 1;
-      this.zoomBy(apart(now) / apart(before));
-    }
+    const [right, down] = [now[0] - before[0], now[1] - before[1]];
+    const alone = this.fingers.size === 1;
+    if (alone && !event.shiftKey && !(event.buttons & 2)) return this.turn(-0.4 * right, 0.4 * down);
+    const share = this.zoom * this.fingers.size;
+    this.shift = [this.shift[0] + right / share, this.shift[1] + down / share];
+    const [, other] = [...this.fingers].find(([finger]) => alone || finger !== event.pointerId);
+    const apart = (place) => Math.hypot(place[0] - other[0], place[1] - other[1]) || 1;
+    this.zoomBy(alone ? 1 : apart(now) / apart(before));
   }
 
-  draw() {
+  /** The camera nearest to a place of the canvas; -1 for none. */
+  point(x, y) {
+    const far = this.cameras.map(({ at }) => Math.hypot(at[0] - x, at[1] - y));
+    const nearest = far.indexOf(Math.min(...far, NEAR));
+    if (nearest !== this.pointed) this.drawSoon();
+    this.pointed = nearest;
+  }
+
+  /** A part of the points in the next frame, all of them when it rests. */
+  drawSoon() {
+    cancelAnimationFrame(this.frame);
+    clearTimeout(this.rest);
+    this.frame = requestAnimationFrame(() => this.draw(QUICK));
+    this.rest = setTimeout(() => this.draw(), REST);
+  }
+
+  /** The canvas's height at a width, CSS pixels. */
+  height(width) {
+    return Math.round(Math.min(0.8 * width, Math.max(280, 0.7 * innerHeight)));
+  }
+
+  draw(most = Infinity) {
     if (!this.points) return;
-    const wide = this.canvas.clientWidth;
-    const [paint, width, height] = prepared(this.canvas, Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight))));
-    const [across, down] = this.extent;
-    const seen = this.projection(width / 2, height / 2, this.zoom * Math.min(width / across, height / down) / 2);
-    const dots = this.points.xyz.map((point, n) => [...seen(point), this.points.rgb[n]]);
-    dots.sort((a, b) => b[2] - a[2]); // the far ones first
-    const size = Math.max(2, width / (dots.length < 1200 ? 160 : 220));
-    for (const [x, y, depth, [red, green, blue]] of dots) {
-      if (depth <= 0) continue;
-      const side = Math.min(8, size * FAR * this.radius / depth);
-      paint.fillStyle = `rgb(${red}, ${green}, ${blue})`;
-      paint.fillRect(x - side / 2, y - side / 2, side, side);
+    const [paint, width, height] = prepared(this.canvas, this.height(this.canvas.clientWidth));
+    const scale = this.zoom * Math.min(width / this.extent[0], height / this.extent[1]);
+    const [x0, y0] = [width, height].map((side, n) => side / 2 + this.zoom * this.shift[n] - scale * this.focus[n]);
+    const seen = this.projection(x0, y0, scale);
+    const { xyz } = this.points;
+    const things = []; // places with the number of a point, or with a camera
+    for (let n = 0; n < xyz.length; n += Math.max(1, Math.ceil(xyz.length / most))) things.push([...seen(xyz[n]), n]);
+    for (const camera of this.cameras) {
+      const grown = (point) => point.map((value, n) => camera.centre[n] + this.shown.size * (value - camera.centre[n]));
+      camera.places = camera.corners.map((point) => seen(grown(point)));
+      camera.at = [0, 1, 2].map((axis) => camera.places.slice(1).reduce((sum, place) => sum + place[axis] / 4, 0));
+      things.push([...camera.at, camera]);
     }
-    const centres = this.cameras.map(([centre]) => seen(centre));
-    this.line(paint, ...centres, colour("soft"), 1);
-    this.cameras.forEach((corners, n) => {
-      const places = corners.map(seen);
-      const style = colour(`camera${n + 1}`);
-      for (const [from, to] of EDGES) this.line(paint, places[from], places[to], style, 2);
-      // The number stands beyond the centre, away from the other camera.
-      const [x, y] = centres[n];
-      const away = [x - centres[1 - n][0], y - centres[1 - n][1]];
-      const far = 14 / (Math.hypot(...away) || 1);
-      paint.font = "bold 15px system-ui, sans-serif";
-      paint.textAlign = "center";
-      paint.textBaseline = "middle";
-      paint.lineWidth = 3;
-      paint.strokeStyle = colour("shade");
-      paint.strokeText(n + 1, x + far * away[0], y + far * away[1]);
-      paint.fillStyle = style;
-      paint.fillText(n + 1, x + far * away[0], y + far * away[1]);
+    things.sort((a, b) => b[2] - a[2]); // the far ones first
+    const size = Math.max(2, width / Math.min(500, Math.max(160, 4 * Math.sqrt(xyz.length))));
+    const ends = this.cameras.map(({ places }) => places[0]);
+    if (ends.length === 2) stroke(paint, colour("soft"), 1, [ends]);
+    for (const [x, y, depth, thing] of things) {
+      if (typeof thing === "object") {
+        if (thing.picture && this.shown.photographs) lay(paint, thing.picture, thing.places.slice(1));
+        const lines = FRUSTUM.map((line) => line.map((n) => thing.places[n]));
+        stroke(paint, colour(thing.colour), thing === this.cameras[this.pointed] ? 4 : ends.length === 2 ? 2 : 1.5, lines);
+      } else {
+        const side = Math.round(Math.min(8, size * FAR * this.radius / depth)); // whole pixels are drawn fast
+        paint.fillStyle = this.styles[thing];
+        paint.fillRect(Math.round(x - side / 2), Math.round(y - side / 2), side, side);
+      }
+    }
+    // A name stands beyond the centre, away from the other cameras.
+    const [left, top] = [0, 1].map((axis) => ends.reduce((sum, end) => sum + end[axis], 0) / ends.length);
+    paint.font = ends.length === 2 ? "bold 15px system-ui, sans-serif" : "12px system-ui, sans-serif";
+    paint.textAlign = "center";
+    paint.textBaseline = "middle";
+    paint.lineWidth = 3;
+    paint.strokeStyle = colour("shade");
+    this.cameras.forEach(({ label, colour: name }, n) => {
+      if (!this.shown.names && n !== this.pointed) return;
+      const [x, y] = ends[n];
+      const far = 14 / (Math.hypot(x - left, y - top) || 1);
+      paint.fillStyle = colour(name);
+      for (const how of ["strokeText", "fillText"]) paint[how](label, x + far * (x - left), y + far * (y - top));
     });
+    if (this.unit) this.drawScale(paint, scale / FAR / this.radius, height);
   }
 
-  line(paint, from, to, style, thick) {
-    if (from[2] <= 0 || to[2] <= 0) return; // behind the eye
-    paint.strokeStyle = style;
-    paint.lineWidth = thick;
-    paint.beginPath();
-    paint.moveTo(from[0], from[1]);
-    paint.lineTo(to[0], to[1]);
-    paint.stroke();
+  /** A bar of 1, 2 or 5 times a power of ten, as long as it is at the middle. */
+  drawScale(paint, pixels, height) {
+    const power = 10 ** Math.floor(Math.log10(200 / pixels));
+    const length = power * [5, 2, 1].find((times) => times * power * pixels <= 200);
+    const [x, y] = [16 + length * pixels, height - 16];
+    stroke(paint, colour("ink"), 2, [[[16, y - 5], [16, y], [x, y], [x, y - 5]]]);
+    paint.fillStyle = colour("ink");
+    paint.textAlign = "left";
+    paint.fillText(`${length} ${this.unit}`, 16, y - 14);
   }
 
   /** A function of points: their places on the canvas, and the distance from the eye's plane. x, y: of
@@ -145,8 +183,9 @@ export class Scene {
     const [azimuth, elevation] = [this.azimuth, this.elevation].map((angle) => angle * Math.PI / 180);
     const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
     const far = FAR * this.radius;
+    const [x1, y1, z1] = this.middle;
     return (point) => {
-      const [x, y, z] = point.map((value, axis) => value - this.middle[axis]);
+      const [x, y, z] = [point[0] - x1, point[1] - y1, point[2] - z1];
       const [right, ahead] = [ca * x + sa * z, ca * z - sa * x];
       const [down, deep] = [ce * y - se * ahead, ce * ahead + se * y + far];
       return [x0 + scale * right / deep, y0 + scale * down / deep, deep];
@@ -154,17 +193,31 @@ export class Scene {
   }
 }
 
-/** The centre and the four corners of a camera's view at a depth, in its axes. */
-function frustum([[fx, skew, cx], [, fy, cy]], [width, height], depth) {
-  const corners = [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]];
-  return [[0, 0, 0], ...corners.map(([x, y]) => {
-    const down = (y - cy) / fy;
-    return [depth * (x - cx - skew * down) / fx, depth * down, depth];
-  })];
+/** The least and the largest coordinate of points along an axis. */
+function range(points, axis) {
+  const values = points.map((point) => point[axis]);
+  return [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
 }
 
-/** A point of camera 2's axes in those of camera 1: R^T (x2 - t). */
-function intoCamera1(point, { R, t }) {
-  const rest = point.map((value, axis) => value - t[axis]);
-  return [0, 1, 2].map((axis) => R[0][axis] * rest[0] + R[1][axis] * rest[1] + R[2][axis] * rest[2]);
+function stroke(paint, style, thick, lines) {
+  paint.strokeStyle = style;
+  paint.lineWidth = thick;
+  paint.beginPath();
+  for (const line of lines) line.forEach(([x, y], n) => (n ? paint.lineTo(x, y) : paint.moveTo(x, y)));
+  paint.stroke();
+}
+
+/** A picture on four places, from the top left clockwise: a triangle over an affine map of the whole. */
+function lay(paint, picture, [a, b, c, d]) {
+  const opposite = [0, 1].map((axis) => b[axis] + d[axis] - c[axis]); // where c's triangle has a
+  for (const [inside, origin, right, down] of [[[a, b, c, d], a, b, d], [[b, c, d], opposite, b, d]]) {
+    paint.save();
+    paint.beginPath();
+    inside.forEach(([x, y]) => paint.lineTo(x, y));
+    paint.clip();
+    const along = [right, down].flatMap((end, n) => [0, 1].map((axis) => (end[axis] - origin[axis]) / [picture.width, picture.height][n]));
+    paint.transform(...along, origin[0], origin[1]);
+    paint.drawImage(picture, 0, 0);
+    paint.restore();
+  }
 }
