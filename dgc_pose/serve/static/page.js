@@ -200,9 +200,6 @@ at("count").addEventListener("input", () => { drawn = at("count").value; });
 for (const id of ["count", "limit", "blend", "show-lines", "show-outliers", "show-epipolar", "show-matchability"]) {
   at(id).addEventListener("input", redraw);
 }
-for (const button of document.querySelectorAll("[data-from]")) {
-  button.addEventListener("click", () => scene.lookFrom(button.dataset.from));
-}
 for (const button of document.querySelectorAll("[data-copy]")) {
   button.addEventListener("click", async () => {
     await navigator.clipboard.writeText(at(button.dataset.copy).textContent);

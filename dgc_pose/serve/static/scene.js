@@ -3,23 +3,20 @@
 import { colour, prepared } from "./canvas.js";
 
 const VIEWS = { aslant: [-35, 25], above: [0, 89], behind: [0, 0] }; // azimuth and elevation, degrees
-const MARGIN = 1.15; // around what is drawn
+const ROOM = 80; // CSS pixels around what is drawn, of both sides together
 const CLOSEST = 2.2; // than a ball around all, at most: turned, more would leave the canvas
 const FAR = 2.6; // of the eye from the middle, in radii of what is drawn
 const STEP = 6; // degrees that an arrow key turns
 const KEYS = { ArrowLeft: [STEP, 0], ArrowRight: [-STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP] };
 const ZOOMS = { "+": 1.15, "=": 1.15, "-": 1 / 1.15 };
-const FRUSTUM = [[1, 2, 3, 4, 1, 0, 2], [3, 0, 4]]; // lines through a camera's centre and its corners
+const PYRAMID = [1, 2, 3, 4, 1, 0, 2, 3, 0, 4]; // a line through a camera's centre and its corners
 const QUICK = 5000; // points drawn while it moves
-const REST = 200; // milliseconds after which all of them are
-const NEAR = 24; // CSS pixels of the pointer from a camera
+const REST = 200; // milliseconds after which all of them are drawn
 
 export class Scene {
-  /** alone: nothing else is on the page, so that the wheel needs no click first. */
+  /** alone: whether it fills the page, and has photographs. */
   constructor(canvas, alone = false) {
-    this.canvas = canvas;
-    this.points = null;
-    this.shown = { names: true, photographs: true, size: 1 }; // size: of the cameras
+    Object.assign(this, { canvas, alone, points: null, names: true, photographs: alone });
     this.fingers = new Map(); // places of the pointers that are down, by their identifiers
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -30,7 +27,7 @@ export class Scene {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener("wheel", (event) => {
-      if (!alone && document.activeElement !== canvas) return; // the wheel scrolls the page
+      if (!(alone && window === top) && document.activeElement !== canvas) return; // the wheel scrolls the page
       event.preventDefault();
       this.zoomBy(Math.exp(-event.deltaY / 500));
     }, { passive: false });
@@ -41,15 +38,17 @@ export class Scene {
       else return;
       event.preventDefault();
     });
+    for (const button of document.querySelectorAll("[data-from]")) {
+      button.addEventListener("click", () => this.lookFrom(button.dataset.from));
+    }
   }
 
-  /** Cameras, each with a centre, corners from the top left clockwise, a label, a colour of the style
-      sheet and perhaps a picture; points in a random order; what `unit` they are in, if one is known. */
+  /** Cameras, each with its centre and from the top left clockwise its corners, a label, a colour of the
+      style sheet and a photograph; and points in a random order. Null for neither. */
   show(content) {
     this.points = content?.points ?? null;
     if (!content) return;
-    this.cameras = content.cameras.map((camera) => ({ ...camera, corners: [camera.centre, ...camera.corners] }));
-    this.unit = content.unit;
+    this.cameras = content.cameras;
     this.styles = this.points.rgb.map((rgb) => `rgb(${rgb})`);
     this.all = [...this.points.xyz, ...this.cameras.flatMap((camera) => camera.corners)];
     const ranges = [0, 1, 2].map((axis) => range(this.all, axis));
@@ -61,12 +60,11 @@ export class Scene {
   /** See it from one of `VIEWS`. */
   lookFrom(name, drawn = true) {
     [this.azimuth, this.elevation] = VIEWS[name];
-    this.zoom = 1;
-    this.shift = [0, 0];
     const places = this.all.map(this.projection(0, 0, 1));
     const ranges = [0, 1].map((axis) => range(places, axis));
-    this.extent = ranges.map(([low, high]) => MARGIN * Math.max(high - low, 2 / FAR / CLOSEST));
-    this.focus = ranges.map(([low, high]) => (low + high) / 2);
+    this.extent = ranges.map(([low, high]) => Math.max(high - low, 2 / FAR / CLOSEST));
+    this.focus = ranges.map(([low, high]) => (low + high) / 2); // what lies at the canvas's middle
+    this.zoom = 1;
     if (drawn) this.draw();
   }
 
@@ -81,32 +79,23 @@ export class Scene {
     this.drawSoon();
   }
 
-  /** One pointer turns, or moves the scene with Shift or the right button; two zoom and move it. None
-      points at a camera. */
+  /** One pointer turns, or moves the scene with Shift or the right button; two zoom. */
   drag(event) {
     const before = this.fingers.get(event.pointerId);
+    if (!before) return;
     const now = [event.clientX, event.clientY];
-    if (!before) return this.point(event.offsetX, event.offsetY);
     this.fingers.set(event.pointerId, now);
-    const [right, down] = [now[0] - before[0], now[1] - before[1]];
-    const alone = this.fingers.size === 1;
-    if (alone && !event.shiftKey && !(event.buttons & 2)) return this.turn(-0.4 * right, 0.4 * down);
-    const share = this.zoom * this.fingers.size;
-    this.shift = [this.shift[0] + right / share, this.shift[1] + down / share];
-    const [, other] = [...this.fingers].find(([finger]) => alone || finger !== event.pointerId);
-    const apart = (place) => Math.hypot(place[0] - other[0], place[1] - other[1]) || 1;
-    this.zoomBy(alone ? 1 : apart(now) / apart(before));
+    const by = [now[0] - before[0], now[1] - before[1]];
+    if (this.fingers.size > 1) {
+      const [, other] = [...this.fingers].find(([finger]) => finger !== event.pointerId);
+      const apart = (place) => Math.hypot(place[0] - other[0], place[1] - other[1]) || 1;
+      this.zoomBy(apart(now) / apart(before));
+    } else if (!event.shiftKey) return this.turn(-0.4 * by[0], 0.4 * by[1]);
+    this.focus = this.focus.map((value, n) => value - by[n] / this.scale / this.fingers.size);
+    this.drawSoon();
   }
 
-  /** The camera nearest to a place of the canvas; -1 for none. */
-  point(x, y) {
-    const far = this.cameras.map(({ at }) => Math.hypot(at[0] - x, at[1] - y));
-    const nearest = far.indexOf(Math.min(...far, NEAR));
-    if (nearest !== this.pointed) this.drawSoon();
-    this.pointed = nearest;
-  }
-
-  /** A part of the points in the next frame, all of them when it rests. */
+  /** A part of the points in the next frame, all of them once it rests. */
   drawSoon() {
     cancelAnimationFrame(this.frame);
     clearTimeout(this.rest);
@@ -114,67 +103,44 @@ export class Scene {
     this.rest = setTimeout(() => this.draw(), REST);
   }
 
-  /** The canvas's height at a width, CSS pixels. */
-  height(width) {
-    return Math.round(Math.min(0.8 * width, Math.max(280, 0.7 * innerHeight)));
-  }
-
   draw(most = Infinity) {
     if (!this.points) return;
-    const [paint, width, height] = prepared(this.canvas, this.height(this.canvas.clientWidth));
-    const scale = this.zoom * Math.min(width / this.extent[0], height / this.extent[1]);
-    const [x0, y0] = [width, height].map((side, n) => side / 2 + this.zoom * this.shift[n] - scale * this.focus[n]);
-    const seen = this.projection(x0, y0, scale);
+    const { clientWidth: wide, clientHeight: tall } = this.canvas;
+    const room = this.alone ? tall : Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight)));
+    const [paint, width, height] = prepared(this.canvas, room);
+    this.scale = this.zoom * Math.min((width - ROOM) / this.extent[0], (height - ROOM) / this.extent[1]);
+    const seen = this.projection(width / 2 - this.scale * this.focus[0], height / 2 - this.scale * this.focus[1], this.scale);
     const { xyz } = this.points;
-    const things = []; // places with the number of a point, or with a camera
-    for (let n = 0; n < xyz.length; n += Math.max(1, Math.ceil(xyz.length / most))) things.push([...seen(xyz[n]), n]);
-    for (const camera of this.cameras) {
-      const grown = (point) => point.map((value, n) => camera.centre[n] + this.shown.size * (value - camera.centre[n]));
-      camera.places = camera.corners.map((point) => seen(grown(point)));
-      camera.at = [0, 1, 2].map((axis) => camera.places.slice(1).reduce((sum, place) => sum + place[axis] / 4, 0));
-      things.push([...camera.at, camera]);
-    }
+    const things = []; // places with numbers of points, and of cameras with their corners
+    for (let n = 0; n < xyz.length; n += Math.ceil(xyz.length / most) || 1) things.push([...seen(xyz[n]), n]);
+    const places = this.cameras.map((camera) => camera.corners.map(seen));
+    places.forEach((corners, n) => things.push([0, 0, (corners[1][2] + corners[3][2]) / 2, n, corners]));
     things.sort((a, b) => b[2] - a[2]); // the far ones first
-    const size = Math.max(2, width / Math.min(500, Math.max(160, 4 * Math.sqrt(xyz.length))));
-    const ends = this.cameras.map(({ places }) => places[0]);
-    if (ends.length === 2) stroke(paint, colour("soft"), 1, [ends]);
-    for (const [x, y, depth, thing] of things) {
-      if (typeof thing === "object") {
-        if (thing.picture && this.shown.photographs) lay(paint, thing.picture, thing.places.slice(1));
-        const lines = FRUSTUM.map((line) => line.map((n) => thing.places[n]));
-        stroke(paint, colour(thing.colour), thing === this.cameras[this.pointed] ? 4 : ends.length === 2 ? 2 : 1.5, lines);
+    const size = FAR * this.radius * Math.max(2, width / Math.min(500, Math.max(160, 4 * Math.sqrt(xyz.length))));
+    const pair = places.length === 2;
+    if (pair) stroke(paint, colour("soft"), 1, places.map(([centre]) => centre));
+    for (const [x, y, depth, thing, corners] of things) {
+      if (corners) {
+        if (this.photographs) lay(paint, this.cameras[thing].photograph, corners);
+        stroke(paint, colour(this.cameras[thing].colour), pair ? 2 : 1.5, PYRAMID.map((n) => corners[n]));
       } else {
-        const side = Math.round(Math.min(8, size * FAR * this.radius / depth)); // whole pixels are drawn fast
+        const side = Math.round(Math.min(8, size / depth)); // whole pixels are drawn faster
         paint.fillStyle = this.styles[thing];
         paint.fillRect(Math.round(x - side / 2), Math.round(y - side / 2), side, side);
       }
     }
+    if (!this.names) return;
     // A name stands beyond the centre, away from the other cameras.
-    const [left, top] = [0, 1].map((axis) => ends.reduce((sum, end) => sum + end[axis], 0) / ends.length);
-    paint.font = ends.length === 2 ? "bold 15px system-ui, sans-serif" : "12px system-ui, sans-serif";
-    paint.textAlign = "center";
-    paint.textBaseline = "middle";
-    paint.lineWidth = 3;
-    paint.strokeStyle = colour("shade");
-    this.cameras.forEach(({ label, colour: name }, n) => {
-      if (!this.shown.names && n !== this.pointed) return;
-      const [x, y] = ends[n];
-      const far = 14 / (Math.hypot(x - left, y - top) || 1);
-      paint.fillStyle = colour(name);
-      for (const how of ["strokeText", "fillText"]) paint[how](label, x + far * (x - left), y + far * (y - top));
+    const middle = [0, 1].map((axis) => places.reduce((sum, [centre]) => sum + centre[axis] / places.length, 0));
+    Object.assign(paint, { textAlign: "center", textBaseline: "middle", lineWidth: 3, strokeStyle: colour("shade") });
+    paint.font = `${pair ? "bold 15px" : "12px"} system-ui, sans-serif`;
+    places.forEach(([[x, y]], n) => {
+      const far = 14 / (Math.hypot(x - middle[0], y - middle[1]) || 1);
+      const place = [x + far * (x - middle[0]), y + far * (y - middle[1])];
+      paint.strokeText(this.cameras[n].label, ...place);
+      paint.fillStyle = colour(this.cameras[n].colour);
+      paint.fillText(this.cameras[n].label, ...place);
     });
-    if (this.unit) this.drawScale(paint, scale / FAR / this.radius, height);
-  }
-
-  /** A bar of 1, 2 or 5 times a power of ten, as long as it is at the middle. */
-  drawScale(paint, pixels, height) {
-    const power = 10 ** Math.floor(Math.log10(200 / pixels));
-    const length = power * [5, 2, 1].find((times) => times * power * pixels <= 200);
-    const [x, y] = [16 + length * pixels, height - 16];
-    stroke(paint, colour("ink"), 2, [[[16, y - 5], [16, y], [x, y], [x, y - 5]]]);
-    paint.fillStyle = colour("ink");
-    paint.textAlign = "left";
-    paint.fillText(`${length} ${this.unit}`, 16, y - 14);
   }
 
   /** A function of points: their places on the canvas, and the distance from the eye's plane. x, y: of
@@ -195,29 +161,28 @@ export class Scene {
 
 /** The least and the largest coordinate of points along an axis. */
 function range(points, axis) {
-  const values = points.map((point) => point[axis]);
-  return [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
+  return points.reduce(([low, high], point) => [Math.min(low, point[axis]), Math.max(high, point[axis])], [Infinity, -Infinity]);
 }
 
-function stroke(paint, style, thick, lines) {
+function stroke(paint, style, thick, places) {
   paint.strokeStyle = style;
   paint.lineWidth = thick;
   paint.beginPath();
-  for (const line of lines) line.forEach(([x, y], n) => (n ? paint.lineTo(x, y) : paint.moveTo(x, y)));
+  for (const [x, y] of places) paint.lineTo(x, y);
   paint.stroke();
 }
 
-/** A picture on four places, from the top left clockwise: a triangle over an affine map of the whole. */
-function lay(paint, picture, [a, b, c, d]) {
-  const opposite = [0, 1].map((axis) => b[axis] + d[axis] - c[axis]); // where c's triangle has a
-  for (const [inside, origin, right, down] of [[[a, b, c, d], a, b, d], [[b, c, d], opposite, b, d]]) {
+/** A photograph on the corners of a camera: half of it above the affine map that fits the other half. */
+function lay(paint, photograph, [, a, b, c, d]) {
+  const { width, height } = photograph;
+  const opposite = [b[0] + d[0] - c[0], b[1] + d[1] - c[1]];
+  for (const [[x, y], ...outline] of [[a, a, b, c, d], [opposite, b, c, d]]) {
     paint.save();
     paint.beginPath();
-    inside.forEach(([x, y]) => paint.lineTo(x, y));
+    for (const place of outline) paint.lineTo(place[0], place[1]);
     paint.clip();
-    const along = [right, down].flatMap((end, n) => [0, 1].map((axis) => (end[axis] - origin[axis]) / [picture.width, picture.height][n]));
-    paint.transform(...along, origin[0], origin[1]);
-    paint.drawImage(picture, 0, 0);
+    paint.transform((b[0] - x) / width, (b[1] - y) / width, (d[0] - x) / height, (d[1] - y) / height, x, y);
+    paint.drawImage(photograph, 0, 0);
     paint.restore();
   }
 }
