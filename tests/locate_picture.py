@@ -1,4 +1,4 @@
-"""Draw docs/locate.png and docs/model.png anew: `cd tests; ../.venv/bin/python locate_picture.py`."""
+"""Draw locate.png and model.png of docs/: `cd tests; ../.venv/bin/python locate_picture.py`."""
 
 import tempfile
 from pathlib import Path

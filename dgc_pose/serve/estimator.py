@@ -63,7 +63,7 @@ class Estimator:
             "sizes": [list(image1.size), list(image2.size)],
             "F": _fundamental(trace),
             "matches": _matches(trace),
-            "scene": pose_scene(trace),
+            "scene": None if trace.pose.t is None else pose_scene(trace),
             "map": None if trace.correspondence_map is None else _map(trace),
             "correspondences": _correspondences(trace.correspondence_map),
             "command": command(names, texts, weights),

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.neighbours import nearest
 from dgc_pose.images.image import Image, load_image, resize_by
@@ -39,9 +39,9 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
 
     def shown(name: str) -> dict[str, Any]:
         pose, camera = model.poses[name], model.cameras[name]
-        pose = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
         image = load_image(model.root / name).oriented(camera.orientation)
-        return _camera(Path(name).stem, "camera1", camera.K, image, pose)
+        turned = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
+        return _camera(Path(name).stem, camera.K, image, turned)
 
     scene = _scene(in_threads(shown, sorted(model.poses)), points @ axes.T, colours, _MOST)
     facts = f"{len(model.poses)} cameras, {len(points)} points"
@@ -52,35 +52,29 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
 def pose_page(trace: Trace) -> str:
     """The same of a pair: both cameras, and the inliers in camera 1's axes. Raises InputError
     without R and t."""
-    scene = pose_scene(trace)
-    if scene is None:
-        raise InputError(ArgumentName("trace"), f"has no R and t: {trace.pose.reason}")
     names = " and ".join(Path(image.name).name for image in (trace.image1, trace.image2))
-    return _page(names, f"{trace.pose.num_inliers} inliers", scene)
+    return _page(names, f"{trace.pose.num_inliers} inliers", pose_scene(trace))
 
 
-def pose_scene(trace: Trace) -> dict[str, Any] | None:
-    """What scene.js shows of a pair, as values of JSON; None without R and t."""
+def pose_scene(trace: Trace) -> dict[str, Any]:
+    """What scene.js shows of a pair, as values of JSON. Raises InputError without R and t."""
     if trace.pose.R is None or trace.pose.t is None:
-        return None
+        raise InputError(ArgumentName("trace"), f"has no R and t: {trace.pose.reason}")
     pose = np.column_stack([trace.pose.R, trace.pose.t])
-    first = _camera("1", "camera1", trace.camera1.K, trace.image1, np.eye(3, 4))
-    second = _camera("2", "camera2", trace.camera2.K, trace.image2, pose)
+    first = _camera("1", trace.camera1.K, trace.image1, np.eye(3, 4))
+    second = _camera("2", trace.camera2.K, trace.image2, pose)
     return _scene([first, second], trace.points3d, trace.colours, _MOST_OF_PAIR)
 
 
-def _camera(
-    label: str, colour: str, K: np.ndarray, image: Image, pose: np.ndarray
-) -> dict[str, Any]:
-    """A camera; its corners are the directions to them, at a depth of 1, from the top left on."""
+def _camera(label: str, K: np.ndarray, image: Image, pose: np.ndarray) -> dict[str, Any]:
+    """A camera: its centre and, at a depth of 1, the corners of its view from the top left on."""
     width, height = image.size
-    corners = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
     small = resize_by(image.pixels, min(1.0, _SIDE / max(image.size)))
     return {
         "label": label,
-        "colour": colour,
-        "centre": centre_of(pose),
-        "corners": homogeneous(corners) @ np.linalg.inv(K).T @ pose[:, :3],
+        "corners": centre_of(pose) + np.vstack([np.zeros(3), rays]),
         "photograph": picture_url(small, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _QUALITY),
     }
 
@@ -88,8 +82,8 @@ def _camera(
 def _scene(
     cameras: Sequence[dict[str, Any]], points: np.ndarray, colours: np.ndarray, most: int
 ) -> dict[str, Any]:
-    """The cameras, as large as their distances allow, and points in a random order."""
-    centres = np.stack([camera.pop("centre") for camera in cameras])
+    """The cameras, as deep as their distances allow, and points in a random order."""
+    centres = np.stack([camera["corners"][0] for camera in cameras])
     depth = float(np.median(nearest(centres, 2)[0][:, 1])) or 1.0
     away = np.linalg.norm(points - centres.mean(0), axis=1)
     chosen = np.flatnonzero(np.isfinite(away))
@@ -99,15 +93,15 @@ def _scene(
     chosen = np.random.default_rng(0).permutation(chosen)[:most]
     digits = 4 - int(np.floor(np.log10(depth)))
     for camera, centre in zip(cameras, centres, strict=True):
-        corners = np.vstack([np.zeros(3), camera["corners"]])
-        camera["corners"] = (centre + depth * corners).round(digits).tolist()
+        corners = centre + depth * (camera["corners"] - centre)
+        camera["corners"] = corners.round(digits).tolist()
     xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
     return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}
 
 
 def _page(title: str, facts: str, scene: dict[str, Any]) -> str:
     """The page with all that it is made of: text, style sheet, scripts and the scene."""
-    parts = {"title": html.escape(title), "facts": html.escape(facts)}
+    parts = {"title": html.escape(printable(title)), "facts": html.escape(facts)}
     for name in ("page.css", "canvas.js", "scene.js"):
         text = (_FILES / name).read_text(encoding="utf-8")
         parts[name] = re.sub(r"^(import .*$|export )", "", text, flags=re.MULTILINE)

@@ -43,8 +43,8 @@ export class Scene {
     }
   }
 
-  /** Cameras, each with its centre and from the top left clockwise its corners, a label, a colour of the
-      style sheet and a photograph; and points in a random order. Null for neither. */
+  /** Cameras, each with its centre and from the top left on its corners, a label and a photograph; and
+      points in a random order. Null for neither. */
   show(content) {
     this.points = content?.points ?? null;
     if (!content) return;
@@ -118,11 +118,12 @@ export class Scene {
     things.sort((a, b) => b[2] - a[2]); // the far ones first
     const size = FAR * this.radius * Math.max(2, width / Math.min(500, Math.max(160, 4 * Math.sqrt(xyz.length))));
     const pair = places.length === 2;
+    const style = (n) => (pair && n ? "camera2" : "camera1");
     if (pair) stroke(paint, colour("soft"), 1, places.map(([centre]) => centre));
     for (const [x, y, depth, thing, corners] of things) {
       if (corners) {
         if (this.photographs) lay(paint, this.cameras[thing].photograph, corners);
-        stroke(paint, colour(this.cameras[thing].colour), pair ? 2 : 1.5, PYRAMID.map((n) => corners[n]));
+        stroke(paint, colour(style(thing)), pair ? 2 : 1.5, PYRAMID.map((n) => corners[n]));
       } else {
         const side = Math.round(Math.min(8, size / depth)); // whole pixels are drawn faster
         paint.fillStyle = this.styles[thing];
@@ -138,7 +139,7 @@ export class Scene {
       const far = 14 / (Math.hypot(x - middle[0], y - middle[1]) || 1);
       const place = [x + far * (x - middle[0]), y + far * (y - middle[1])];
       paint.strokeText(this.cameras[n].label, ...place);
-      paint.fillStyle = colour(this.cameras[n].colour);
+      paint.fillStyle = colour(style(n));
       paint.fillText(this.cameras[n].label, ...place);
     });
   }
