@@ -21,7 +21,8 @@ from dgc_pose.system.threads import in_threads
 from dgc_pose.trace import Trace
 from dgc_pose.viz.reconstruction import mean_axes
 
-_FILES = resources.files("dgc_pose") / "serve" / "static"
+_FILES = resources.files("dgc_pose")
+_PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here
 _MOST, _MOST_OF_PAIR = 20_000, 3000  # points: more would slow a page down
 _NEAR = 0.97  # of the points' distances that are shown: the farthest would shrink all others
 _SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and of its JPEG
@@ -102,11 +103,11 @@ def _scene(
 def _page(title: str, facts: str, scene: dict[str, Any]) -> str:
     """The page with all that it is made of: text, style sheet, scripts and the scene."""
     parts = {"title": html.escape(printable(title)), "facts": html.escape(facts)}
-    for name in ("page.css", "canvas.js", "scene.js"):
-        text = (_FILES / name).read_text(encoding="utf-8")
+    for name in _PARTS:
+        text = (_FILES / "serve" / "static" / name).read_text(encoding="utf-8")
         parts[name] = re.sub(r"^(import .*$|export )", "", text, flags=re.MULTILINE)
     parts["content"] = json.dumps(scene).replace("<", r"\u003c")
-    page = (_FILES / "model.html").read_text(encoding="utf-8")
+    page = (_FILES / "viz" / "model.html").read_text(encoding="utf-8")
     return re.sub(r"{{(.*?)}}", lambda match: parts[match[1]], page)
 
 
