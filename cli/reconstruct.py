@@ -1,6 +1,7 @@
 """`dgc-pose reconstruct`: from a folder of photographs to a COLMAP model."""
 
 import time
+import webbrowser
 from functools import partial
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced
+from dgc_pose.files.outputs import replaced, write_text
 from dgc_pose.matchers import MatcherOptions
 
 
@@ -27,6 +28,7 @@ from dgc_pose.matchers import MatcherOptions
 @dataclass_options(BatchOptions, "work")
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
+@click.option("--view", is_flag=True, help="Open model.html in the browser.")
 def reconstruct(
     source: str,
     out: Path,
@@ -35,22 +37,25 @@ def reconstruct(
     work: BatchOptions,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
+    view: bool,
 ) -> None:
     """Reconstruct cameras and points from a folder of photographs.
 
     FOLDER may also be a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
-    Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, summary.json, and batch/,
-    the folder of the batch.
+    Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, model.html, summary.json,
+    and batch/, the folder of the batch.
     """
-    from dgc_pose.batch.source import BATCH, PICTURE, PLAN, open_source
+    from dgc_pose.batch.source import BATCH, PAGE, PICTURE, PLAN, open_source
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MIN_IMAGES
     from dgc_pose.colmap.metric import known_metres
+    from dgc_pose.localization.model import load_model
     from dgc_pose.viz.figure import save_figure
+    from dgc_pose.viz.model_page import model_page
     from dgc_pose.viz.reconstruction import plot_reconstruction
 
-    known = [name for name in (*reconstruction.OUTPUTS, PICTURE) if (out / name).exists()]
+    known = [name for name in (*reconstruction.OUTPUTS, PICTURE, PAGE) if (out / name).exists()]
     if known and not work.resume:
         raise InputError(f"{out / known[0]} is there already: --resume goes on, and replaces it")
     if known and not (out / BATCH / PLAN).is_file():
@@ -80,6 +85,8 @@ def reconstruct(
     figure = plot_reconstruction([*model.poses.values()], model.points, model.colours)
     with replaced(out / PICTURE) as temporary:
         save_figure(figure, temporary)
+    posed, unit = load_model(out, batch.plan.root), model.metric.get("unit", "")
+    write_text(out / PAGE, model_page(posed, model.points, model.colours, unit))
     data = reconstruction.write_summary(out, batch, model, exported, seconds)
     click.echo(f"{out / reconstruction.DATABASE}: {described(exported)}")
     click.echo(
@@ -91,8 +98,11 @@ def reconstruct(
         click.echo(f"{fact.replace('_', ' ')}: {value}")
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
     click.echo(f"{out / PICTURE}: cameras and points, from above and from the front")
+    click.echo(f"{out / PAGE}: the same with the photographs, for a browser, from any side")
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
     cameras = [(c.images, f"{c.model}, f = {c.focal_px:.1f} px{after}") for c in model.cameras]
     echo_each_camera(cameras, out / reconstruction.SUMMARY)
     for name in data["not_registered"]:
         say(f"not registered: {name}")
+    if view:
+        webbrowser.open((out / PAGE).resolve().as_uri())

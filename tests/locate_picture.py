@@ -1,4 +1,4 @@
-"""Draw docs/locate.png anew: `cd tests; ../.venv/bin/python locate_picture.py`."""
+"""Draw locate.png and model.png of docs/: `cd tests; ../.venv/bin/python locate_picture.py`."""
 
 import tempfile
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from chromium import chromium_page, find_chromium
 from command_line import run
 from PIL import Image
 from procedural import procedural_textures
@@ -50,8 +51,20 @@ def main() -> None:
         model = ("--model", folder / "poses.csv", "--images", folder / "images")
         words = ("--K", "700,700,400,300", "--plot", folder / "locate.png")
         print(run("locate", folder / "new.png", *model, *words).output)
-        picture = Image.open(folder / "locate.png").convert("RGB").quantize(256)
-        picture.save(Path(__file__).parents[1] / "docs" / "locate.png", optimize=True)
+        _save(folder / "locate.png")
+        words = ("--K", "700,700,400,300", "--out", folder / "photos")
+        print(run("reconstruct", folder / "images", *words).output)
+        with chromium_page(find_chromium() or "chromium") as page:
+            page.resize(1100, 640)
+            page.open((folder / "photos" / "model.html").as_uri())
+            page.click("[data-from=aslant]")
+            page.screenshot(folder / "model.png")
+        _save(folder / "model.png")
+
+
+def _save(path: Path) -> None:
+    picture = Image.open(path).convert("RGB").quantize(256)
+    picture.save(Path(__file__).parents[1] / "docs" / path.name, optimize=True)
 
 
 if __name__ == "__main__":

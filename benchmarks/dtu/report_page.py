@@ -17,6 +17,7 @@ from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.viz.figure import save_figure
+from dgc_pose.viz.model_page import picture_url
 
 PAGE = "report.html"
 WORST = 10  # pairs of each method that have a picture
@@ -43,7 +44,7 @@ _CAPTIONS = {
     "motion.png": "Errors against the true rotation and the baseline, with medians",
 }
 _CAPTION = "{0.status}: R off {0.rotation_error_deg:.2f}°, t off {0.translation_error_deg:.2f}°"
-_MIME = {"svg": "image/svg+xml", "png": "image/png", "jpg": "image/jpeg"}
+_MIME = {"svg": "image/svg+xml", "png": "image/png"}
 _HEIGHT = 240  # pixels of a picture
 _GREEN, _RED = (46, 158, 91), (210, 67, 47)
 _JPEG_QUALITY = 80
@@ -105,10 +106,9 @@ def _worst(out: Path, pairs: DtuPairs, rows: Sequence[DtuScore]) -> list[dict[st
         with read_as("a table with samples of matches", out / MATCHES):
             sample = np.array(json.loads(row.sample), np.float64).reshape(-1, 5)
         picture = draw_pair(pairs.pair(number), sample)
-        quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-        encoded = cv2.imencode(".jpg", picture[..., ::-1], quality)[1]
+        source = picture_url(picture, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
         caption = f"{HEADINGS['pair']}, {_CAPTION}".format(row)
-        pictures.append({"source": _data_uri("jpg", encoded.tobytes()), "caption": caption})
+        pictures.append({"source": source, "caption": caption})
     return pictures
 
 

@@ -17,7 +17,7 @@ from dgc_pose.images.image import image_header
 from dgc_pose.images.mask import mask_file
 
 PLAN = "plan.json"  # in the folder of a batch
-BATCH, PICTURE = "batch", "picture.png"  # in the folder of a reconstruction
+BATCH, PICTURE, PAGE = "batch", "picture.png", "model.html"  # in the folder of a reconstruction
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 # Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
 FileState = tuple[int, ...]

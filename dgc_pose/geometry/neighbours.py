@@ -1,4 +1,4 @@
-"""Nearest neighbours in the plane, by a k-d tree."""
+"""Nearest neighbours, by a k-d tree."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ _CANDIDATES = 4  # in single precision, of which the nearest in double precision
 
 
 def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N, count) float32 of the nearest of points (N, 2) to each, and their indices
+    """Distances (N, count) float32 of the nearest of points (N, D) to each, and their indices
     (N, count) int32, itself among them. N is at least `count`; of equal distances any come first.
 
     By OpenCV's FLANN: the same trees of SciPy cost a command as much time at its start as a pose.

@@ -14,13 +14,12 @@ from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.pose import pose_of_pair
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
-from dgc_pose.serve.images import StoredImage, picture_url, shrunk
+from dgc_pose.serve.images import StoredImage, shrunk
 from dgc_pose.trace import Trace
+from dgc_pose.viz.model_page import picture_url, pose_scene
 
 SHOWN_MATCHES = 3000  # more would slow the page down
-SHOWN_POINTS = 3000  # likewise
 SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
-_NEAR = 0.97  # of the points' depths that are shown: the farthest would shrink all others
 _COVERED = 0.01  # of image 2 that the map must cover, or there is nothing to see
 
 
@@ -64,7 +63,7 @@ class Estimator:
             "sizes": [list(image1.size), list(image2.size)],
             "F": _fundamental(trace),
             "matches": _matches(trace),
-            "points": None if trace.pose.t is None else _points(trace),
+            "scene": None if trace.pose.t is None else pose_scene(trace),
             "map": None if trace.correspondence_map is None else _map(trace),
             "correspondences": _correspondences(trace.correspondence_map),
             "command": command(names, texts, weights),
@@ -95,16 +94,6 @@ def _matches(trace: Trace) -> dict[str, list[Any]]:
         "confidence": matches.confidence[chosen].round(3).tolist(),
         "residual": [round(v, 3) if np.isfinite(v) else None for v in residuals[chosen].tolist()],
     }
-
-
-def _points(trace: Trace) -> dict[str, list[Any]]:
-    """At most `SHOWN_POINTS` of `Trace.points3d`, without the farthest, and their colours."""
-    points = trace.points3d
-    shown = np.flatnonzero(np.isfinite(points).all(1))
-    if len(shown):
-        shown = shown[points[shown, 2] <= np.quantile(points[shown, 2], _NEAR)]
-    shown = np.random.default_rng(0).permutation(shown)[:SHOWN_POINTS]
-    return {"xyz": points[shown].round(4).tolist(), "rgb": trace.colours[shown].tolist()}
 
 
 def _correspondences(dense_map: CorrespondenceMap | None) -> dict[str, Any] | None:

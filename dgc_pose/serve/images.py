@@ -4,17 +4,17 @@ The browser gets our pixels, not the file, which may be a TIFF. They are upright
 orientation is applied.
 """
 
-import base64
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
 from dgc_pose.images.image import image_size, load_image, resize_by
+from dgc_pose.viz.model_page import picture_url
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
 
@@ -86,11 +86,3 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
 def shrunk(pixels: np.ndarray) -> np.ndarray:
     """An image (H, W, 3) of at most `SHOWN_SIDE` pixels a side."""
     return resize_by(pixels, min(1.0, SHOWN_SIDE / max(pixels.shape[:2])))
-
-
-def picture_url(pixels: np.ndarray, kind: Literal["jpeg", "webp"], *settings: int) -> str:
-    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as text that a page shows."""
-    order = [2, 1, 0, 3][: pixels.shape[2]]
-    done, data = cv2.imencode(f".{kind}", np.ascontiguousarray(pixels[..., order]), list(settings))
-    assert done
-    return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode()}"

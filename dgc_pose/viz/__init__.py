@@ -1,4 +1,5 @@
-"""Figures by matplotlib without pyplot: small functions that draw on axes, and whole figures.
+"""Figures by matplotlib without pyplot: small functions that draw on axes, and whole figures; and
+pages that a browser shows from any side.
 
 A function `draw_...` draws one thing on the axes it is given and returns what a colour bar needs,
 if there is one; a function `plot_...` makes a figure of them. Points are in pixels of the original
@@ -6,6 +7,7 @@ images, (0, 0) the centre of the top-left pixel.
 """
 
 from dgc_pose.viz.figure import new_figure, save_figure
+from dgc_pose.viz.model_page import model_page, pose_page
 from dgc_pose.viz.panels import (
     draw_curves,
     draw_image,
@@ -24,8 +26,10 @@ __all__ = [
     "draw_matches",
     "draw_points",
     "draw_warp",
+    "model_page",
     "new_figure",
     "plot_pose",
+    "pose_page",
     "residual_colours",
     "save_figure",
 ]

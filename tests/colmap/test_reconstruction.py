@@ -79,12 +79,14 @@ def test_cameras_are_those_that_rendered_the_views(
     assert (tmp_path / "points.ply").read_bytes().startswith(b"ply")
 
 
-def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_path: Path) -> None:
+def test_the_command_from_folder_to_model(
+    views: tuple[Path, list[View]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "out"
     arguments = ("reconstruct", views[0], "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
     result = run(*arguments)
     assert result.exit_code == 0
-    for name in ("sparse", "points.ply", "picture.png"):
+    for name in ("sparse", "points.ply", "picture.png", "model.html"):
         assert f"{out / name}: " in result.stdout
     assert (
         f"camera 1 ({COUNT} images): PINHOLE, f = {K.diagonal()[:2].mean():.1f} px\n"
@@ -95,10 +97,13 @@ def test_the_command_from_folder_to_model(views: tuple[Path, list[View]], tmp_pa
     assert summary["pairs"] == 10
     assert summary["mean_track_length"] > 3
     assert set(summary["seconds"]) == {"match", "map"}
-    expected = {"batch", "database.db", "sparse", "points.ply", "picture.png", "summary.json"}
-    assert {path.name for path in out.iterdir()} == expected
+    files = {"database.db", "points.ply", "picture.png", "model.html", "summary.json"}
+    assert {path.name for path in out.iterdir()} == {"batch", "sparse", *files}
     assert_refused(run(*arguments), "is there already")
-    assert f"{COUNT} of {COUNT} images" in run(*arguments, "--resume").output
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    assert f"{COUNT} of {COUNT} images" in run(*arguments, "--resume", "--view").output
+    assert opened == [(out / "model.html").resolve().as_uri()]
 
 
 def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ def batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     [
         (RECONSTRUCT, "sparse/0/cameras.bin", "is there already"),
         ((*RECONSTRUCT, "--resume"), "picture.png", "is there already"),
+        ((*RECONSTRUCT, "--resume"), "model.html", "is there already"),
         ((*RECONSTRUCT, "--resume"), "points.ply", "is there already"),
         ((*RECONSTRUCT, "--resume"), "sparse/letter.txt", "sparse: holds other files"),
         ((*EXPORT, "--database", "batch/matches.h5", "--overwrite"), "", ""),

@@ -71,6 +71,15 @@ def test_the_scene_projects_points_as_a_camera_behind_camera_1_does(map_page):
     np.testing.assert_allclose(places[3], [100 + 10 / 7.2, 50, 7.2])
 
 
+def test_a_key_turns_the_scene_of_a_pair(map_page):
+    before = map_page.drawn("#scene")
+    map_page.evaluate("document.querySelector('#scene').focus()")
+    map_page.press("ArrowLeft")
+    turned = map_page.redrawn("#scene", before)
+    map_page.click("[data-from=aslant]")  # as at first
+    assert map_page.redrawn("#scene", turned) == before
+
+
 def test_a_result_is_saved_as_json_and_png(map_page):
     page = map_page
     page.evaluate(

@@ -49,7 +49,7 @@ def test_a_pair_gives_its_pose_and_what_the_page_draws(result):
 
 
 def test_the_points_lie_on_the_scenes_surface(result):
-    points, colours = (np.array(result["points"][name]) for name in ("xyz", "rgb"))
+    points, colours = (np.array(result["scene"]["points"][name]) for name in ("xyz", "rgb"))
     assert len(points) == len(colours) > 100
     in_camera2 = points @ np.array(result["pose"]["R"]).T + result["pose"]["t"]
     pixels2 = in_camera2[:, :2] / in_camera2[:, 2:] * 300.0 + dense_scene.K[:2, 2]

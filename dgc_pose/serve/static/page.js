@@ -132,7 +132,7 @@ async function present(answer, pair, asked, how) {
   at("count").value = drawn;
   at("view-tools").hidden = points.length === 0;
   view.show(answer, pictures[0], pictures[1]);
-  scene.show(answer);
+  scene.show(answer.scene);
   at("scene-part").hidden = scene.points === null;
   redraw();
   const seconds = Object.values(answer.pose.seconds).reduce((sum, part) => sum + part, 0);
@@ -199,9 +199,6 @@ at("camera").addEventListener("keydown", (event) => {
 at("count").addEventListener("input", () => { drawn = at("count").value; });
 for (const id of ["count", "limit", "blend", "show-lines", "show-outliers", "show-epipolar", "show-matchability"]) {
   at(id).addEventListener("input", redraw);
-}
-for (const button of document.querySelectorAll("[data-from]")) {
-  button.addEventListener("click", () => scene.lookFrom(button.dataset.from));
 }
 for (const button of document.querySelectorAll("[data-copy]")) {
   button.addEventListener("click", async () => {

@@ -1,21 +1,22 @@
-// Both cameras and the points between them, in camera 1's axes (x right, y down, z forward), seen
-// from a place that mouse, fingers and keys move.
+// Cameras and points in space (x right, y down, z forward), seen from a place that mouse, fingers and
+// keys move.
 import { colour, prepared } from "./canvas.js";
 
 const VIEWS = { aslant: [-35, 25], above: [0, 89], behind: [0, 0] }; // azimuth and elevation, degrees
-const FRUSTUM = 0.18; // depth of a camera's pyramid, as a share of the median depth of the points
-const MARGIN = 1.15; // around what is drawn
-const CLOSEST = 1.6; // than a ball around all, at most: turned, more would leave the canvas
+const ROOM = 80; // CSS pixels around what is drawn, of both sides together
+const CLOSEST = 2.2; // than a ball around all, at most: turned, more would leave the canvas
 const FAR = 2.6; // of the eye from the middle, in radii of what is drawn
 const STEP = 6; // degrees that an arrow key turns
 const KEYS = { ArrowLeft: [STEP, 0], ArrowRight: [-STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP] };
 const ZOOMS = { "+": 1.15, "=": 1.15, "-": 1 / 1.15 };
-const EDGES = [[0, 1], [0, 2], [0, 3], [0, 4], [1, 2], [2, 3], [3, 4], [4, 1]];
+const PYRAMID = [1, 2, 3, 4, 1, 0, 2, 3, 0, 4]; // a line through a camera's centre and its corners
+const QUICK = 5000; // points drawn while it moves
+const REST = 200; // milliseconds after which all of them are drawn
 
 export class Scene {
-  constructor(canvas) {
-    this.canvas = canvas;
-    this.points = null;
+  /** alone: whether it fills the page, and has photographs. */
+  constructor(canvas, alone = false) {
+    Object.assign(this, { canvas, alone, points: null, names: true, photographs: alone });
     this.fingers = new Map(); // places of the pointers that are down, by their identifiers
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -26,7 +27,7 @@ export class Scene {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener("wheel", (event) => {
-      if (document.activeElement !== canvas) return; // the wheel scrolls the page
+      if (!(alone && window === top) && document.activeElement !== canvas) return; // the wheel scrolls the page
       event.preventDefault();
       this.zoomBy(Math.exp(-event.deltaY / 500));
     }, { passive: false });
@@ -37,106 +38,110 @@ export class Scene {
       else return;
       event.preventDefault();
     });
+    for (const button of document.querySelectorAll("[data-from]")) {
+      button.addEventListener("click", () => this.lookFrom(button.dataset.from));
+    }
   }
 
-  /** The cameras and the points of a result; nothing without a pose. */
-  show({ pose, points, sizes }) {
-    this.points = null;
-    if (!points || !pose.t) return;
-    const depths = points.xyz.map(([, , z]) => z).sort((a, b) => a - b);
-    const depth = FRUSTUM * (depths[Math.floor(depths.length / 2)] ?? 2);
-    const first = frustum(pose.camera1.K, sizes[0], depth);
-    const second = frustum(pose.camera2.K, sizes[1], depth).map((point) => intoCamera1(point, pose));
-    this.cameras = [first, second];
-    this.points = points;
-    this.all = [...points.xyz, ...first, ...second];
-    const axes = [0, 1, 2].map((axis) => this.all.map((point) => point[axis]));
-    const bounds = axes.map((values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))]);
-    this.middle = bounds.map(([low, high]) => (low + high) / 2);
-    this.radius = Math.hypot(...bounds.map(([low, high]) => high - low)) / 2;
+  /** Cameras, each with its centre and from the top left on its corners, a label and a photograph; and
+      points in a random order. Null for neither. */
+  show(content) {
+    this.points = content?.points ?? null;
+    if (!content) return;
+    this.cameras = content.cameras;
+    this.styles = this.points.rgb.map((rgb) => `rgb(${rgb})`);
+    this.all = [...this.points.xyz, ...this.cameras.flatMap((camera) => camera.corners)];
+    const ranges = [0, 1, 2].map((axis) => range(this.all, axis));
+    this.middle = ranges.map(([low, high]) => (low + high) / 2);
+    this.radius = Math.hypot(...ranges.map(([low, high]) => high - low)) / 2;
     this.lookFrom("aslant", false);
   }
 
   /** See it from one of `VIEWS`. */
   lookFrom(name, drawn = true) {
     [this.azimuth, this.elevation] = VIEWS[name];
-    this.zoom = 1;
     const places = this.all.map(this.projection(0, 0, 1));
-    const most = [0, 1].map((axis) => places.reduce((far, place) => Math.max(far, Math.abs(place[axis])), 0));
-    this.extent = most.map((far) => MARGIN * Math.max(far, 1 / FAR / CLOSEST));
+    const ranges = [0, 1].map((axis) => range(places, axis));
+    this.extent = ranges.map(([low, high]) => Math.max(high - low, 2 / FAR / CLOSEST));
+    this.focus = ranges.map(([low, high]) => (low + high) / 2); // what lies at the canvas's middle
+    this.zoom = 1;
     if (drawn) this.draw();
   }
 
   turn(azimuth, elevation) {
     this.azimuth += azimuth;
     this.elevation = Math.min(89, Math.max(-89, this.elevation + elevation));
-    this.draw();
+    this.drawSoon();
   }
 
   zoomBy(factor) {
     this.zoom = Math.min(20, Math.max(0.3, this.zoom * factor));
-    this.draw();
+    this.drawSoon();
   }
 
-  /** One pointer turns, two zoom. */
+  /** One pointer turns, or moves the scene with Shift or the right button; two zoom. */
   drag(event) {
     const before = this.fingers.get(event.pointerId);
     if (!before) return;
     const now = [event.clientX, event.clientY];
     this.fingers.set(event.pointerId, now);
-    if (this.fingers.size === 1) {
-      this.turn((before[0] - now[0]) * 0.4, (now[1] - before[1]) * 0.4);
-    } else {
+    const by = [now[0] - before[0], now[1] - before[1]];
+    if (this.fingers.size > 1) {
       const [, other] = [...this.fingers].find(([finger]) => finger !== event.pointerId);
       const apart = (place) => Math.hypot(place[0] - other[0], place[1] - other[1]) || 1;
       this.zoomBy(apart(now) / apart(before));
-    }
+    } else if (!event.shiftKey) return this.turn(-0.4 * by[0], 0.4 * by[1]);
+    this.focus = this.focus.map((value, n) => value - by[n] / this.scale / this.fingers.size);
+    this.drawSoon();
   }
 
-  draw() {
+  /** A part of the points in the next frame, all of them once it rests. */
+  drawSoon() {
+    cancelAnimationFrame(this.frame);
+    clearTimeout(this.rest);
+    this.frame = requestAnimationFrame(() => this.draw(QUICK));
+    this.rest = setTimeout(() => this.draw(), REST);
+  }
+
+  draw(most = Infinity) {
     if (!this.points) return;
-    const wide = this.canvas.clientWidth;
-    const [paint, width, height] = prepared(this.canvas, Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight))));
-    const [across, down] = this.extent;
-    const seen = this.projection(width / 2, height / 2, this.zoom * Math.min(width / across, height / down) / 2);
-    const dots = this.points.xyz.map((point, n) => [...seen(point), this.points.rgb[n]]);
-    dots.sort((a, b) => b[2] - a[2]); // the far ones first
-    const size = Math.max(2, width / (dots.length < 1200 ? 160 : 220));
-    for (const [x, y, depth, [red, green, blue]] of dots) {
-      if (depth <= 0) continue;
-      const side = Math.min(8, size * FAR * this.radius / depth);
-      paint.fillStyle = `rgb(${red}, ${green}, ${blue})`;
-      paint.fillRect(x - side / 2, y - side / 2, side, side);
+    const { clientWidth: wide, clientHeight: tall } = this.canvas;
+    const room = this.alone ? tall : Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight)));
+    const [paint, width, height] = prepared(this.canvas, room);
+    this.scale = this.zoom * Math.min((width - ROOM) / this.extent[0], (height - ROOM) / this.extent[1]);
+    const seen = this.projection(width / 2 - this.scale * this.focus[0], height / 2 - this.scale * this.focus[1], this.scale);
+    const { xyz } = this.points;
+    const things = []; // places with numbers of points, and of cameras with their corners
+    for (let n = 0; n < xyz.length; n += Math.ceil(xyz.length / most) || 1) things.push([...seen(xyz[n]), n]);
+    const places = this.cameras.map((camera) => camera.corners.map(seen));
+    places.forEach((corners, n) => things.push([0, 0, (corners[1][2] + corners[3][2]) / 2, n, corners]));
+    things.sort((a, b) => b[2] - a[2]); // the far ones first
+    const size = FAR * this.radius * Math.max(2, width / Math.min(500, Math.max(160, 4 * Math.sqrt(xyz.length))));
+    const pair = places.length === 2;
+    const style = (n) => (pair && n ? "camera2" : "camera1");
+    if (pair) stroke(paint, colour("soft"), 1, places.map(([centre]) => centre));
+    for (const [x, y, depth, thing, corners] of things) {
+      if (corners) {
+        if (this.photographs) lay(paint, this.cameras[thing].photograph, corners);
+        stroke(paint, colour(style(thing)), pair ? 2 : 1.5, PYRAMID.map((n) => corners[n]));
+      } else {
+        const side = Math.round(Math.min(8, size / depth)); // whole pixels are drawn faster
+        paint.fillStyle = this.styles[thing];
+        paint.fillRect(Math.round(x - side / 2), Math.round(y - side / 2), side, side);
+      }
     }
-    const centres = this.cameras.map(([centre]) => seen(centre));
-    this.line(paint, ...centres, colour("soft"), 1);
-    this.cameras.forEach((corners, n) => {
-      const places = corners.map(seen);
-      const style = colour(`camera${n + 1}`);
-      for (const [from, to] of EDGES) this.line(paint, places[from], places[to], style, 2);
-      // The number stands beyond the centre, away from the other camera.
-      const [x, y] = centres[n];
-      const away = [x - centres[1 - n][0], y - centres[1 - n][1]];
-      const far = 14 / (Math.hypot(...away) || 1);
-      paint.font = "bold 15px system-ui, sans-serif";
-      paint.textAlign = "center";
-      paint.textBaseline = "middle";
-      paint.lineWidth = 3;
-      paint.strokeStyle = colour("shade");
-      paint.strokeText(n + 1, x + far * away[0], y + far * away[1]);
-      paint.fillStyle = style;
-      paint.fillText(n + 1, x + far * away[0], y + far * away[1]);
+    if (!this.names) return;
+    // A name stands beyond the centre, away from the other cameras.
+    const middle = [0, 1].map((axis) => places.reduce((sum, [centre]) => sum + centre[axis] / places.length, 0));
+    Object.assign(paint, { textAlign: "center", textBaseline: "middle", lineWidth: 3, strokeStyle: colour("shade") });
+    paint.font = `${pair ? "bold 15px" : "12px"} system-ui, sans-serif`;
+    places.forEach(([[x, y]], n) => {
+      const far = 14 / (Math.hypot(x - middle[0], y - middle[1]) || 1);
+      const place = [x + far * (x - middle[0]), y + far * (y - middle[1])];
+      paint.strokeText(this.cameras[n].label, ...place);
+      paint.fillStyle = colour(style(n));
+      paint.fillText(this.cameras[n].label, ...place);
     });
-  }
-
-  line(paint, from, to, style, thick) {
-    if (from[2] <= 0 || to[2] <= 0) return; // behind the eye
-    paint.strokeStyle = style;
-    paint.lineWidth = thick;
-    paint.beginPath();
-    paint.moveTo(from[0], from[1]);
-    paint.lineTo(to[0], to[1]);
-    paint.stroke();
   }
 
   /** A function of points: their places on the canvas, and the distance from the eye's plane. x, y: of
@@ -145,8 +150,9 @@ export class Scene {
     const [azimuth, elevation] = [this.azimuth, this.elevation].map((angle) => angle * Math.PI / 180);
     const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
     const far = FAR * this.radius;
+    const [x1, y1, z1] = this.middle;
     return (point) => {
-      const [x, y, z] = point.map((value, axis) => value - this.middle[axis]);
+      const [x, y, z] = [point[0] - x1, point[1] - y1, point[2] - z1];
       const [right, ahead] = [ca * x + sa * z, ca * z - sa * x];
       const [down, deep] = [ce * y - se * ahead, ce * ahead + se * y + far];
       return [x0 + scale * right / deep, y0 + scale * down / deep, deep];
@@ -154,17 +160,30 @@ export class Scene {
   }
 }
 
-/** The centre and the four corners of a camera's view at a depth, in its axes. */
-function frustum([[fx, skew, cx], [, fy, cy]], [width, height], depth) {
-  const corners = [[-0.5, -0.5], [width - 0.5, -0.5], [width - 0.5, height - 0.5], [-0.5, height - 0.5]];
-  return [[0, 0, 0], ...corners.map(([x, y]) => {
-    const down = (y - cy) / fy;
-    return [depth * (x - cx - skew * down) / fx, depth * down, depth];
-  })];
+/** The least and the largest coordinate of points along an axis. */
+function range(points, axis) {
+  return points.reduce(([low, high], point) => [Math.min(low, point[axis]), Math.max(high, point[axis])], [Infinity, -Infinity]);
 }
 
-/** A point of camera 2's axes in those of camera 1: R^T (x2 - t). */
-function intoCamera1(point, { R, t }) {
-  const rest = point.map((value, axis) => value - t[axis]);
-  return [0, 1, 2].map((axis) => R[0][axis] * rest[0] + R[1][axis] * rest[1] + R[2][axis] * rest[2]);
+function stroke(paint, style, thick, places) {
+  paint.strokeStyle = style;
+  paint.lineWidth = thick;
+  paint.beginPath();
+  for (const [x, y] of places) paint.lineTo(x, y);
+  paint.stroke();
+}
+
+/** A photograph on the corners of a camera: half of it above the affine map that fits the other half. */
+function lay(paint, photograph, [, a, b, c, d]) {
+  const { width, height } = photograph;
+  const opposite = [b[0] + d[0] - c[0], b[1] + d[1] - c[1]];
+  for (const [[x, y], ...outline] of [[a, a, b, c, d], [opposite, b, c, d]]) {
+    paint.save();
+    paint.beginPath();
+    for (const place of outline) paint.lineTo(place[0], place[1]);
+    paint.clip();
+    paint.transform((b[0] - x) / width, (b[1] - y) / width, (d[0] - x) / height, (d[1] - y) / height, x, y);
+    paint.drawImage(photograph, 0, 0);
+    paint.restore();
+  }
 }

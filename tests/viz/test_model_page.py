@@ -1,0 +1,193 @@
+"""The page of a model: what it holds, and what a browser shows of it."""
+
+import base64
+import io
+import json
+import re
+import shutil
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+from ambiguous_pose import ambiguous_pose
+from PIL import Image
+from world_scene import CAMERA, IMAGE, world_scene
+
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.localization.model import PosedModel
+from dgc_pose.pose import estimate_relative_pose
+from dgc_pose.viz import model_page, pose_page
+
+# Of the upper left, the upper right, the lower right and the lower left quarter of a photograph.
+QUARTERS = {"red": (255, 0, 0), "green": (0, 255, 0), "blue": (0, 0, 255), "yellow": (255, 255, 0)}
+# The mean place and the number of a canvas's pixels near a colour.
+PLACE = """((colour) => {
+  const canvas = document.querySelector('canvas');
+  const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+  let [x, y, count] = [0, 0, 0];
+  for (let n = 0; n < data.length; n += 4) {
+    if (!data[n + 3] || colour.some((value, k) => Math.abs(value - data[n + k]) > 40)) continue;
+    [x, y, count] = [x + n / 4 % canvas.width, y + Math.floor(n / 4 / canvas.width), count + 1];
+  }
+  return [x / count, y / count, count];
+})"""
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory) -> PosedModel:
+    """Five cameras, each with a photograph of four colours."""
+    root = tmp_path_factory.mktemp("<photos>")
+    red, green, blue, yellow = QUARTERS.values()
+    picture = np.array([[red, green], [yellow, blue]], np.uint8).repeat(400, 0).repeat(500, 1)
+    for name in world_scene().names:
+        cv2.imwrite(str(root / name), picture[..., ::-1])
+    return replace(world_scene().model(), root=root)
+
+
+def page_of(model: PosedModel, unit: str = "") -> str:
+    points = world_scene().points
+    return model_page(model, points, np.full(points.shape, 128, np.uint8), unit)
+
+
+def content_of(page: str) -> dict:
+    return json.loads(re.search(r"^const content = (.*);$", page, re.MULTILINE)[1])
+
+
+class Parts(HTMLParser):
+    """The tags of a page, the addresses in it and its texts outside of scripts."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags, self.addresses, self.texts = [], [], []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append(tag)
+        self.addresses += [value for name, value in attributes if name in ("src", "href")]
+
+    def handle_data(self, data):
+        self.texts.append(data)
+
+
+def test_the_page_is_one_file_with_all_cameras(model):
+    page = page_of(model, "m")
+    parts = Parts(page)
+    assert parts.addresses == [] and parts.tags.count("script") == parts.tags.count("canvas") == 1
+    assert not re.search(r"https?:|@import|url\(|^import |^export ", page, re.MULTILINE)
+    assert "{{" not in page and model.root.name in parts.texts
+    assert f"5 cameras, 300 points; cameras up to {model.extent:.3g} m apart" in parts.texts
+    cameras = content_of(page)["cameras"]
+    assert [camera["label"] for camera in cameras] == ["r0", "r1", "r2", "r3", "r4"]
+    for camera in cameras:
+        photograph = base64.b64decode(camera["photograph"].removeprefix("data:image/jpeg;base64,"))
+        assert Image.open(io.BytesIO(photograph)).size == (160, 128)
+
+
+def test_names_of_any_bytes_are_text(model, tmp_path):
+    """A byte that is no UTF-8, as Python decodes names of files, and what HTML would read."""
+    root, names = tmp_path / "\udcff<b>", ("<script>\udcff.jpg", "r1.jpg")
+    root.mkdir()
+    poses = dict(zip(names, model.poses.values(), strict=False))
+    with pytest.raises(ImageError, match="<script>"):
+        page_of(PosedModel(root, dict.fromkeys(poses, CAMERA), poses))
+    for name in names:
+        shutil.copy(model.root / "r0.jpg", root / name)
+    page = page_of(PosedModel(root, dict.fromkeys(poses, CAMERA), poses))
+    (tmp_path / "model.html").write_text(page, encoding="utf-8")
+    parts = Parts(page)
+    assert parts.tags.count("script") == 1 and "b" not in parts.tags
+    assert content_of(page)["cameras"][0]["label"] == "<script>\udcff"
+
+
+def test_the_cameras_and_points_are_the_models(model):
+    """Distances are kept, and each camera sees its corners at those of its image."""
+    content = content_of(page_of(model))
+    corners = np.array([camera["corners"] for camera in content["cameras"]])
+    centres = np.stack([model.centre(name) for name in sorted(model.poses)])
+    shown = corners[:, 0]
+    gaps, true = (np.linalg.norm(c[:, None] - c, axis=-1) for c in (shown, centres))
+    np.testing.assert_allclose(gaps, true, atol=1e-3)
+    pixels = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * IMAGE - 0.5
+    rays = np.column_stack([pixels, np.ones(4)]) @ np.linalg.inv(CAMERA.K).T
+    for pyramid in corners - shown[:, None]:
+        scale = np.linalg.norm(pyramid[1]) / np.linalg.norm(rays[0])
+        np.testing.assert_allclose(pyramid[1:] @ pyramid[1:].T, scale**2 * rays @ rays.T, atol=1e-3)
+    # Whoever looks as the mean camera does has the scene ahead and upright.
+    mean = np.mean(corners[:, 1:] - shown[:, None], axis=0)
+    assert (mean[:, 2] > 0).all() and (np.sign(mean[:, :2]) == np.sign(rays[:, :2])).all()
+    points = np.array(content["points"]["xyz"])
+    assert 0.96 * 300 < len(points) < 300 and (points[:, 2] > shown[:, 2].max()).all()
+
+
+def trace_of_dense_scene():
+    return estimate_relative_pose(
+        *dense_scene.pictures(),
+        dense_scene.K,
+        matcher=dense_scene.MapMatcher(dense_scene.true_map()),
+        options=EstimationOptions(runs=1, iterations=200),
+        trace=True,
+    )
+
+
+def test_a_pair_is_shown_in_camera_1s_axes():
+    trace = trace_of_dense_scene()
+    page = pose_page(trace)
+    assert Parts(page).addresses == []
+    first, second = (np.array(camera["corners"]) for camera in content_of(page)["cameras"])
+    assert (first[0] == 0).all()
+    width, height = dense_scene.SIZE
+    pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    for corners in (first[1:], second[1:] @ trace.pose.R.T + trace.pose.t):
+        seen = corners @ dense_scene.K.T
+        np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], pixels, atol=0.5)
+    with pytest.raises(InputError, match="trace has no R and t"):
+        pose_page(replace(trace, pose=ambiguous_pose()))
+
+
+@pytest.fixture
+def opened(browser, model, tmp_path):
+    """The page of the model in a browser, from behind, without names."""
+    path = tmp_path / "model.html"
+    path.write_text(page_of(model), encoding="utf-8")
+    browser.open_anew(path.as_uri())
+    browser.wait("document.querySelector('canvas').height > 200")
+    browser.click("#names")
+    browser.click("[data-from=behind]")
+    yield browser
+    assert browser.errors == []
+
+
+@pytest.mark.slow
+def test_a_browser_shows_the_photographs_upright_and_turns_the_model(opened):
+    at = {name: f"{PLACE}({list(rgb)})" for name, rgb in QUARTERS.items()}
+    place = {name: opened.evaluate(code) for name, code in at.items()}
+    assert min(count for _, _, count in place.values()) > 300
+    for left, right in (("red", "green"), ("yellow", "blue")):
+        assert place[left][0] + 5 < place[right][0]
+    for upper, lower in (("red", "yellow"), ("green", "blue")):
+        assert place[upper][1] + 5 < place[lower][1]
+    # From the opposite side left and right are exchanged.
+    opened.evaluate("document.querySelector('canvas').focus()")
+    for _ in range(30):  # of 6 degrees
+        opened.press("ArrowLeft")
+    opened.wait(f"{at['red']}[0] > {at['green']}[0] + 5")
+    opened.wait(f"{at['red']}[1] + 5 < {at['yellow']}[1]")
+    opened.click("#photographs")
+    assert opened.evaluate(at["red"])[2] == 0
+    before = opened.drawn("canvas")
+    opened.evaluate("document.querySelector('canvas').focus()")
+    opened.press("+")
+    opened.redrawn("canvas", before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [390, 1280])
+def test_the_page_fits_into_the_window(opened, width):
+    opened.resize(width, 844)
+    sides = ("Width", "Height")
+    needed = [opened.evaluate(f"document.scrollingElement.scroll{side}") for side in sides]
+    assert needed[0] <= width and needed[1] <= 844
