@@ -21,7 +21,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 @click.command()
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
-@dataclass_options(Outputs, "outputs", only=("plot",))
+@dataclass_options(Outputs, "outputs", only=("plot", "plot_width", "plot_dpi"))
 def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Outputs) -> int:
     """Estimate the pose of the bundled pair and print it beside the known pose.
 
@@ -33,7 +33,7 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
         choice = CameraChoice(k1=K1, k2=K2)
         trace = traced(pair.path1, pair.path2, choice, matcher, estimation, ScaleSource())
         if outputs.plot is not None:
-            draw(trace, stage(outputs.plot))
+            draw(trace, stage(outputs.plot), outputs)
     click.echo(f"image 1: {pair.path1}, K {K1}\nimage 2: {pair.path2}, K {K2}\n")
     words = ["dgc-pose", "estimate", str(pair.path1), str(pair.path2), "--K1", K1, "--K2", K2]
     click.echo(f"the same by: {shlex.join([*words, *_chosen(click.get_current_context())])}\n")

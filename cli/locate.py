@@ -56,7 +56,7 @@ class Place:
         None,
         "Draw the place of a single photograph, and matches with two references.",
         metavar="PATH.png",
-        type=OutputFile(),
+        type=OutputFile(picture=True),
     )
     add: Path | None = option(
         None,
@@ -64,13 +64,6 @@ class Place:
         metavar="DIR",
         type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
     )
-
-    def __post_init__(self) -> None:
-        """Raise InputError, before the work, for a plot of a format that cannot be drawn."""
-        if self.plot is not None:
-            from dgc_pose.viz.figure import picture_format
-
-            picture_format(self.plot)
 
 
 @click.command()

@@ -19,7 +19,8 @@ from dgc_pose.files.outputs import writing
 # What matplotlib draws without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
 
-WIDTH = 10.0  # inches; 1000 pixels at the resolution of `save_figure`
+WIDTH = 10.0  # inches
+DPI = 200  # pixels to an inch
 GAP = 0.1  # inches, between the panels of a row
 _MARGIN = 0.08  # inches, around the figure
 _LINE = 0.19  # inches, of a line of text
@@ -50,11 +51,11 @@ def picture_format(path: str | Path) -> str:
     return suffix
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path, dpi: float = DPI) -> None:
     """Write the figure in the format of the path's ending (see `picture_format`).
 
-    Titles and legends are shown as they are: names of files may hold what would be a formula.
-    Raises OSError, with the path.
+    dpi: pixels to an inch. Titles and legends are shown as they are: names of files may hold what
+    would be a formula. Raises OSError, with the path.
     """
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -62,7 +63,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
             text.set_parse_math(False)
             text.set_text(text.get_text().encode("utf-8", "replace").decode())
     with writing(path):
-        figure.savefig(path, format=picture_format(path), dpi=100)
+        figure.savefig(path, format=picture_format(path), dpi=dpi)
 
 
 @dataclass(frozen=True)
@@ -92,11 +93,11 @@ def panel_rows(
     strips = []  # heights of titles, and of the colour bars below them
     for row, h in zip(rows, heights, strict=True):
         strips.append(0.14 + max(_strip(panel, panel.aspect * h) for panel in row))
-    top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
+    top = _MARGIN + _LINE * len(head)
     total = top + sum(heights) + sum(strips) + _MARGIN
     figure = new_figure(width, total, layout=None)
-    if head:
-        figure.text(_MARGIN / width, 1 - _MARGIN / total, "\n".join(head), va="top", fontsize=11)
+    corner = _MARGIN / width, 1 - _MARGIN / total
+    figure.text(*corner, "\n".join(head), va="top", fontsize=10, parse_math=False)
     axes_of_rows: list[list[Axes]] = []
     for row, height, strip in zip(rows, heights, strips, strict=True):
         top += strip + height
@@ -110,6 +111,7 @@ def panel_rows(
                 "\n".join(_wrapped(panel.title, size)),
                 fontsize=10,
                 loc="left",
+                parse_math=False,  # of a file's name
                 y=1.0,  # or matplotlib would lift it above the colour bar
                 pad=72 * (0.05 + _bar_below(panel, size)),
             )
@@ -130,4 +132,5 @@ def _strip(panel: Panel, width: float) -> float:
 
 
 def _wrapped(text: str, width: float) -> list[str]:
-    return textwrap.wrap(text, max(8, int(width / _CHARACTER)))
+    most = max(8, int(width / _CHARACTER))
+    return [line for part in text.splitlines() for line in textwrap.wrap(part, most)]
