@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 NO_POSE = 3  # exit code if there is no pose
 
 
-def _file(help: str, metavar: str, **kind: bool) -> Any:
+def file_option(help: str, metavar: str, **kind: bool) -> Any:
     return option(None, help, metavar=metavar, type=OutputFile(**kind))
 
 
@@ -41,12 +41,12 @@ def _number(default: float, help: str, least: float, most: float) -> Any:
 class Outputs:
     """The files to write."""
 
-    json: str | None = _file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
-    matches: str | None = _file("Write the matches and which are inliers.", "PATH.npz")
-    plot: str | None = _file("Draw inliers, epipolar lines and the warp.", "PATH.png", picture=True)
+    json: str | None = file_option("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
+    matches: str | None = file_option("Write the matches and which are inliers.", "PATH.npz")
+    plot: str | None = file_option("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
     plot_width: float = _number(10.0, "Its width, inches: with fewer, text is larger.", 6, 20)
     plot_dpi: int = _number(200, "Its pixels to an inch.", 50, 600)
-    ply: str | None = _file(
+    ply: str | None = file_option(
         "Write the inliers' points in space, coloured; nothing without a pose.", "PATH.ply"
     )
 

@@ -35,8 +35,7 @@ class NamedPath(click.Path):
 
 
 class OutputFile(click.Path):
-    """The path of a file that the command writes. stdout: whether `-` stands for stdout; picture:
-    whether its ending must be a picture's."""
+    """The path of a file to write: stdout: or `-`, for stdout; picture: of a picture."""
 
     def __init__(self, *, stdout: bool = False, picture: bool = False) -> None:
         super().__init__()

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE
-from dgc_pose.cli.guard import STDOUT, OutputFile, OutputFolder
+from dgc_pose.cli.estimate import NO_POSE, file_option
+from dgc_pose.cli.guard import STDOUT, OutputFolder
 from dgc_pose.cli.options import KChoice
 from dgc_pose.cli.output import row_lines
 from dgc_pose.cli.process import say
@@ -46,17 +46,11 @@ class Place:
         "matched.",
         metavar="DIR",
     )
-    json: str | None = option(
-        None,
-        "Write the locations as JSON, by photograph; - for stdout.",
-        metavar="PATH|-",
-        type=OutputFile(stdout=True),
+    json: str | None = file_option(
+        "Write the locations as JSON, by photograph; - for stdout.", "PATH|-", stdout=True
     )
-    plot: str | None = option(
-        None,
-        "Draw the place of a single photograph, and matches with two references.",
-        metavar="PATH.png",
-        type=OutputFile(picture=True),
+    plot: str | None = file_option(
+        "Draw a single photograph's place and matches with references.", "PATH.png", picture=True
     )
     add: Path | None = option(
         None,

@@ -7,7 +7,6 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -20,7 +19,6 @@ from dgc_pose.files.outputs import writing
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
 
 WIDTH = 10.0  # inches
-DPI = 200  # pixels to an inch
 GAP = 0.1  # inches, between the panels of a row
 _MARGIN = 0.08  # inches, around the figure
 _LINE = 0.19  # inches, of a line of text
@@ -30,15 +28,9 @@ _BAR_LINE = 0.24  # inches, of a colour bar below a title
 _MAX_PANEL = 20.0  # inches; the height of a row at most
 
 
-def new_figure(
-    width: float,
-    height: float,
-    *,
-    layout: Literal["constrained", "compressed"] | None = "constrained",
-) -> Figure:
-    """An empty figure with its canvas, sizes in inches. layout: "compressed" for axes of a fixed
-    aspect."""
-    figure = Figure(figsize=(width, height), layout=layout)
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure with its canvas and a constrained layout, sizes in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
@@ -51,7 +43,7 @@ def picture_format(path: str | Path) -> str:
     return suffix
 
 
-def save_figure(figure: Figure, path: str | Path, dpi: float = DPI) -> None:
+def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
     """Write the figure in the format of the path's ending (see `picture_format`).
 
     dpi: pixels to an inch. Titles and legends are shown as they are: names of files may hold what
@@ -90,12 +82,11 @@ def panel_rows(
     """
     head = _wrapped(headline, width - 2 * _MARGIN)
     heights = [row_height(row, width) for row in rows]
-    strips = []  # heights of titles, and of the colour bars below them
-    for row, h in zip(rows, heights, strict=True):
-        strips.append(0.14 + max(_strip(panel, panel.aspect * h) for panel in row))
+    strips = [*map(_strip, rows, heights)]
     top = _MARGIN + _LINE * len(head)
     total = top + sum(heights) + sum(strips) + _MARGIN
-    figure = new_figure(width, total, layout=None)
+    figure = new_figure(width, total)
+    figure.set_layout_engine("none")
     corner = _MARGIN / width, 1 - _MARGIN / total
     figure.text(*corner, "\n".join(head), va="top", fontsize=10, parse_math=False)
     axes_of_rows: list[list[Axes]] = []
@@ -126,9 +117,10 @@ def _bar_below(panel: Panel, width: float) -> float:
     return _BAR_LINE if panel.bar and room < _BAR else 0.0
 
 
-def _strip(panel: Panel, width: float) -> float:
-    """Height in inches of the title, and of the colour bar below it."""
-    return _LINE * len(_wrapped(panel.title, width)) + _bar_below(panel, width)
+def _strip(row: Sequence[Panel], height: float) -> float:
+    """Height in inches of the titles of a row of this height, and of the colour bars below them."""
+    sizes = [(panel, panel.aspect * height) for panel in row]
+    return 0.14 + max(_LINE * len(_wrapped(p.title, w)) + _bar_below(p, w) for p, w in sizes)
 
 
 def _wrapped(text: str, width: float) -> list[str]:

@@ -15,9 +15,9 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.patheffects import withStroke
 
-from dgc_pose.geometry.pixels import Size
 from dgc_pose.matching.warp import shown_size, shrunk, warp_image
 
+Pair = tuple[float, float]
 _GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
 _WIDE = 4.0  # sum of the images' width over height: from there on image 2 stands below image 1
 MATCHABILITY_COLOURS = "viridis"
@@ -53,25 +53,23 @@ def draw_matches(
 
     Returns what a colour bar needs.
     """
-    size1, size2 = (pixels.shape[1::-1] for pixels in (pixels1, pixels2))
-    left, top, right, bottom, scale = second_place(size1, size2)
-    _show(axes, shrunk(pixels1), size1)
+    left, top, right, bottom, scale = second_place(pixels1, pixels2)
+    _show(axes, shrunk(pixels1), pixels1.shape[1::-1])
     _show(axes, shrunk(pixels2), (right, bottom), (left, top))
     colours = colours or ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     shades = colours.to_rgba(values)
     lines = np.stack([points1, (points2 + 0.5) * scale + (left - 0.5, top - 0.5)], axis=1)
-    axes.add_collection(
-        LineCollection(list(lines), colors=shades, linewidths=0.8, path_effects=_HALO)
-    )
+    drawn = LineCollection(list(lines), colors=shades, linewidths=0.8, path_effects=_HALO)
+    axes.add_collection(drawn)
     for ends in np.moveaxis(lines, 1, 0):
         axes.scatter(ends[:, 0], ends[:, 1], s=6, c=shades, linewidths=0)
     return colours
 
 
-def second_place(size1: Size, size2: Size) -> tuple[float, float, float, float, float]:
+def second_place(pixels1: np.ndarray, pixels2: np.ndarray) -> tuple[float, ...]:
     """Where `draw_matches` has image 2: its left, upper, right and lower edge in pixels of image 1,
     of which the last two are the size of the whole; and its scale."""
-    (width1, height1), (width2, height2) = size1, size2
+    (height1, width1), (height2, width2) = pixels1.shape[:2], pixels2.shape[:2]
     scale, left, top = height1 / height2, (1 + _GAP) * width1, 0.0
     if width1 / height1 + width2 / height2 > _WIDE:
         scale, left, top = width1 / width2, 0.0, height1 + _GAP * width1
@@ -87,13 +85,13 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
     """Mark points (N, 2), each in the colour of its curve by `draw_curves`."""
-    colours = _line_colours(len(points))
+    colours = line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
 
 
 def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
     """Draw curves (M, 2) in pixels, broken where they are NaN, on axes whose limits are set."""
-    for curve, colour in zip(curves, _line_colours(len(curves)), strict=True):
+    for curve, colour in zip(curves, line_colours(len(curves)), strict=True):
         axes.plot(*curve.T, color=colour, linewidth=1.2, scalex=False, scaley=False)
 
 
@@ -142,12 +140,7 @@ def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
 
 
-def _show(
-    axes: Axes,
-    picture: np.ndarray,
-    end: tuple[float, float],
-    start: tuple[float, float] = (0.0, 0.0),
-) -> None:
+def _show(axes: Axes, picture: np.ndarray, end: Pair, start: Pair = (0.0, 0.0)) -> None:
     """Draw a picture between two corners, and fix the axes to (0, 0) and the second, so that
     nothing drawn later moves them."""
     (left, top), (right, bottom) = np.subtract((start, end), 0.5).tolist()
@@ -155,6 +148,7 @@ def _show(
     axes.set(xlim=(-0.5, right), ylim=(bottom, -0.5), aspect="equal", xticks=[], yticks=[])
 
 
-def _line_colours(count: int) -> np.ndarray:
+def line_colours(count: int) -> np.ndarray:
+    """Colours (N, 4) of as many lines or cameras, around the circle of hues."""
     shades = ScalarMappable(Normalize(0, max(count, 1)), LINE_COLOURS)
     return shades.to_rgba(np.arange(count))

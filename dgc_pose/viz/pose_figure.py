@@ -81,9 +81,8 @@ def _headline(pose: RelativePose) -> str:
 
 
 def _panels(trace: Trace, counts: str) -> list[Panel]:
-    size1, size2 = trace.image1.size, trace.image2.size
-    aspect1, aspect2 = size1[0] / size1[1], size2[0] / size2[1]
-    width, height = second_place(size1, size2)[2:4]
+    aspect1, aspect2 = (width / height for width, height in (trace.image1.size, trace.image2.size))
+    *_, width, height, _ = second_place(trace.image1.pixels, trace.image2.pixels)
     paths = Path(trace.image1.name), Path(trace.image2.name)
     same = paths[0].name == paths[1].name
     name1, name2 = (shortened(printable(str(p) if same else p.name), _NAME) for p in paths)
@@ -101,13 +100,13 @@ def _panels(trace: Trace, counts: str) -> list[Panel]:
 
 def _draw_matches(axes: Axes, trace: Trace, drawn: np.ndarray) -> None:
     matches = trace.matches.subset(drawn)
-    points1, points2 = matches.points1, matches.points2
+    drawn_points = matches.points1, matches.points2
     values, colours, label = matches.confidence, None, "confidence"
     if trace.pose.E is not None:
         values = trace.residuals_px[drawn]
         colours, label = residual_colours(values), "residual (px)"
-    pixels1, pixels2 = trace.image1.pixels, trace.image2.pixels
-    colours = draw_matches(axes, pixels1, pixels2, points1, points2, values, colours=colours)
+    pixels = trace.image1.pixels, trace.image2.pixels
+    colours = draw_matches(axes, *pixels, *drawn_points, values, colours=colours)
     draw_colour_bar(axes, colours, label)
 
 
