@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.command()
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
-@dataclass_options(Outputs, "outputs", only=("plot",))
+@dataclass_options(Outputs, "outputs", only=("plot", "plot_width", "plot_dpi"))
 def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Outputs) -> int:
     """Estimate the poses of the two pairs that come with the package.
 
@@ -41,7 +41,7 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
     with staged(outputs.plot) as stage:
         photographs = _shown(bundled_photographs(), CameraChoice(k="auto"), matcher, estimation)
         if outputs.plot is not None:
-            draw(photographs, stage(outputs.plot))
+            draw(photographs, stage(outputs.plot), outputs)
     click.echo("")
     rendered = _shown((pair.path1, pair.path2), CameraChoice(k1=K1, k2=K2), matcher, estimation)
     if not (photographs.pose.success and rendered.pose.success):

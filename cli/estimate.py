@@ -29,27 +29,26 @@ if TYPE_CHECKING:
 NO_POSE = 3  # exit code if there is no pose
 
 
-def _file(help: str, metavar: str, *, stdout: bool = False) -> Any:
-    return option(None, help, metavar=metavar, type=OutputFile(stdout=stdout))
+def file_option(help: str, metavar: str, **kind: bool) -> Any:
+    return option(None, help, metavar=metavar, type=OutputFile(**kind))
+
+
+def _number(default: float, help: str, least: float, most: float) -> Any:
+    return option(default, help, metavar="N", section="output", min=least, max=most)
 
 
 @dataclass(frozen=True)
 class Outputs:
     """The files to write."""
 
-    json: str | None = _file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
-    matches: str | None = _file("Write the matches and which are inliers.", "PATH.npz")
-    plot: str | None = _file("Draw inliers, epipolar lines and the warp.", "PATH.png")
-    ply: str | None = _file(
+    json: str | None = file_option("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
+    matches: str | None = file_option("Write the matches and which are inliers.", "PATH.npz")
+    plot: str | None = file_option("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
+    plot_width: float = _number(10.0, "Its width, inches: with fewer, text is larger.", 6, 20)
+    plot_dpi: int = _number(200, "Its pixels to an inch.", 50, 600)
+    ply: str | None = file_option(
         "Write the inliers' points in space, coloured; nothing without a pose.", "PATH.ply"
     )
-
-    def __post_init__(self) -> None:
-        """Raise InputError, before the work, for a plot of a format that cannot be drawn."""
-        if self.plot is not None:
-            from dgc_pose.viz.figure import picture_format
-
-            picture_format(self.plot)
 
 
 @click.command()
@@ -87,7 +86,7 @@ def estimate(
             arrays = matches_arrays(trace.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)
         if outputs.plot is not None:
-            draw(trace, stage(outputs.plot))
+            draw(trace, stage(outputs.plot), outputs)
         if outputs.ply is not None and pose.success:
             from dgc_pose.colmap.points_file import write_points
 
@@ -134,8 +133,8 @@ def traced(
     return Trace.of(search, camera1, camera2, pose)
 
 
-def draw(trace: Trace, file: Path) -> None:
+def draw(trace: Trace, file: Path, outputs: Outputs) -> None:
     """Draw the figure of a trace into a file."""
     from dgc_pose.viz import plot_pose, save_figure
 
-    save_figure(plot_pose(trace), file)
+    save_figure(plot_pose(trace, outputs.plot_width), file, outputs.plot_dpi)

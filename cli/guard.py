@@ -35,11 +35,11 @@ class NamedPath(click.Path):
 
 
 class OutputFile(click.Path):
-    """The path of a file that the command writes. stdout: whether `-` stands for stdout."""
+    """The path of a file to write: stdout: or `-`, for stdout; picture: of a picture."""
 
-    def __init__(self, *, stdout: bool = False) -> None:
+    def __init__(self, *, stdout: bool = False, picture: bool = False) -> None:
         super().__init__()
-        self.stdout = stdout
+        self.stdout, self.picture = stdout, picture
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return value  # `check` needs the other options
@@ -50,6 +50,10 @@ class OutputFile(click.Path):
             if not self.stdout:
                 raise InputError("only --json goes to stdout; a file called - is ./-")
             return
+        if self.picture:
+            from dgc_pose.viz.figure import picture_format  # slow to import
+
+            picture_format(path)
         require_no_input([path], _inputs(context))
         if output_target(path).exists() and not overwrites():
             raise InputError(f"{path} is there already: --overwrite replaces it")

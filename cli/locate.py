@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE
-from dgc_pose.cli.guard import STDOUT, OutputFile, OutputFolder
+from dgc_pose.cli.estimate import NO_POSE, file_option
+from dgc_pose.cli.guard import STDOUT, OutputFolder
 from dgc_pose.cli.options import KChoice
 from dgc_pose.cli.output import row_lines
 from dgc_pose.cli.process import say
@@ -46,17 +46,11 @@ class Place:
         "matched.",
         metavar="DIR",
     )
-    json: str | None = option(
-        None,
-        "Write the locations as JSON, by photograph; - for stdout.",
-        metavar="PATH|-",
-        type=OutputFile(stdout=True),
+    json: str | None = file_option(
+        "Write the locations as JSON, by photograph; - for stdout.", "PATH|-", stdout=True
     )
-    plot: str | None = option(
-        None,
-        "Draw the place of a single photograph, and matches with two references.",
-        metavar="PATH.png",
-        type=OutputFile(),
+    plot: str | None = file_option(
+        "Draw a single photograph's place and matches with references.", "PATH.png", picture=True
     )
     add: Path | None = option(
         None,
@@ -64,13 +58,6 @@ class Place:
         metavar="DIR",
         type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
     )
-
-    def __post_init__(self) -> None:
-        """Raise InputError, before the work, for a plot of a format that cannot be drawn."""
-        if self.plot is not None:
-            from dgc_pose.viz.figure import picture_format
-
-            picture_format(self.plot)
 
 
 @click.command()

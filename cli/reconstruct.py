@@ -82,9 +82,8 @@ def reconstruct(
         show = partial(progress, "images")
         model, exported = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
-    figure = plot_reconstruction([*model.poses.values()], model.points, model.colours)
     with replaced(out / PICTURE) as temporary:
-        save_figure(figure, temporary)
+        save_figure(plot_reconstruction(model), temporary)
     posed, unit = load_model(out, batch.plan.root), model.metric.get("unit", "")
     write_text(out / PAGE, model_page(posed, model.points, model.colours, unit))
     data = reconstruction.write_summary(out, batch, model, exported, seconds)

@@ -48,6 +48,7 @@ class SparseModel:
     mean_track_length: float
     reprojection_error_px: float  # mean over the observations
     cameras: tuple[ModelCamera, ...]
+    shapes: Mapping[str, np.ndarray]  # width and height (2,) over the focal length by image name
     metric: Mapping[str, Any] = field(default_factory=dict)  # unit and frame, see `to_metres`
 
     def centre(self, name: str) -> np.ndarray:
@@ -105,17 +106,19 @@ def require_model_folder(folder: Path) -> None:
 def sparse_model(reconstruction: pycolmap.Reconstruction) -> SparseModel:
     """COLMAP's model as arrays."""
     points = list(reconstruction.points3D.values())
+    images = [image for image in reconstruction.images.values() if image.has_pose]
     return SparseModel(
-        poses={
-            image.name: np.array(image.cam_from_world().matrix())
-            for image in reconstruction.images.values()
-            if image.has_pose
-        },
+        poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
         points=np.array([point.xyz for point in points]).reshape(-1, 3),
         colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
         mean_track_length=float(reconstruction.compute_mean_track_length()),
         reprojection_error_px=float(reconstruction.compute_mean_reprojection_error()),
         cameras=_cameras(reconstruction),
+        shapes={
+            image.name: np.divide([camera.width, camera.height], camera.mean_focal_length())
+            for image in images
+            for camera in [reconstruction.cameras[image.camera_id]]
+        },
     )
 
 

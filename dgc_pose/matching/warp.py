@@ -6,7 +6,7 @@ import numpy as np
 from dgc_pose.geometry.pixels import Size, rescale
 from dgc_pose.images.image import resize
 
-SHOWN_SIDE = 800  # longest side of an image that is shown, pixels
+SHOWN_SIDE = 1600  # longest side of an image that is shown, pixels
 
 
 def warp_image(pixels1: np.ndarray, correspondences: np.ndarray, size: Size) -> np.ndarray:

@@ -7,7 +7,6 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -19,7 +18,7 @@ from dgc_pose.files.outputs import writing
 # What matplotlib draws without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
 
-WIDTH = 10.0  # inches; 1000 pixels at the resolution of `save_figure`
+WIDTH = 10.0  # inches
 GAP = 0.1  # inches, between the panels of a row
 _MARGIN = 0.08  # inches, around the figure
 _LINE = 0.19  # inches, of a line of text
@@ -29,15 +28,9 @@ _BAR_LINE = 0.24  # inches, of a colour bar below a title
 _MAX_PANEL = 20.0  # inches; the height of a row at most
 
 
-def new_figure(
-    width: float,
-    height: float,
-    *,
-    layout: Literal["constrained", "compressed"] | None = "constrained",
-) -> Figure:
-    """An empty figure with its canvas, sizes in inches. layout: "compressed" for axes of a fixed
-    aspect."""
-    figure = Figure(figsize=(width, height), layout=layout)
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure with its canvas and a constrained layout, sizes in inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
@@ -50,11 +43,11 @@ def picture_format(path: str | Path) -> str:
     return suffix
 
 
-def save_figure(figure: Figure, path: str | Path) -> None:
+def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
     """Write the figure in the format of the path's ending (see `picture_format`).
 
-    Titles and legends are shown as they are: names of files may hold what would be a formula.
-    Raises OSError, with the path.
+    dpi: pixels to an inch. Titles and legends are shown as they are: names of files may hold what
+    would be a formula. Raises OSError, with the path.
     """
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -62,7 +55,7 @@ def save_figure(figure: Figure, path: str | Path) -> None:
             text.set_parse_math(False)
             text.set_text(text.get_text().encode("utf-8", "replace").decode())
     with writing(path):
-        figure.savefig(path, format=picture_format(path), dpi=100)
+        figure.savefig(path, format=picture_format(path), dpi=dpi)
 
 
 @dataclass(frozen=True)
@@ -89,14 +82,13 @@ def panel_rows(
     """
     head = _wrapped(headline, width - 2 * _MARGIN)
     heights = [row_height(row, width) for row in rows]
-    strips = []  # heights of titles, and of the colour bars below them
-    for row, h in zip(rows, heights, strict=True):
-        strips.append(0.14 + max(_strip(panel, panel.aspect * h) for panel in row))
-    top = 2 * _MARGIN + _LINE * len(head) if head else _MARGIN
+    strips = [*map(_strip, rows, heights)]
+    top = _MARGIN + _LINE * len(head)
     total = top + sum(heights) + sum(strips) + _MARGIN
-    figure = new_figure(width, total, layout=None)
-    if head:
-        figure.text(_MARGIN / width, 1 - _MARGIN / total, "\n".join(head), va="top", fontsize=11)
+    figure = new_figure(width, total)
+    figure.set_layout_engine("none")
+    corner = _MARGIN / width, 1 - _MARGIN / total
+    figure.text(*corner, "\n".join(head), va="top", fontsize=10, parse_math=False)
     axes_of_rows: list[list[Axes]] = []
     for row, height, strip in zip(rows, heights, strips, strict=True):
         top += strip + height
@@ -110,6 +102,7 @@ def panel_rows(
                 "\n".join(_wrapped(panel.title, size)),
                 fontsize=10,
                 loc="left",
+                parse_math=False,  # of a file's name
                 y=1.0,  # or matplotlib would lift it above the colour bar
                 pad=72 * (0.05 + _bar_below(panel, size)),
             )
@@ -124,10 +117,12 @@ def _bar_below(panel: Panel, width: float) -> float:
     return _BAR_LINE if panel.bar and room < _BAR else 0.0
 
 
-def _strip(panel: Panel, width: float) -> float:
-    """Height in inches of the title, and of the colour bar below it."""
-    return _LINE * len(_wrapped(panel.title, width)) + _bar_below(panel, width)
+def _strip(row: Sequence[Panel], height: float) -> float:
+    """Height in inches of the titles of a row of this height, and of the colour bars below them."""
+    sizes = [(panel, panel.aspect * height) for panel in row]
+    return 0.14 + max(_LINE * len(_wrapped(p.title, w)) + _bar_below(p, w) for p, w in sizes)
 
 
 def _wrapped(text: str, width: float) -> list[str]:
-    return textwrap.wrap(text, max(8, int(width / _CHARACTER)))
+    most = max(8, int(width / _CHARACTER))
+    return [line for part in text.splitlines() for line in textwrap.wrap(part, most)]

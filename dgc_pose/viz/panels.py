@@ -13,14 +13,20 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
+from matplotlib.patheffects import withStroke
 
 from dgc_pose.matching.warp import shown_size, shrunk, warp_image
 
-GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
-CONFIDENCE_COLOURS = "viridis"
+Pair = tuple[float, float]
+_GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
+_WIDE = 4.0  # sum of the images' width over height: from there on image 2 stands below image 1
+MATCHABILITY_COLOURS = "viridis"
 RESIDUAL_COLOURS = "cool"  # cyan to magenta: both stand out from a photograph, dark or light
+CONFIDENCE_COLOURS = "cool_r"
+_HALO = [withStroke(linewidth=1.6, foreground="black", alpha=0.5)]  # of lines, for bright images
 LINE_COLOURS = "hsv"
-_BAR = (1.1, 0.12)  # width and height of a colour bar, inches
+_BAR = (1.1, 0.12)  # width and height of a colour bar, inches; the bar is shorter in a narrow panel
+_CHARACTER = 0.07  # inches, the mean width in a label
 
 
 def draw_image(axes: Axes, pixels: np.ndarray) -> None:
@@ -38,7 +44,8 @@ def draw_matches(
     *,
     colours: ScalarMappable | None = None,
 ) -> ScalarMappable:
-    """Draw two images side by side at one height, and a line for each match.
+    """Draw two images side by side at one height, or wide ones one above the other, and a line for
+    each match.
 
     pixels1, pixels2: (H, W, 3) uint8 RGB. points1, points2: (N, 2) pixels of their own image.
     values: (N,), what the colour of a line stands for. colours: of the values; None for
@@ -46,20 +53,27 @@ def draw_matches(
 
     Returns what a colour bar needs.
     """
-    (width1, height1), (width2, height2) = pixels1.shape[1::-1], pixels2.shape[1::-1]
-    scale = height1 / height2
-    left = (1 + GAP) * width1 - 0.5  # edge of image 2
-    right = left + scale * width2
-    for pixels, edges in ((pixels1, (-0.5, width1 - 0.5)), (pixels2, (left, right))):
-        axes.imshow(shrunk(pixels), extent=(*edges, height1 - 0.5, -0.5), interpolation="bilinear")
+    left, top, right, bottom, scale = second_place(pixels1, pixels2)
+    _show(axes, shrunk(pixels1), pixels1.shape[1::-1])
+    _show(axes, shrunk(pixels2), (right, bottom), (left, top))
     colours = colours or ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
     shades = colours.to_rgba(values)
-    lines = np.stack([points1, (points2 + 0.5) * scale + (left, -0.5)], axis=1)
-    axes.add_collection(LineCollection(list(lines), colors=shades, linewidths=0.8, alpha=0.8))
+    lines = np.stack([points1, (points2 + 0.5) * scale + (left - 0.5, top - 0.5)], axis=1)
+    drawn = LineCollection(list(lines), colors=shades, linewidths=0.8, path_effects=_HALO)
+    axes.add_collection(drawn)
     for ends in np.moveaxis(lines, 1, 0):
         axes.scatter(ends[:, 0], ends[:, 1], s=6, c=shades, linewidths=0)
-    _frame(axes, (right + 0.5, height1))
     return colours
+
+
+def second_place(pixels1: np.ndarray, pixels2: np.ndarray) -> tuple[float, ...]:
+    """Where `draw_matches` has image 2: its left, upper, right and lower edge in pixels of image 1,
+    of which the last two are the size of the whole; and its scale."""
+    (height1, width1), (height2, width2) = pixels1.shape[:2], pixels2.shape[:2]
+    scale, left, top = height1 / height2, (1 + _GAP) * width1, 0.0
+    if width1 / height1 + width2 / height2 > _WIDE:
+        scale, left, top = width1 / width2, 0.0, height1 + _GAP * width1
+    return left, top, left + scale * width2, top + scale * height2, scale
 
 
 def residual_colours(residuals: np.ndarray) -> ScalarMappable:
@@ -71,20 +85,20 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
     """Mark points (N, 2), each in the colour of its curve by `draw_curves`."""
-    colours = _line_colours(len(points))
+    colours = line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
 
 
 def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
     """Draw curves (M, 2) in pixels, broken where they are NaN, on axes whose limits are set."""
-    for curve, colour in zip(curves, _line_colours(len(curves)), strict=True):
+    for curve, colour in zip(curves, line_colours(len(curves)), strict=True):
         axes.plot(*curve.T, color=colour, linewidth=1.2, scalex=False, scaley=False)
 
 
 def draw_matchability(axes: Axes, pixels2: np.ndarray, matchability: np.ndarray) -> ScalarMappable:
     """Draw the matchability (H', W') in [0, 1] over image 2. Returns what a colour bar needs."""
     grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY)
-    colours = ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
+    colours = ScalarMappable(Normalize(0, 1), MATCHABILITY_COLOURS)
     shown = cv2.resize(matchability.astype(np.float32), grey.shape[::-1])
     shaded = colours.to_rgba(shown)[..., :3] * (0.35 + 0.65 * grey[..., None] / 255)
     _show(axes, shaded, pixels2.shape[1::-1])
@@ -115,7 +129,8 @@ def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     figure, box = axes.figure, axes.get_window_extent()
     width, height = box.width / figure.dpi, box.height / figure.dpi
     right, above = 1 - 0.35 / width, 1 + 0.07 / height
-    long, thick = _BAR[0] / width, _BAR[1] / height
+    room = width - 0.7 - _CHARACTER * len(label)
+    long, thick = max(0.2, min(_BAR[0], room)) / width, _BAR[1] / height
     bar = axes.inset_axes((right - long, above, long, thick))
     figure.colorbar(colours, cax=bar, orientation="horizontal", ticks=[])
     low, high = colours.get_clim()
@@ -125,19 +140,15 @@ def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
     axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
 
 
-def _show(axes: Axes, picture: np.ndarray, size: tuple[float, float]) -> None:
-    """Draw a picture over all of an image of `size` (width, height)."""
-    extent = (-0.5, size[0] - 0.5, size[1] - 0.5, -0.5)
-    axes.imshow(picture, extent=extent, interpolation="bilinear")
-    _frame(axes, size)
+def _show(axes: Axes, picture: np.ndarray, end: Pair, start: Pair = (0.0, 0.0)) -> None:
+    """Draw a picture between two corners, and fix the axes to (0, 0) and the second, so that
+    nothing drawn later moves them."""
+    (left, top), (right, bottom) = np.subtract((start, end), 0.5).tolist()
+    axes.imshow(picture, extent=(left, right, bottom, top))
+    axes.set(xlim=(-0.5, right), ylim=(bottom, -0.5), aspect="equal", xticks=[], yticks=[])
 
 
-def _frame(axes: Axes, size: tuple[float, float]) -> None:
-    """Fix the axes to an image of this size, so that nothing drawn later moves them."""
-    xlim, ylim = (-0.5, size[0] - 0.5), (size[1] - 0.5, -0.5)
-    axes.set(xlim=xlim, ylim=ylim, aspect="equal", xticks=[], yticks=[])
-
-
-def _line_colours(count: int) -> np.ndarray:
+def line_colours(count: int) -> np.ndarray:
+    """Colours (N, 4) of as many lines or cameras, around the circle of hues."""
     shades = ScalarMappable(Normalize(0, max(count, 1)), LINE_COLOURS)
     return shades.to_rgba(np.arange(count))

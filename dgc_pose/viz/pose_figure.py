@@ -1,20 +1,22 @@
 """One figure that shows what a pose was estimated from."""
 
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import printable, shortened
 from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.refinement.align import spread
 from dgc_pose.trace import Trace
 from dgc_pose.viz.figure import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
-    GAP,
     draw_colour_bar,
     draw_curves,
     draw_image,
@@ -23,32 +25,34 @@ from dgc_pose.viz.panels import (
     draw_points,
     draw_warp,
     residual_colours,
+    second_place,
 )
 
 DRAWN_MATCHES = 150
 DRAWN_LINES = 12
 _CURVE_POINTS = 500  # of an epipolar line through a lens
-_MAX_HEIGHT = 16.0  # inches of panels; beyond, all of them stand in one row
-_NARROW = 7.0  # inches; the width of a figure of upright images
+# Ends of the rows of panels, the largest panels first.
+_ARRANGEMENTS = ((1, 2, 3, 4, 5), (1, 3, 5), (1, 5), (5,))
+_MAX_HEIGHT = 1.4  # of all rows, as a share of the width
+_NAME = 28  # characters of a file's name
 
 
-def plot_pose(trace: Trace) -> Figure:
+def plot_pose(trace: Trace, width: float = WIDTH) -> Figure:
     """Draw the inlier matches coloured by their residual, some epipolar lines and, if the matcher
     gives a map, the matchability and image 1 warped onto image 2.
 
     The residual is the symmetric epipolar distance in pixels. Only an even subsample of the matches
     is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
-    lens with distortion an epipolar line is a curve.
+    lens with distortion an epipolar line is a curve. width: of the figure, inches.
     """
     pose = trace.pose
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
     drawn = _spread(trace, chosen, DRAWN_MATCHES)
-    rows = _rows(trace, f"{len(drawn)} of {len(chosen)}")
-    for width in (WIDTH, _NARROW):
-        if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT:
+    panels = _panels(trace, f"{len(drawn)} of {len(chosen)}")
+    for ends in _ARRANGEMENTS:
+        rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
+        if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT * width:
             break
-    else:
-        rows, width = [list(chain(*rows))], WIDTH
     figure, axes = panel_rows(rows, _headline(pose), width=width)
     matches, points, lines, *map_axes = chain(*axes)
     _draw_matches(matches, trace, drawn)
@@ -65,42 +69,44 @@ def plot_pose(trace: Trace) -> Figure:
 def _headline(pose: RelativePose) -> str:
     if not (pose.success and pose.R is not None):
         return f"no pose: {pose.reason}"
-    text = f"rotation {rotation_angle_deg(pose.R):.2f}°, translation known up to scale"
+    text = f"rotation {rotation_angle_deg(pose.R):.2f}°, translation {pose.length_text}"
+    if pose.probability is not None:
+        text += f"; probability {percent_text(pose.probability)} that R and t are within 10°"
     if pose.rotation_error_90_deg is None or pose.translation_error_90_deg is None:
         return text
     return (
-        f"{text}; nine times in ten R is within {pose.rotation_error_90_deg:.3f}° "
-        f"and t within {pose.translation_error_90_deg:.3f}°"
+        f"{text}\nexpected error: R within {pose.rotation_error_90_deg:.3f}°, t within "
+        f"{pose.translation_error_90_deg:.3f}°, nine times in ten if the pose is right"
     )
 
 
-def _rows(trace: Trace, counts: str) -> list[list[Panel]]:
+def _panels(trace: Trace, counts: str) -> list[Panel]:
     aspect1, aspect2 = (width / height for width, height in (trace.image1.size, trace.image2.size))
+    *_, width, height, _ = second_place(trace.image1.pixels, trace.image2.pixels)
+    paths = Path(trace.image1.name), Path(trace.image2.name)
+    same = paths[0].name == paths[1].name
+    name1, name2 = (shortened(printable(str(p) if same else p.name), _NAME) for p in paths)
     kind = "inlier matches" if trace.pose.inliers.any() else "matches, no inliers"
-    no_lines = "image 2: no pose, so no epipolar lines"
-    lines = "their epipolar lines in image 2, and their matches"
-    rows = [
-        [Panel((1 + GAP) * aspect1 + aspect2, f"{counts} {kind}", bar=True)],
-        [
-            Panel(aspect1, "points of image 1"),
-            Panel(aspect2, no_lines if trace.pose.E is None else lines),
-        ],
+    lines = "no epipolar lines without a pose" if trace.pose.E is None else "their epipolar lines"
+    panels = [
+        Panel(width / height, f"{name1} and {name2}: {counts} {kind}", bar=True),
+        Panel(aspect1, f"{name1}: points"),
+        Panel(aspect2, f"{name2}: the same, and {lines}"),
+        Panel(aspect2, f"{name2}: matchability", bar=True),
+        Panel(aspect2, f"{name1} warped onto {name2}, pale if not matchable"),
     ]
-    if trace.correspondence_map is not None:
-        warp = "image 1 warped onto image 2, pale if not matchable"
-        rows.append([Panel(aspect2, "matchability over image 2", bar=True), Panel(aspect2, warp)])
-    return rows
+    return panels[: 3 if trace.correspondence_map is None else 5]
 
 
 def _draw_matches(axes: Axes, trace: Trace, drawn: np.ndarray) -> None:
     matches = trace.matches.subset(drawn)
-    points1, points2 = matches.points1, matches.points2
+    drawn_points = matches.points1, matches.points2
     values, colours, label = matches.confidence, None, "confidence"
     if trace.pose.E is not None:
         values = trace.residuals_px[drawn]
         colours, label = residual_colours(values), "residual (px)"
-    pixels1, pixels2 = trace.image1.pixels, trace.image2.pixels
-    colours = draw_matches(axes, pixels1, pixels2, points1, points2, values, colours=colours)
+    pixels = trace.image1.pixels, trace.image2.pixels
+    colours = draw_matches(axes, *pixels, *drawn_points, values, colours=colours)
     draw_colour_bar(axes, colours, label)
 
 

@@ -105,7 +105,8 @@ def _model(views: PosedModel, error: float) -> SparseModel:
         ModelCamera("PINHOLE", *SIZE, (), focal * (K[0, 0] + K[1, 1]) / 2, images, name)
         for focal, images, name in ((1, 3, names[0]), (0.98, 1, names[3]))
     )
-    return SparseModel(poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8), 4.0, 0.5, cameras)
+    points = np.zeros((7, 3)), np.zeros((7, 3), np.uint8)
+    return SparseModel(poses, *points, 4.0, 0.5, cameras, shapes={})
 
 
 def test_figures_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[View]]) -> None:

@@ -80,7 +80,12 @@ def test_all_outputs_are_written(folder, network):
         off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
         assert np.abs(off).max() < 1e-3
     picture = cv2.imread("p.png")
-    assert picture is not None and picture.std() > 10
+    assert picture.shape[1] == 2000 and picture.std() > 10
+
+
+def test_a_plot_has_the_width_and_the_resolution_asked_for(folder, network):
+    assert estimate("--plot", "p.png", "--plot-width", 7, "--plot-dpi", 57).exit_code == 0
+    assert cv2.imread("p.png").shape[1] == 7 * 57
 
 
 def test_the_points_in_space_are_written_with_their_colours(folder, network):
@@ -215,6 +220,8 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
         (("--K", "nosuch.txt"), "nosuch.txt"),
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
+        (("--plot-width", "5.9"), "--plot-width must lie in [6, 20]"),
+        (("--plot-dpi", "601"), "--plot-dpi must lie in [50, 600]"),
         (("--matches", "p.json"), "same file"),
         (("--matchability", "1.5"), "--matchability must lie in"),
         (("--device", "cuda"), "cuda"),

@@ -8,6 +8,7 @@ from ambiguous_pose import ambiguous_pose
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image
 from dgc_pose.pose import estimate_relative_pose
 from dgc_pose.viz.figure import save_figure
@@ -36,11 +37,39 @@ def test_all_panels_are_there():
     assert [axes.get_title() for axes in figure.axes] == [""] * 5  # all at the left
     segments = matches.collections[0].get_segments()
     assert 75 < len(segments) <= 150
-    assert f"{len(segments)} of {pose.num_inliers} inlier matches" == title(matches)
+    counts = f"{len(segments)} of {pose.num_inliers} inlier matches"
+    assert title(matches) == f"image1 and image2: {counts}"
     assert 6 < len(lines.lines) == len(points.collections[0].get_offsets()) <= 12
     assert "matchability" in title(matchability)
     assert "warped" in title(warp)
-    assert figure.texts[0].get_text().startswith("rotation ")
+    headline = figure.texts[0].get_text()
+    assert f"probability {percent_text(pose.probability)} that R and t are within 10°" in headline
+    assert headline.startswith("rotation ") and headline.endswith("ten if the pose is right")
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (("a/1.jpg", "b/2.jpg"), ("1.jpg", "2.jpg")),
+        (("a/1.jpg", "b/1.jpg"), ("a/1.jpg", "b/1.jpg")),
+        (("$a$.jpg", "long" * 20), ("$a$.jpg", "longlonglonglo ... glonglong")),
+    ],
+)
+def test_panels_have_the_names_of_the_files(paths, names, tmp_path):
+    """As they are: no formula, and shortened if they are long."""
+    trace = trace_of(dense_scene.true_map())
+    images = (replace(trace.image1, name=paths[0]), replace(trace.image2, name=paths[1]))
+    figure = plot_pose(replace(trace, image1=images[0], image2=images[1]))
+    _, points, lines, *_ = figure.axes
+    assert title(points) == f"{names[0]}: points"
+    assert " ".join(title(lines).split()) == f"{names[1]}: the same, and their epipolar lines"
+    assert not points._left_title.get_parse_math()
+
+
+def test_a_figure_has_the_resolution_asked_for(tmp_path):
+    figure = plot_pose(trace_of(dense_scene.true_map()), 7)
+    save_figure(figure, tmp_path / "p.png", 80)
+    assert cv2.imread(str(tmp_path / "p.png")).shape[1] == 560
 
 
 @pytest.mark.parametrize(
@@ -81,7 +110,7 @@ def test_of_an_ambiguous_pair_neither_pose_is_drawn():
     figure = plot_pose(replace(trace, pose=pose))
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     matches, _, lines, *_ = figure.axes
-    assert not lines.lines and title(lines) == "image 2: no pose, so no epipolar lines"
+    assert not lines.lines and title(lines).endswith("no epipolar lines without a pose")
     assert any("confidence" in text.get_text() for text in matches.texts)  # not the residual
 
 
@@ -132,13 +161,17 @@ def with_sizes(trace, size1, size2):
         ((400, 300), (300, 300)),
         ((320, 1500), (320, 1500)),
         ((3000, 100), (3000, 100)),
+        ((1200, 1600), (1200, 1600)),
+        ((1600, 1200), (1200, 1600)),
+        ((1600, 500), (1600, 500)),
     ],
 )
-def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2):
+@pytest.mark.parametrize("wide", [6, 10])
+def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2, wide):
     trace = with_sizes(trace_of(dense_scene.true_map()), size1, size2)
-    figure = plot_pose(trace)
+    figure = plot_pose(trace, wide)
     width, height = figure.get_size_inches()
-    assert 7 <= width <= 10 and 1 < height < 20
+    assert width == wide and 1 < height < 2 * wide
     figure.canvas.draw()
     renderer = figure.canvas.get_renderer()
     rows = {}
