@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import numpy as np
@@ -31,7 +31,6 @@ CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
 _SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
 
-
 OUT = click.option(
     "--out",
     type=OutputFolder(path_type=Path),
@@ -41,9 +40,9 @@ OUT = click.option(
 )
 
 
-@dataclass(frozen=True)
-class SourceChoice(KChoice):
-    """The images, their pairs and cameras."""
+@dataclass(frozen=True, kw_only=True)
+class BatchChoice(KChoice):
+    """The options of a batch: its images, their pairs and cameras, and how it works."""
 
     root: Path | None = option(None, "Of a list's image names; default: its own folder.")
     masks: Path | None = option(
@@ -56,41 +55,30 @@ class SourceChoice(KChoice):
         "auto:10 for more.",
         metavar="WAY",
     )
+    work: BatchOptions
+    matcher: MatcherOptions
+    estimation: EstimationOptions
 
 
-def work_through(
-    source: str,
-    out: Path,
-    inputs: SourceChoice,
-    work: BatchOptions,
-    matcher: MatcherOptions,
-    estimation: EstimationOptions,
-    min_images: int = 2,
-) -> Batch:
-    """Run the batch that the options describe, with a progress bar on a terminal.
-
-    Raises InputError for fewer than `min_images`.
-    """
+def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 2) -> Batch:
+    """Run a batch, and show its progress. Raises InputError for fewer than `min_images`."""
     from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import open_source
     from dgc_pose.cameras.calibration import read_calibration
 
-    images = open_source(Path(source), inputs.root, inputs.masks)
+    images = open_source(Path(source), choice.root, choice.masks)
     for line in images.left_out:
         say(f"warning: {line}")
     if len(images.names) < min_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
-    choice = None if inputs.pairs is None else parse_pair_choice(inputs.pairs)
+    pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
     with progress_bars() as progress:
         return run_batch(
-            images,
-            read_calibration(inputs.k, "--K", inputs.details),
-            choice,
-            out,
-            matcher=matcher,
-            estimation=estimation,
-            options=work,
+            *(images, read_calibration(choice.k, "--K", choice.details), pairs, out),
+            matcher=choice.matcher,
+            estimation=choice.estimation,
+            options=choice.work,
             progress=progress,
         )
 
@@ -111,7 +99,15 @@ def report(batch: Batch) -> None:
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         say(f"warning: {warnings[0]}{more}")
-    echo_cameras(summary["cameras"])
+    lines = []
+    for camera in summary["cameras"]:
+        focal, std = camera["focal_px"], camera["focal_std"]
+        if camera["focal_source"] == "matches":
+            source = f"from {counted(camera['pairs'], 'pair')}"
+        else:
+            source = f"from the {_SOURCES[camera['focal_source']]}: no pair determines it"
+        lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}"))
+    echo_each_camera(lines, "cameras.csv")
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
     click.echo(
         f"{batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "
@@ -124,19 +120,6 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def echo_cameras(cameras: Sequence[Mapping[str, Any]]) -> None:
-    """Print the pooled cameras of a summary."""
-    lines = []
-    for camera in cameras:
-        focal, std = camera["focal_px"], camera["focal_std"]
-        if camera["focal_source"] == "matches":
-            source = f"from {counted(camera['pairs'], 'pair')}"
-        else:
-            source = f"from the {_SOURCES[camera['focal_source']]}: no pair determines it"
-        lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}"))
-    echo_each_camera(lines, "cameras.csv")
-
-
 def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> None:
     """Print the first cameras, each by its number of images and a text, and where the rest is."""
     for number, (images, text) in enumerate(cameras[:CAMERAS_SHOWN], start=1):
@@ -147,49 +130,29 @@ def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> No
 
 def _echo_pairs(rows: Sequence[PairRow]) -> None:
     """Print a table of the first pairs, and how many more there are."""
+    from dgc_pose.estimation.status import percent_text
     from dgc_pose.files.tables import aligned
     from dgc_pose.geometry.rotation import rotation_angle_deg
 
-    lines = [("pair", "status", "rotation", "inliers")]
+    lines = [["pair", "status", "probability", "rotation", "R within", "t within", "inliers"]]
     for row in rows[:PAIRS_SHOWN]:
-        R = None if row.R is None else np.reshape(row.R, (3, 3))
-        angle = "-" if R is None else f"{rotation_angle_deg(R):.2f} deg"
-        inliers = f"{row.num_inliers} of {row.num_matches}"
-        lines.append((printable(f"{row.name1} {row.name2}"), row.status, angle, inliers))
+        angle = None if row.R is None else rotation_angle_deg(np.reshape(row.R, (3, 3)))
+        degrees = (angle, row.rotation_error_90_deg, row.translation_error_90_deg)
+        shown = ["-" if value is None else f"{value:.2f} deg" for value in degrees]
+        likely = "-" if row.probability is None else percent_text(row.probability)
+        names, inliers = f"{row.name1} {row.name2}", f"{row.num_inliers} of {row.num_matches}"
+        lines.append([printable(names), row.status, likely, *shown, inliers])
     click.echo(aligned(lines))
     if len(rows) > PAIRS_SHOWN:
         click.echo(f"... and {len(rows) - PAIRS_SHOWN} more")
-
-
-def _echo_files(batch: Batch) -> None:
-    """Print the files of a batch, and what can be done with them."""
-    from dgc_pose.batch.pooling import CAMERAS
-    from dgc_pose.batch.result import MATCHES, PAIRS
-
-    click.echo(f"{batch.folder / PAIRS}: status, R, t and errors of each pair")
-    click.echo(f"{batch.folder / MATCHES}: the matches, in hloc's layout")
-    if batch.plan.uncertain:
-        click.echo(f"{batch.folder / CAMERAS}: the cameras, which --K reads")
-    if batch.summary["poses"]:
-        folder = shlex.quote(str(batch.folder))
-        click.echo(f"for COLMAP: dgc-pose export-colmap {folder} --database database.db")
+    click.echo("within: nine times in ten if the pose is right; probability: R and t within 10 deg")
 
 
 @click.command()
 @click.argument("source", metavar="SOURCE")
 @OUT
-@dataclass_options(SourceChoice, "inputs")
-@dataclass_options(BatchOptions, "work")
-@dataclass_options(MatcherOptions, "matcher")
-@dataclass_options(EstimationOptions, "estimation")
-def batch(
-    source: str,
-    out: Path,
-    inputs: SourceChoice,
-    work: BatchOptions,
-    matcher: MatcherOptions,
-    estimation: EstimationOptions,
-) -> int:
+@dataclass_options(BatchChoice, "choice")
+def batch(source: str, out: Path, choice: BatchChoice) -> int:
     """Match many pairs of photographs and estimate their poses.
 
     SOURCE is a folder of photographs, a list of pairs (two names a line, SuperGlue's lines, or a
@@ -201,8 +164,17 @@ def batch(
     not stop the batch. A batch that was stopped continues with --resume. Exits with 3 if no pair
     has a pose.
     """
-    done = work_through(source, out, inputs, work, matcher, estimation)
+    from dgc_pose.batch.pooling import CAMERAS
+    from dgc_pose.batch.result import MATCHES, PAIRS
+
+    done = work_through(source, out, choice)
     _echo_pairs(done.rows)
     report(done)
-    _echo_files(done)
+    click.echo(f"{out / PAIRS}: status, R, t and errors of each pair")
+    click.echo(f"{out / MATCHES}: the matches, in hloc's layout")
+    if done.plan.uncertain:
+        click.echo(f"{out / CAMERAS}: the cameras, which --K reads")
+    if done.summary["poses"]:
+        folder = shlex.quote(str(out))
+        click.echo(f"for COLMAP: dgc-pose export-colmap {folder} --database database.db")
     return 0 if done.summary["poses"] else NO_POSE

@@ -74,7 +74,7 @@ class OutputFolder(NamedPath):
             return
         for file in (os.path.join(path, name) for name in self.results):
             if os.path.lexists(file):
-                hint = "--resume goes on with that run, " if "resume" in resume else ""
+                hint = "--resume continues that run, " if "resume" in resume else ""
                 raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
 
 

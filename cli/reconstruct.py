@@ -7,37 +7,24 @@ from pathlib import Path
 
 import click
 
-from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import OUT, SourceChoice, echo_each_camera, report, work_through
+from dgc_pose.cli.batch import OUT, BatchChoice, echo_each_camera, report, work_through
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.export_colmap import described
 from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced, write_text
-from dgc_pose.matchers import MatcherOptions
 
 
 @click.command()
 @click.argument("source", metavar="FOLDER")
 @OUT
-@dataclass_options(SourceChoice, "inputs")
 @dataclass_options(ReconstructionOptions, "options")
-@dataclass_options(BatchOptions, "work")
-@dataclass_options(MatcherOptions, "matcher")
-@dataclass_options(EstimationOptions, "estimation")
+@dataclass_options(BatchChoice, "choice")
 @click.option("--view", is_flag=True, help="Open model.html in the browser.")
 def reconstruct(
-    source: str,
-    out: Path,
-    inputs: SourceChoice,
-    options: ReconstructionOptions,
-    work: BatchOptions,
-    matcher: MatcherOptions,
-    estimation: EstimationOptions,
-    view: bool,
+    source: str, out: Path, options: ReconstructionOptions, choice: BatchChoice, view: bool
 ) -> None:
     """Reconstruct cameras and points from a folder of photographs.
 
@@ -56,26 +43,18 @@ def reconstruct(
     from dgc_pose.viz.reconstruction import plot_reconstruction
 
     known = [name for name in (*reconstruction.OUTPUTS, PICTURE, PAGE) if (out / name).exists()]
-    if known and not work.resume:
-        raise InputError(f"{out / known[0]} is there already: --resume goes on, and replaces it")
-    if known and not (out / BATCH / PLAN).is_file():
-        raise InputError(
-            f"{out / known[0]} is there already, and {out} holds no batch to go on with"
-        )
+    if known:
+        there = f"{out / known[0]} is there already"
+        if not choice.work.resume:
+            raise InputError(f"{there}: --resume continues the run and replaces it")
+        if not (out / BATCH / PLAN).is_file():
+            raise InputError(f"{there}, and {out} holds no batch to continue")
     reconstruction.require_model_folder(out / reconstruction.MODEL)
     if options.gps or options.scale:  # refused before the matching
-        images = open_source(Path(source), inputs.root, inputs.masks)
+        images = open_source(Path(source), choice.root, choice.masks)
         known_metres(images.root, images.names, options)
     start = time.perf_counter()
-    batch = work_through(
-        source,
-        out / BATCH,
-        inputs,
-        work,
-        matcher,
-        estimation,
-        min_images=MIN_IMAGES,
-    )
+    batch = work_through(source, out / BATCH, choice, MIN_IMAGES)
     report(batch)
     matched = time.perf_counter()
     with progress_bars() as progress:

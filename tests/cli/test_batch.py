@@ -12,6 +12,8 @@ from command_line import assert_refused, run
 from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.cli.batch import _echo_pairs
 from dgc_pose.matching.sift import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
@@ -92,12 +94,17 @@ def test_a_batch_ends_with_a_table_and_its_files(
     done = run("batch", photos, "--out", out, "--K", K_text(), *SIFT)
     assert done.exit_code == 0, done.output
     rows = read_batch(out).rows
-    heading, first, second, more, counts, *files = done.stdout.splitlines()
-    assert heading.split() == ["pair", "status", "rotation", "inliers"]
+    heading, first, second, more, legend, counts, *files = done.stdout.splitlines()
+    assert max(map(len, (heading, first, second, more, legend))) < 100
+    assert heading.split() == "pair status probability rotation R within t within inliers".split()
+    assert "if the pose is right" in legend
     for line, row in zip((first, second), rows, strict=False):
         angle = np.linalg.norm(cv2.Rodrigues(np.reshape(row.R, (3, 3)))[0]) * 180 / np.pi
-        cells = [row.name1, row.name2, row.status, f"{angle:.2f}", "deg"]
-        assert line.split() == [*cells, str(row.num_inliers), "of", str(row.num_matches)]
+        errors = (row.rotation_error_90_deg, row.translation_error_90_deg)
+        shown = " ".join(f"{value:.2f} deg" for value in (angle, *errors))
+        assert row.probability is None  # SIFT's matches have no model of it
+        expected = f"{row.name1} {row.name2} {row.status} - {shown}"
+        assert " ".join(line.split()) == f"{expected} {row.num_inliers} of {row.num_matches}"
     assert more == "... and 1 more" and counts.startswith(f"{out}: 3 poses of 3 pairs (ok 3), ")
     assert [line.split(": ")[0] for line in files[:2]] == [
         str(out / "pairs.jsonl"),
@@ -108,3 +115,20 @@ def test_a_batch_ends_with_a_table_and_its_files(
     words = shlex.split(files[2].removeprefix(command))
     words[-1] = str(tmp_path / words[-1])
     assert run(*words).exit_code == 0 and (tmp_path / "database.db").is_file()
+
+
+def test_the_table_shows_what_is_known(capsys: pytest.CaptureFixture[str]) -> None:
+    known = PairRow(
+        *("a.jpg", "b.jpg", "rotation_only", False, "a rotation"),
+        probability=0.42,
+        R=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
+        rotation_error_90_deg=0.126,
+        num_matches=90,
+        num_inliers=80,
+    )
+    _echo_pairs([known, PairRow("a.jpg", "c.jpg", "bad_input", False, "no image")])
+    _, first, second, _ = capsys.readouterr().out.splitlines()
+    assert (
+        first == "a.jpg b.jpg  rotation_only         42 %  0.00 deg  0.13 deg         -  80 of 90"
+    )
+    assert second.split() == ["a.jpg", "c.jpg", "bad_input", *"----", "0", "of", "0"]

@@ -160,7 +160,7 @@ def test_a_finished_run_is_only_shown_again_and_its_list_gives_it_again(dtu, tmp
     assert (out / "results.csv").read_bytes() == rows
     assert (out / "timings.csv").read_bytes() == times
     assert (out / "report.html").is_file()
-    assert "--resume goes on" in bench(*common, "--out", out, code=2)
+    assert "--resume continues" in bench(*common, "--out", out, code=2)
     bench(*common, "--out", other, "--pairs", out / "pairs.csv")
     assert (other / "results.csv").read_bytes() == rows
     assert (other / "pairs.csv").read_bytes() == (out / "pairs.csv").read_bytes()

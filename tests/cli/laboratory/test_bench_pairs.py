@@ -93,7 +93,7 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
         assert len(list(csv.DictReader(stream))) == 2
     assert sorted(os.listdir("run")) == ["results.csv", "run.json"]
     monkeypatch.setattr(dense_scene.MapMatcher, "_match", original)
-    assert "--resume goes on" in bench("pairs.txt", "--methods", "true", "--out", "run").stderr
+    assert "--resume continues" in bench("pairs.txt", "--methods", "true", "--out", "run").stderr
     result = bench("pairs.txt", "--methods", "true", "--out", "run", "--resume")
     assert result.exit_code == 0 and "2 of 3 pairs are done already" in result.stdout
     with open("run/results.csv", newline="") as stream:
