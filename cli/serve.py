@@ -38,8 +38,9 @@ def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOption
 
     Drop two photographs, or take the bundled ones. The page shows the matches, the epipolar lines
     under the pointer, the cameras and the points in space, the map, and the command and the Python
-    that give the same pose. More photographs, or a folder, give a table of pairs. Nothing leaves the machine: the server answers only to its own address,
-    and only with the token that it prints. Ends on Ctrl-C.
+    that give the same pose. More photographs, or a folder, give a table of pairs. Nothing leaves
+    the machine: the server answers only to its own address, and only with the token that it prints.
+    Ends on Ctrl-C.
     """
     require({"serve": "serve"})
     import uvicorn

@@ -64,7 +64,7 @@ function show(index, image) {
   compare();
 }
 
-/** Send photographs. Two at most take the places from this one on; more give a table of their pairs. */
+/** Send photographs. One takes this place, two take both, more give a table of their pairs. */
 async function sendAll(index, files) {
   const [number, photographs, sent, failures] = [endPairs(), photographsOf(files), [], []];
   for (const file of photographs) {
@@ -73,7 +73,7 @@ async function sendAll(index, files) {
   }
   if (photographs.length > 2 && number !== newestPairs) return; // others have been dropped
   begin("");
-  sent.slice(0, 2).forEach((image, n) => show((index + n) % 2, image));
+  sent.slice(0, 2).forEach((image, n) => show(photographs.length > 1 ? n : index, image));
   if (failures.length) fail(new Error(failures.join("; ")));
   if (photographs.length > 2) {
     listPairs(sent, (pair) => { pair.forEach((image, n) => show(n, image)); estimate(); });
