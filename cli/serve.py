@@ -11,7 +11,7 @@ from contextlib import suppress
 
 import click
 
-from dgc_pose.cameras.pair_list import rendered_pair
+from dgc_pose.cameras.pair_list import bundled_photographs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import scratch_folder
@@ -36,10 +36,11 @@ HOST = "127.0.0.1"
 def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOptions) -> int:
     """Show a page on this machine that estimates poses.
 
-    Drop two photographs, or take the bundled pair. The page shows the matches, the epipolar lines
+    Drop two photographs, or take the bundled ones. The page shows the matches, the epipolar lines
     under the pointer, the cameras and the points in space, the map, and the command and the Python
-    that give the same pose. Nothing leaves the machine: the server answers only to its own address,
-    and only with the token that it prints. Ends on Ctrl-C.
+    that give the same pose. More photographs, or a folder, give a table of pairs. Nothing leaves
+    the machine: the server answers only to its own address, and only with the token that it prints.
+    Ends on Ctrl-C.
     """
     require({"serve": "serve"})
     import uvicorn
@@ -48,12 +49,7 @@ def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOption
     from dgc_pose.serve.estimator import Estimator
     from dgc_pose.serve.guard import local_hosts
 
-    pair = rendered_pair()
-    views = ((pair.path1, pair.camera1), (pair.path2, pair.camera2))
-    example = [
-        (path, ",".join(f"{value:g}" for value in camera.K[(0, 1, 0, 1), (0, 1, 2, 2)]))
-        for path, camera in views
-    ]
+    example = [(path, "auto") for path in bundled_photographs()]
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
     estimator = Estimator(matcher.load(), weights)
     token = secrets.token_urlsafe(24)

@@ -112,6 +112,13 @@ class Page:
         paths = [str(file) for file in files]
         self._call("DOM.setFileInputFiles", files=paths, objectId=found["result"]["objectId"])
 
+    def drop(self, selector: str, *paths: Path) -> None:
+        """Drop files and folders on an element."""
+        x, y = self.middle(selector, (0.5, 0.5))
+        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self._call("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
+
     def resize(self, width: int, height: int) -> None:
         """The window's inner size, CSS pixels."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
@@ -131,7 +138,8 @@ class Page:
     def press(self, key: str) -> None:
         """A key of those that are named, such as ArrowDown or Enter."""
         for kind in ("keyDown", "keyUp"):
-            self._call("Input.dispatchKeyEvent", type=kind, key=key)
+            text = "\r" if key == "Enter" and kind == "keyDown" else ""  # which presses a button
+            self._call("Input.dispatchKeyEvent", type=kind, key=key, text=text)
 
     def middle(self, selector: str, at: tuple[float, float]) -> tuple[float, float]:
         """A place of an element in the window, scrolled to where it is seen."""

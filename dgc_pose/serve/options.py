@@ -20,7 +20,7 @@ class ServeOptions:
     estimate_seconds: float = option(
         120.0, "Longest time of one pair.", metavar="S", above=0, max=10**6
     )
-    images: int = option(8, min=2, max=10**4)  # that are stored; the oldest is dropped first
+    images: int = option(16, min=2, max=10**4)  # that are stored; the oldest is dropped first
     waiting: int = option(4, min=1, max=10**4)  # requests of a worker; more are turned away
 
     def __post_init__(self) -> None:

@@ -18,7 +18,7 @@ from dgc_pose.serve.options import ServeOptions
 
 @pytest.fixture(scope="module")
 def url():
-    """A server's address. SIFT, whose pose of the bundled pair takes a second."""
+    """A server's address. SIFT, whose pose of the rendered pair takes a second."""
     command = [sys.executable, "-m", "dgc_pose", "serve", "--no-browser", "--weights", "sift"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -66,18 +66,14 @@ def page(url, browser):
 def map_page(map_url, browser):
     """The page of the second server with the pose of its pair."""
     browser.open_anew(map_url)
-    estimate_example(browser)
+    browser.click("#example")
+    browser.wait(serve_parts.DONE)
     yield browser
     assert browser.errors == []
 
 
 @pytest.fixture
-def example(page):
-    """The page of the first server with the bundled pair's pose."""
-    estimate_example(page)
+def rendered(page):
+    """The page of the first server with the rendered pair's pose."""
+    serve_parts.estimate_rendered(page)
     return page
-
-
-def estimate_example(page):
-    page.click("#example")
-    page.wait("document.querySelector('#progress').textContent.startsWith('done')")

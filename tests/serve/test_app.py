@@ -167,14 +167,17 @@ def test_an_image_comes_back_as_the_browser_shows_it(client, ending):
     assert np.abs(shown.astype(int) - dense_scene.pictures()[0]).mean() < 8
 
 
-def test_a_portrait_is_upright(client):
+@pytest.mark.parametrize(("orientation", "quarters"), [(6, -1), (8, 1)])
+def test_a_portrait_is_upright(client, orientation, quarters):
     stream = io.BytesIO()
     exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.fromarray(dense_scene.pictures()[0]).save(stream, "JPEG", exif=exif)
+    exif[0x0112] = orientation
+    stored = dense_scene.pictures()[0]
+    Image.fromarray(stored).save(stream, "JPEG", exif=exif)
     image = send(client, stream.getvalue(), "turned.jpg").json()
     assert image["size"] == [240, 320]
-    assert decoded(image["picture"]).size == (240, 320)
+    shown = np.asarray(decoded(image["picture"])).astype(int)
+    assert np.abs(shown - np.rot90(stored, quarters)).mean() < 8
 
 
 def test_only_the_last_images_are_kept(client, folder):

@@ -3,9 +3,12 @@
 import json
 import re
 
+import cv2
 import dense_scene
 import numpy as np
 import pytest
+
+from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 
 pytestmark = pytest.mark.slow
 
@@ -55,6 +58,127 @@ def test_the_maps_point_stands_in_the_other_image(map_page, way, place):
     np.testing.assert_allclose(dense_scene.points_in_image1(x2), x1, atol=1.2)
     distance = re.search(r"([.\d]+) px from the epipolar line", map_page.text("#pointed"))
     assert distance is not None and float(distance[1]) < 1.2
+
+
+def test_the_arrows_cross_from_image_to_image(map_page):
+    clear(map_page)
+    seen = []
+    steps = (("Right", 20), ("Right", 60), ("Right", 150), ("Left", 60), ("Left", 150))
+    for key, times in steps:
+        for _ in range(times):
+            map_page.press(f"Arrow{key}")
+        seen.append(map_page.text("#pointed")[:7])
+    assert seen == ["image 1", "image 2", "image 2", "image 2", "image 1"]
+
+
+# A view of two images of one colour, without the page: result, canvas width, and its height.
+VIEW = """import('/static/view.js').then(({ View }) => {
+  const canvas = document.createElement('canvas');
+  document.body.replaceChildren(canvas);
+  canvas.style.width = '%(width)dpx';
+  const view = new View(canvas, document.createElement('p'));
+  const result = %(result)s;
+  const images = result.sizes.map(([width, height]) => {
+    const image = Object.assign(document.createElement('canvas'), { width, height });
+    image.getContext('2d').fillStyle = '%(colour)s';
+    image.getContext('2d').fillRect(0, 0, width, height);
+    return image;
+  });
+  view.show(result, ...images);
+  view.options = { count: 10, lines: true, outliers: false, epipolar: true };
+  view.draw();
+  return %(asked)s;
+})"""
+
+
+def viewed(page, asked, sizes, width=700, colour="#fff", F=None, points=()):
+    matches = {"points": list(points), "inlier": [False] * len(points)}
+    matches |= {name: [None] * len(points) for name in ("residual", "confidence")}
+    result = json.dumps({"sizes": sizes, "F": F, "matches": matches, "correspondences": None})
+    values = {"width": width, "result": result, "colour": colour, "asked": asked}
+    return page.evaluate(VIEW % values)
+
+
+LANDSCAPE, PORTRAIT, WIDE = [1280, 960], [960, 1280], [3000, 500]
+
+
+@pytest.mark.parametrize(("width", "tall"), [(348, 844), (700, 1024), (1160, 900)])
+@pytest.mark.parametrize(
+    "sizes", [[PORTRAIT, PORTRAIT], [LANDSCAPE, PORTRAIT], [LANDSCAPE, LANDSCAPE], [WIDE, PORTRAIT]]
+)
+def test_photographs_get_the_room_there_is(page, sizes, width, tall):
+    try:
+        page.resize(width + 50, tall)
+        first, second = viewed(page, "view.places", sizes, width)
+    finally:
+        page.resize(1400, 1600)
+    for place, (w, h) in zip((first, second), sizes, strict=True):
+        assert place["width"] / w == pytest.approx(place["scale"])
+        assert place["height"] / h == pytest.approx(place["scale"])
+        assert place["left"] >= -1e-6 and place["left"] + place["width"] <= width + 1e-6
+    beside = second["top"] == 0
+    start, size = ("left", "width") if beside else ("top", "height")
+    assert second[start] - first[start] - first[size] == pytest.approx(8)
+    bottom = second["top"] + second["height"]
+    assert bottom <= 0.85 * tall + 1e-6
+    # Either the width or the height is used up, and two portraits on a telephone are no stamps.
+    span = second["left"] + second["width"] - first["left"] if beside else first["width"]
+    assert span == pytest.approx(width) or bottom == pytest.approx(0.85 * tall)
+    if sizes == [PORTRAIT, PORTRAIT]:
+        assert first["height"] > 0.35 * tall
+
+
+@pytest.mark.parametrize("portrait", [True, False])
+@pytest.mark.parametrize("width", [390, 768, 1280])
+def test_a_photograph_to_send_is_seen_whole(page, tmp_path, width, portrait):
+    pixels = dense_scene.pictures()[0].repeat(2, axis=0).repeat(2, axis=1)
+    cv2.imwrite(str(tmp_path / "a.png"), np.rot90(pixels) if portrait else pixels)
+    try:
+        page.resize(width, 844)
+        page.choose("#file1", tmp_path / "a.png")
+        page.wait("document.querySelector('#picture1').naturalWidth > 0")
+        boxes = page.evaluate(
+            "['#picture1', '#drop1'].map((name) => { const box ="
+            " document.querySelector(name).getBoundingClientRect();"
+            " return [box.left, box.top, box.right, box.bottom]; })"
+        )
+    finally:
+        page.resize(1400, 1600)
+    (left, top, right, bottom), zone = boxes
+    assert zone[0] <= left and zone[1] <= top and right <= zone[2] and bottom <= zone[3]
+    wide, high = right - left, bottom - top
+    assert wide / high == pytest.approx(3 / 4 if portrait else 4 / 3, abs=0.02)
+    # As large as others, or as wide as the place.
+    assert max(wide, high) == pytest.approx(346) or wide == pytest.approx(zone[2] - zone[0] - 4)
+
+
+@pytest.mark.parametrize("colour", ["#fff", "#000", "#d5dbe1"])
+def test_matches_without_a_pose_are_seen_on_any_photograph(page, colour):
+    level = (
+        "Array.from(canvas.getContext('2d').getImageData(100, 40, 1, 60).data)"
+        ".filter((value, n) => n % 4 === 1)"
+    )
+    points = [[0, 150, 400, 150]]
+    levels = np.array(viewed(page, level, [LANDSCAPE, LANDSCAPE], 700, colour, points=points))
+    around = levels[0]
+    assert np.abs(levels - around).max() > 80
+
+
+def test_both_lines_of_a_pixel_are_of_one_epipolar_plane(page):
+    E = essential_from_pose(dense_scene.R, dense_scene.T)
+    F = fundamental_from_essential(E, dense_scene.K, dense_scene.K)
+    sizes = [dense_scene.SIZE, dense_scene.SIZE]
+    for image, pixel in ((0, [40.0, 70.0, 1.0]), (1, [200.0, 30.0, 1.0])):
+        pointer = json.dumps([image, *pixel[:2]])
+        asked = f"Object.assign(view, {{ pointer: {pointer} }}).epipolarLines()"
+        own, other = map(np.array, viewed(page, asked, sizes, F=(F / np.abs(F).max()).tolist()))
+        matrix = F if image == 0 else F.T
+        expected = matrix @ pixel
+        np.testing.assert_allclose(other / other[1], expected / expected[1])
+        # Through the pixel and the epipole, which the matrix takes to 0.
+        epipole = np.linalg.svd(matrix)[2][2]
+        line = np.cross(pixel, epipole)
+        np.testing.assert_allclose(own / own[1], line / line[1], rtol=1e-6)
 
 
 def test_the_scene_projects_points_as_a_camera_behind_camera_1_does(map_page):

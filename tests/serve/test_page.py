@@ -1,6 +1,7 @@
 """The page in a browser, as a user would use it."""
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -8,12 +9,11 @@ import dense_scene
 import numpy as np
 import pytest
 from ambiguous_pose import ambiguous_pose
+from serve_parts import DONE, estimate_rendered
 
 from dgc_pose.cameras.pair_list import rendered_pair
 
 pytestmark = pytest.mark.slow
-
-DONE = "document.querySelector('#progress').textContent.startsWith('done')"
 
 
 def numbers(text):
@@ -21,19 +21,30 @@ def numbers(text):
     return np.array([[float(cell) for cell in line.split()] for line in text.splitlines()])
 
 
-def test_the_bundled_pair_gets_its_pose(example):
-    assert example.text("#verdict") == "A pose"
-    assert "inliers" in example.text("#numbers") and "expected error" in example.text("#numbers")
+def test_the_rendered_pair_gets_its_pose(rendered):
+    assert rendered.text("#verdict") == "A pose"
+    assert "inliers" in rendered.text("#numbers") and "expected error" in rendered.text("#numbers")
     pair = rendered_pair()
-    R, t = (numbers(example.text(f"#poses table[aria-label={name}]")) for name in "Rt")
+    R, t = (numbers(rendered.text(f"#poses table[aria-label={name}]")) for name in "Rt")
     np.testing.assert_allclose(R, pair.R, atol=0.01)
     np.testing.assert_allclose(t[:, 0], pair.t / np.linalg.norm(pair.t), atol=0.02)
     # The server's folders are none of the page's business.
-    assert str(pair.path1.parent) not in example.evaluate("document.documentElement.innerHTML")
-    assert example.text("#command").startswith("dgc-pose estimate image1.jpg image2.jpg --K1 ")
-    assert "--weights sift" in example.text("#command")
+    assert str(pair.path1.parent) not in rendered.evaluate("document.documentElement.innerHTML")
+    assert rendered.text("#command").startswith("dgc-pose estimate image1.jpg image2.jpg --K1 ")
+    assert "--weights sift" in rendered.text("#command")
     # A matcher of key points has no map.
-    assert example.evaluate("document.querySelector('#map-part').hidden")
+    assert rendered.evaluate("document.querySelector('#map-part').hidden")
+
+
+def test_the_bundled_photographs_are_taken_without_k(page):
+    page.click("[value=k]")
+    page.click("#example")
+    page.wait(DONE)
+    assert page.text("#verdict") == "A pose" and "K was not known" in page.text("#basis")
+    assert page.text("#command").startswith("dgc-pose estimate image1.jpg image2.jpg --K auto ")
+    assert page.text("#caption1") == "image1.jpg, 1280 x 960"
+    expected = re.search(r"expected error\n(.*)", page.text("#numbers"))
+    assert expected and expected[1].endswith(", nine times in ten if the pose is right")
 
 
 # The answer with so much more.
@@ -57,8 +68,7 @@ def test_both_poses_of_an_ambiguous_pair_are_shown(page):
     pose = ambiguous_pose().as_dict()
     changes = {"pose": pose, "reason": pose["warnings"][0], "F": None, "scene": None}
     page.evaluate(CHANGED % json.dumps(changes))
-    page.click("#example")
-    page.wait(DONE)
+    estimate_rendered(page)
     assert page.text("#verdict") == "Two poses explain these photographs"
     assert "do not show which of them is right" in page.text("#reason")
     tables = "[...document.querySelectorAll('#poses %s')].map((part) => part.innerText)"
@@ -83,22 +93,22 @@ def test_both_poses_of_an_ambiguous_pair_are_shown(page):
     assert page.evaluate("document.querySelectorAll('#poses table').length") == 2
 
 
-def test_the_pointer_brings_epipolar_lines(example):
-    empty = example.drawn("#view")
-    example.hover("#view", (0.25, 0.5))
-    pointed = example.redrawn("#view", empty)
-    assert example.text("#pointed").startswith("image 1 (")
-    example.hover("#view", (0.75, 0.5))
-    example.redrawn("#view", pointed)
-    example.click("#show-epipolar")
-    example.click("#show-lines")
-    without = example.drawn("#view")
-    example.hover("#view", (0.25, 0.5))
-    example.wait("document.querySelector('#pointed').textContent.startsWith('image 1')")
-    pointed = example.redrawn("#view", without)  # the point alone
-    example.click("#show-epipolar")
-    example.hover("#view", (0.25, 0.5))
-    example.redrawn("#view", pointed)
+def test_the_pointer_brings_epipolar_lines(rendered):
+    empty = rendered.drawn("#view")
+    rendered.hover("#view", (0.25, 0.5))
+    pointed = rendered.redrawn("#view", empty)
+    assert rendered.text("#pointed").startswith("image 1 (")
+    rendered.hover("#view", (0.75, 0.5))
+    rendered.redrawn("#view", pointed)
+    rendered.click("#show-epipolar")
+    rendered.click("#show-lines")
+    without = rendered.drawn("#view")
+    rendered.hover("#view", (0.25, 0.5))
+    rendered.wait("document.querySelector('#pointed').textContent.startsWith('image 1')")
+    pointed = rendered.redrawn("#view", without)  # the point alone
+    rendered.click("#show-epipolar")
+    rendered.hover("#view", (0.25, 0.5))
+    rendered.redrawn("#view", pointed)
 
 
 def test_photographs_that_are_chosen_are_estimated_at_once(page, tmp_path):
@@ -112,14 +122,14 @@ def test_photographs_that_are_chosen_are_estimated_at_once(page, tmp_path):
     assert "K was not known" in page.text("#basis")
 
 
-def test_a_file_of_cameras_is_sent_with_its_name(example, tmp_path):
+def test_a_file_of_cameras_is_sent_with_its_name(rendered, tmp_path):
     (tmp_path / "my K.txt").write_text("800 0 390 0 800 310 0 0 1")
-    assert "K1\nf 820.0 px, cx 404.3, cy 296.8" in example.text("#numbers")
-    example.click("[value=file]")
-    example.choose("#kfile", tmp_path / "my K.txt")
-    example.click("#estimate")
-    example.wait("document.querySelector('#command').textContent.includes(\"--K 'my K.txt'\")")
-    assert "K1, K2\nf 800.0 px, cx 390.0, cy 310.0" in example.text("#numbers")
+    assert "K1\nf 820.0 px, cx 404.3, cy 296.8" in rendered.text("#numbers")
+    rendered.click("[value=file]")
+    rendered.choose("#kfile", tmp_path / "my K.txt")
+    rendered.click("#estimate")
+    rendered.wait("document.querySelector('#command').textContent.includes(\"--K 'my K.txt'\")")
+    assert "K1, K2\nf 800.0 px, cx 390.0, cy 310.0" in rendered.text("#numbers")
 
 
 def test_what_is_wrong_is_told(page, tmp_path):
@@ -164,10 +174,11 @@ def test_a_result_belongs_to_its_inputs(map_page, tmp_path):
     assert page.evaluate(STALE)
     page.click("[value=k]")
     assert not page.evaluate(STALE)
-    set_value(page, "#k1", "")  # or the photographs would be estimated at once
+    set_value(page, "#k1", "")
     cv2.imwrite(str(tmp_path / "other.png"), dense_scene.pictures(seed=1)[0])
     page.choose("#file2", tmp_path / "other.png")
     page.wait("document.querySelector('#caption2').textContent.startsWith('other.png')")
+    page.wait("document.querySelector('#error').textContent.startsWith('give K')")
     assert page.evaluate(STALE)
     set_value(page, "#k1", dense_scene.K_TEXT)
     page.click("#estimate")
@@ -208,11 +219,12 @@ def test_without_a_pose_nothing_that_a_pose_alone_has_is_shown(page, tmp_path):
     page.wait(DONE)
     assert page.text("#verdict") == "No pose"
     assert page.text("#reason").endswith(").")  # why, and the status
+    assert page.text("#numbers").endswith("agree with the best essential matrix")
     shown = (
         "[...document.querySelectorAll('#result [data-posed], #result canvas')]"
         ".filter((part) => part.offsetParent).map((part) => part.id)"
     )
     assert page.evaluate(shown) == ["view"]
-    page.click("#example")
-    page.wait("document.querySelector('#verdict').textContent === 'A pose'")
+    estimate_rendered(page)
+    assert page.text("#verdict") == "A pose"
     assert {"view", "scene", "histogram"} <= set(page.evaluate(shown))

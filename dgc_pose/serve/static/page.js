@@ -1,5 +1,6 @@
 // The page: K and photographs in, a pose out.
 import { picture } from "./canvas.js";
+import { droppedFiles, endPairs, estimatePairs, listPairs, newest as newestPairs, photographsOf } from "./pairs.js";
 import { drawHistogram, drawMap } from "./plots.js";
 import { describe, summary } from "./result.js";
 import { saveJson, savePng } from "./save.js";
@@ -11,6 +12,7 @@ const at = (id) => document.getElementById(id);
 const images = [null, null]; // as the server described them
 let result = null;
 let resultInputs = ""; // those that it is of, see `inputs`
+let pairsKnown = ""; // of the table, see `known`
 let pictures = null; // of both images, and of the map
 let running = 0; // of the newest request; older answers are ignored
 let drawn = 150; // matches, as chosen; a result may have fewer
@@ -32,27 +34,21 @@ function kind() {
   return document.querySelector("input[name=kind]:checked").value;
 }
 
-function choose(name) {
-  document.querySelector(`input[name=kind][value=${name}]`).checked = true;
+/** What is known of K, as a text. */
+function known() {
+  const fields = [...document.querySelectorAll(`[data-kind=${kind()}] input`)];
+  return JSON.stringify([kind(), fields.map(({ value, files }) => [value.trim(), files?.[0]?.size, files?.[0]?.lastModified])]);
 }
 
 /** All that a result depends on, as a text. */
 function inputs() {
-  const [file] = at("kfile").files;
-  const camera = {
-    auto: [],
-    k: [at("k1").value.trim(), at("k2").value.trim()],
-    file: [file?.name, file?.size, file?.lastModified],
-    fov: [at("fov").value],
-  };
-  return JSON.stringify([images.map((image) => image?.number), kind(), camera[kind()]]);
+  return JSON.stringify([images.map((image) => image?.number), known()]);
 }
 
-/** A result of other inputs than those on the page is greyed out. */
+/** What is of other inputs than those on the page is greyed out. */
 function compare() {
-  const stale = result !== null && inputs() !== resultInputs;
-  at("result").classList.toggle("stale", stale);
-  at("stale").hidden = !stale;
+  at("result").classList.toggle("stale", inputs() !== resultInputs);
+  at("pairs").classList.toggle("stale", known() !== pairsKnown);
 }
 
 let shownImages = 0;
@@ -68,30 +64,33 @@ function show(index, image) {
   compare();
 }
 
-async function send(index, file) {
-  begin(`sending ${file.name}`);
-  try {
-    show(index, await sendFile(file));
-    at("progress").textContent = "";
-    return true;
-  } catch (error) {
-    fail(new Error(`${file.name}: ${error.message}`));
-    return false;
-  }
-}
-
+/** Send photographs. One takes this place, two take both, more give a table of their pairs. */
 async function sendAll(index, files) {
-  const sent = await Promise.all([...files].slice(0, 2).map((file, n) => send((index + n) % 2, file)));
-  if (!sent.length || !sent.every(Boolean) || images.includes(null)) return;
-  if (kind() === "k" && !at("k1").value.trim()) at("progress").textContent = "K is missing";
-  else if (kind() === "file" && !at("kfile").files.length) at("progress").textContent = "the file with the cameras is missing";
-  else estimate();
+  const [number, photographs, sent, failures] = [endPairs(), photographsOf(files), [], []];
+  for (const file of photographs) {
+    begin(`sending ${file.name}`);
+    await sendFile(file).then((image) => sent.push(image), ({ message }) => failures.push(message));
+  }
+  if (photographs.length > 2 && number !== newestPairs) return; // others have been dropped
+  begin("");
+  sent.slice(0, 2).forEach((image, n) => show(photographs.length > 1 ? n : index, image));
+  if (failures.length) fail(new Error(failures.join("; ")));
+  if (photographs.length > 2) {
+    listPairs(sent, (pair) => { pair.forEach((image, n) => show(n, image)); estimate(); });
+    estimateAll();
+  } else if (sent.length && !failures.length && !images.includes(null)) estimate();
 }
 
 async function camera() {
   if (kind() !== "file") return { kind: kind(), fov: Number(at("fov").value), k1: at("k1").value, k2: at("k2").value };
   const [file] = at("kfile").files;
   return { kind: "file", name: file?.name ?? "", content: file ? await base64(file) : "" };
+}
+
+async function estimateAll() {
+  pairsKnown = known();
+  compare();
+  await camera().then(estimatePairs).catch(fail);
 }
 
 async function estimate() {
@@ -102,7 +101,6 @@ async function estimate() {
     const [pair, asked, how] = [[...images], inputs(), kind()];
     for await (const line of estimated(pair, await camera())) {
       if (number !== running) return;
-      if (line.error) throw new Error(line.error);
       if (line.progress) at("progress").textContent = line.progress;
       if (line.result) await present(line.result, pair, asked, how);
     }
@@ -114,7 +112,7 @@ async function estimate() {
 }
 
 async function present(answer, pair, asked, how) {
-  const map = answer.map;
+  const { map, matches: { points } } = answer;
   pictures = await Promise.all([...pair.map((image) => image.picture), map?.warp, map?.matchability].map(picture));
   [result, resultInputs] = [answer, asked];
   at("result").hidden = false;
@@ -125,8 +123,8 @@ async function present(answer, pair, asked, how) {
   for (const part of document.querySelectorAll("[data-posed]")) part.hidden = answer.F === null;
   for (const part of document.querySelectorAll("[data-covered]")) part.hidden = !map?.warp;
   at("map-part").hidden = map === null;
-  at("covered").textContent = covered(map);
-  const { points } = answer.matches;
+  const share = map?.warp ? `${(100 * map.covered).toFixed(0)} %` : "less than 1 %";
+  at("covered").textContent = `The map has points in image 1 for ${share} of image 2.`;
   at("view-title").textContent = answer.F === null ? "Matches" : "Matches and epipolar lines";
   at("count").max = Math.max(10, points.length);
   at("count").value = drawn;
@@ -138,11 +136,6 @@ async function present(answer, pair, asked, how) {
   const seconds = Object.values(answer.pose.seconds).reduce((sum, part) => sum + part, 0);
   at("progress").textContent = `done in ${seconds.toFixed(2)} s`;
   at("result").scrollIntoView({ block: "start" });
-}
-
-function covered(map) {
-  const share = map?.warp ? `${(100 * map.covered).toFixed(0)} %` : "less than 1 %";
-  return `The map has points in image 1 for ${share} of image 2.`;
 }
 
 function redraw() {
@@ -167,26 +160,31 @@ function redraw() {
 for (const index of [0, 1]) {
   const zone = at(`drop${index + 1}`);
   const input = at(`file${index + 1}`);
-  input.addEventListener("change", () => sendAll(index, input.files).then(() => { input.value = ""; }));
-  zone.addEventListener("dragover", (event) => { event.preventDefault(); zone.classList.add("over"); });
+  input.addEventListener("change", () => {
+    sendAll(index, [...input.files]);
+    input.value = "";
+  });
+  zone.addEventListener("dragover", () => zone.classList.add("over"));
   zone.addEventListener("dragleave", () => zone.classList.remove("over"));
   zone.addEventListener("drop", (event) => {
-    event.preventDefault();
     zone.classList.remove("over");
-    sendAll(index, event.dataTransfer.files);
+    droppedFiles(event.dataTransfer).then((files) => sendAll(index, files)).catch(fail);
   });
 }
 // A file dropped beside the zones would replace the page.
 for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault());
 
 at("estimate").addEventListener("click", estimate);
+at("estimate-pairs").addEventListener("click", estimateAll);
 at("example").addEventListener("click", async () => {
-  begin("reading the bundled pair");
+  endPairs();
+  begin("reading the bundled photographs");
   try {
     const example = await bundledPair();
     example.images.forEach((image, index) => show(index, image));
-    choose("k");
-    [at("k1").value, at("k2").value] = example.k;
+    const known = example.k.some((text) => text !== "auto");
+    document.querySelector(`input[name=kind][value=${known ? "k" : "auto"}]`).checked = true;
+    if (known) [at("k1").value, at("k2").value] = example.k;
     await estimate();
   } catch (error) {
     fail(error);

@@ -21,7 +21,7 @@ export function describe(result, kind) {
   at("basis").hidden = !(kind in BASES) || !pose.R;
   at("poses").replaceChildren(...explanations.map(explanation));
   if (pose.R) at("poses").append(equations(pose, "cam2_from_cam1: x2 = R x1 + t"));
-  at("numbers").replaceChildren(...facts(pose).flatMap(([name, text]) => [element("dt", name), element("dd", text)]));
+  at("numbers").replaceChildren(...facts(pose).flatMap(([name, text, rest = ""]) => [element("dt", name), element("dd", text + rest)]));
   alternatives(explanations.length ? [] : pose.alternatives);
   at("warnings").replaceChildren(
     ...pose.warnings.filter((text) => text !== reason).map((text) => element("li", text)),
@@ -31,11 +31,11 @@ export function describe(result, kind) {
 /** The facts as one line, for a picture. */
 export function summary({ pose, reason }) {
   const { title, why } = verdict(pose, reason);
-  const numbers = facts(pose).map(([name, text]) => `${name} ${text}`).join("; ");
+  const numbers = facts(pose).map(([name, text, rest = ""]) => `${name} ${text}${rest}`).join("; ");
   return `${title}. ${pose.success ? "" : `${why} `}${numbers}`;
 }
 
-function verdict({ status, success, R, alternatives: others }, reason) {
+export function verdict({ status, success, R, alternatives: others }, reason) {
   if (success) return { sort: "good", title: "A pose", why: SUCCESS[status] };
   if (status === "ambiguous") {
     const count = others.length === 2 ? "Two" : others.length;
@@ -46,7 +46,7 @@ function verdict({ status, success, R, alternatives: others }, reason) {
   return R ? { sort: "doubt", title: "A rotation alone", why } : { sort: "bad", title: "No pose", why };
 }
 
-function element(name, text, className = "") {
+export function element(name, text, className = "") {
   const made = document.createElement(name);
   made.textContent = text;
   made.className = className;
@@ -96,18 +96,20 @@ function alternatives(others) {
   }));
 }
 
-function facts(pose) {
+/** What is known of a pose: each its name, its value, and what the value is of. */
+export function facts(pose) {
   const lines = [];
   if (pose.R) lines.push(["rotation angle", angle(pose.R)]);
   if (pose.t && pose.probability != null) {
-    lines.push(["probability", `${likelihood(pose.probability)}, that R and t are within 10°`]);
+    lines.push(["probability", likelihood(pose.probability), ", that R and t are within 10°"]);
   }
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
-    lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°, nine times in ten if the pose is right`]);
+    lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°`, ", nine times in ten if the pose is right"]);
   }
   const share = pose.inlier_ratio == null ? "" : ` (${(100 * pose.inlier_ratio).toFixed(1)} %)`;
-  lines.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`]);
+  const sense = pose.success ? "" : " agree with the best essential matrix";
+  lines.push(["inliers", `${pose.num_inliers} of ${pose.num_matches} matches${share}`, sense]);
   if (pose.t && pose.median_triangulation_angle_deg != null) {
     lines.push(["triangulation", `${pose.median_triangulation_angle_deg.toFixed(2)}°, the median angle`]);
   }

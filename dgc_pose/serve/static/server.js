@@ -14,22 +14,23 @@ async function ask(path, body, type) {
 
 /** Send a photograph. Returns it as the server describes it, with a way to send it again. */
 export async function sendFile(file) {
-  const path = `/images?name=${encodeURIComponent(file.name)}`;
-  const content = await file.arrayBuffer().catch(() => {
-    throw new Error("the file cannot be read, or no longer");
-  });
-  const image = await (await ask(path, content, "application/octet-stream")).json();
-  return { ...image, again: () => sendFile(file) };
+  try {
+    const content = await file.arrayBuffer().catch(() => { throw new Error("the file cannot be read, or no longer"); });
+    const answer = await ask(`/images?name=${encodeURIComponent(file.name)}`, content, "application/octet-stream");
+    return { ...await answer.json(), again: () => sendFile(file) };
+  } catch (error) {
+    throw new Error(`${file.name}: ${error.message}`);
+  }
 }
 
-/** The bundled pair: both images, which the server keeps, and a text of K for each. */
+/** The bundled photographs: both images, which the server keeps, and a text of K for each. */
 export async function bundledPair() {
   const { images, k } = await (await ask("/example", "", "application/json")).json();
   return { k, images: images.map((image) => ({ ...image, again: async () => image })) };
 }
 
-/** Lines of JSON: what is being done, and the result or an error. Images that the server has dropped
-    are sent again. */
+/** What is being done, and the result; an Error in its place is raised. Images that the server has
+    dropped are sent again. */
 export async function* estimated(images, camera) {
   const request = () => ask(
     "/poses", JSON.stringify({ image1: images[0].id, image2: images[1].id, camera }), "application/json",
@@ -39,15 +40,13 @@ export async function* estimated(images, camera) {
     answer = await request();
   } catch (error) {
     if (error.status !== GONE) throw error;
-    for (const image of images) {
-      const { id } = await image.again().catch((failure) => {
-        throw new Error(`${image.name}: ${failure.message}`);
-      });
-      image.id = id;
-    }
+    for (const image of images) image.id = (await image.again()).id;
     answer = await request();
   }
-  yield* lines(answer.body);
+  for await (const line of lines(answer.body)) {
+    if (line.error) throw new Error(line.error);
+    yield line;
+  }
 }
 
 async function* lines(stream) {
@@ -63,11 +62,6 @@ async function* lines(stream) {
 }
 
 /** The content of a file in base 64. */
-export function base64(file) {
-  return new Promise((done, failed) => {
-    const reader = new FileReader();
-    reader.onload = () => done(reader.result.split(",")[1] ?? "");
-    reader.onerror = () => failed(new Error(`${file.name}: ${reader.error.message}`));
-    reader.readAsDataURL(file);
-  });
+export async function base64(file) {
+  return btoa(Array.from(new Uint8Array(await file.arrayBuffer()), (byte) => String.fromCharCode(byte)).join(""));
 }

@@ -6,9 +6,9 @@ import { Correspondences } from "./correspondences.js";
 
 const GAP = 8; // between the images, CSS pixels
 const NEAR = 12; // how far the pointer may be from a match, CSS pixels
-const NARROW = 560; // below, landscapes stand one above the other, CSS pixels
+const NARROW = 560; // below, the images stand one above the other where they are larger so, CSS pixels
 const EPIPOLAR = "#ffe14d";
-const UNDECIDED = "#d5dbe1"; // of matches without a pose, which are neither inliers nor outliers
+const UNDECIDED = "#f2f5f8"; // of matches without a pose, which are neither inliers nor outliers
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 /** Both images, and what is drawn on them. */
@@ -16,13 +16,11 @@ export class View {
   constructor(canvas, text) {
     this.canvas = canvas;
     this.text = text;
-    this.pointer = null; // [image, x, y], pixels of that image
-    this.options = { count: 150, lines: true, outliers: false, epipolar: true };
     for (const name of ["pointerdown", "pointermove"]) {
-      canvas.addEventListener(name, (event) => this.point(event));
+      canvas.addEventListener(name, (event) => this.pointAt(event.offsetX, event.offsetY));
     }
     canvas.addEventListener("pointerleave", (event) => {
-      if (event.pointerType === "mouse") this.leave(); // a finger's point stays
+      if (event.pointerType === "mouse") this.pointAt(); // a finger's point stays
     });
     canvas.addEventListener("keydown", (event) => this.key(event));
   }
@@ -31,7 +29,7 @@ export class View {
     this.result = result;
     this.images = [first, second];
     this.correspondences = result.correspondences && new Correspondences(result.correspondences, result.sizes[0]);
-    this.pointer = null;
+    this.pointer = null; // [image, x, y], pixels of that image
     const [known, nearlyAll] = result.F ? inlierResiduals(result.matches) : [[]];
     this.scale = known.length ? Math.max(0.01, nearlyAll) : null;
     this.largest = known.at(-1) ?? null;
@@ -46,8 +44,7 @@ export class View {
   draw() {
     if (!this.result) return;
     this.places = placed(this.result.sizes, this.canvas.clientWidth);
-    const last = this.places[1];
-    const [paint] = prepared(this.canvas, Math.round(last.top + last.height));
+    const [paint] = prepared(this.canvas, Math.round(this.places[1].top + this.places[1].height));
     this.images.forEach((image, n) => {
       const { left, top, width, height } = this.places[n];
       paint.drawImage(image, left, top, width, height);
@@ -57,7 +54,9 @@ export class View {
     if (nearest !== null) this.drawMatch(paint, nearest, false, true);
     const other = this.corresponding();
     if (this.pointer) {
-      if (this.options.epipolar && this.result.F) this.drawEpipolar(paint);
+      const image = this.pointer[0];
+      const lines = this.options.epipolar && this.result.F ? this.epipolarLines() : [];
+      lines.forEach((line, n) => this.drawLine(paint, n === 0 ? image : 1 - image, line));
       this.drawPoint(paint, ...this.pointer, EPIPOLAR);
       if (other) this.drawPoint(paint, 1 - this.pointer[0], other.x, other.y, "#ffffff");
     }
@@ -96,17 +95,20 @@ export class View {
   drawMatch(paint, n, faint, strong = false) {
     const [x1, y1, x2, y2] = this.result.matches.points[n];
     const [from, to] = [this.place(0, x1, y1), this.place(1, x2, y2)];
+    const [line, dot] = strong ? [2.5, 5] : [1.2, 2];
     paint.globalAlpha = faint ? 0.25 : 0.85;
-    paint.strokeStyle = paint.fillStyle = strong ? "#ffffff" : this.colour(n);
-    paint.lineWidth = strong ? 2.5 : 1;
-    paint.beginPath();
-    paint.moveTo(...from);
-    paint.lineTo(...to);
-    paint.stroke();
-    for (const [x, y] of [from, to]) {
+    for (const [style, edge] of [["#000a", 0.6], [strong ? "#ffffff" : this.colour(n), 0]]) { // on a dark edge
+      paint.strokeStyle = paint.fillStyle = style;
+      paint.lineWidth = line + 2 * edge;
       paint.beginPath();
-      paint.arc(x, y, strong ? 5 : 2, 0, 7);
-      paint.fill();
+      paint.moveTo(...from);
+      paint.lineTo(...to);
+      paint.stroke();
+      for (const [x, y] of [from, to]) {
+        paint.beginPath();
+        paint.arc(x, y, dot + edge, 0, 7);
+        paint.fill();
+      }
     }
     paint.globalAlpha = 1;
   }
@@ -126,12 +128,9 @@ export class View {
     const [image, x, y] = this.pointer;
     const F = this.result.F;
     const matrix = image === 0 ? F : transposed(F); // to lines of the other image
-    return [cross([x, y, 1], nullVector(matrix)), apply(matrix, [x, y, 1])];
-  }
-
-  drawEpipolar(paint) {
-    const image = this.pointer[0];
-    this.epipolarLines().forEach((line, n) => this.drawLine(paint, n === 0 ? image : 1 - image, line));
+    const [a, b, c] = apply(matrix, [x, y, 1]);
+    // All points of the line in the other image have the line of this plane in the pointer's.
+    return [apply(transposed(matrix), [-a * c, -b * c, a * a + b * b]), [a, b, c]];
   }
 
   /** A line a x + b y + c = 0 across its image. */
@@ -158,12 +157,7 @@ export class View {
     paint.restore();
   }
 
-  point(event) {
-    const box = this.canvas.getBoundingClientRect();
-    this.pointAt(event.clientX - box.left, event.clientY - box.top);
-  }
-
-  /** Point at a place of the canvas, CSS pixels; at nothing beside the images. */
+  /** Point at a place of the canvas, CSS pixels; at nothing beside the images and without a place. */
   pointAt(x, y) {
     if (!this.places) return;
     const image = this.places.findIndex(({ left, top, width, height }) => (
@@ -176,15 +170,10 @@ export class View {
     this.draw();
   }
 
-  leave() {
-    this.pointer = null;
-    this.draw();
-  }
-
   /** The arrows move the pointer, with Shift by one pixel of the screen; across the gap too. */
   key(event) {
     if (!this.places || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === "Escape") this.leave();
+    if (event.key === "Escape") this.pointAt();
     if (!(event.key in ARROWS)) return;
     event.preventDefault();
     const [dx, dy] = ARROWS[event.key].map((step) => step * (event.shiftKey ? 1 : 8));
@@ -193,17 +182,13 @@ export class View {
       this.pointAt(left + width / 2, top + height / 2);
       return;
     }
-    const [first, second] = this.places;
     const [x, y] = this.place(...this.pointer);
-    const from = this.places[this.pointer[0]];
-    const to = this.pointer[0] === 0 ? second : first;
-    const inside = (value, low, size) => Math.min(low + size, Math.max(low, value));
-    const beside = second.top === first.top; // the images stand side by side
-    const leaves = beside
-      ? (x + dx - from.left) * (to.left - from.left) > 0 && (x + dx < from.left || x + dx > from.left + from.width)
-      : (y + dy - from.top) * (to.top - from.top) > 0 && (y + dy < from.top || y + dy > from.top + from.height);
-    const place = leaves ? to : from;
-    this.pointAt(inside(x + dx, place.left, place.width), inside(y + dy, place.top, place.height));
+    const [from, to] = [this.places[this.pointer[0]], this.places[1 - this.pointer[0]]];
+    const inside = ({ left, top, width, height }) => (
+      [Math.min(left + width, Math.max(left, x + dx)), Math.min(top + height, Math.max(top, y + dy))]);
+    const [across, down] = inside(from);
+    const leaves = (to.left - from.left) * (x + dx - across) + (to.top - from.top) * (y + dy - down) > 0;
+    this.pointAt(...inside(leaves ? to : from));
   }
 
   /** The point that the map has for the pointer, in the other image; null for none. */
@@ -255,22 +240,20 @@ export class View {
 }
 
 /** Where the images stand on a canvas of this width: side by side, or one above the other. */
-function placed([[w1, h1], [w2, h2]], width) {
+function placed(sizes, width) {
   const most = Math.max(360, 0.85 * innerHeight); // of the height
-  if (width < NARROW && w1 > h1 && w2 > h2) {
-    const [tall1, tall2] = [width * h1 / w1, width * h2 / w2];
-    return [
-      { left: 0, top: 0, width, height: tall1, scale: width / w1 },
-      { left: 0, top: tall1 + GAP, width, height: tall2, scale: width / w2 },
-    ];
-  }
-  const height = Math.min(most, (width - GAP) / (w1 / h1 + w2 / h2));
-  const [wide1, wide2] = [height * w1 / h1, height * w2 / h2];
-  const left = (width - wide1 - GAP - wide2) / 2;
-  return [
-    { left, top: 0, width: wide1, height, scale: height / h1 },
-    { left: left + wide1 + GAP, top: 0, width: wide2, height, scale: height / h2 },
-  ];
+  const [aspect1, aspect2] = sizes.map(([w, h]) => w / h);
+  const tall = Math.min(most, (width - GAP) / (aspect1 + aspect2)); // of each beside the other
+  const wide = Math.min(width, (most - GAP) / (1 / aspect1 + 1 / aspect2)); // of each above the other
+  const above = width < NARROW && wide > tall * Math.max(aspect1, aspect2);
+  let [left, top] = [(width - (above ? wide : tall * (aspect1 + aspect2) + GAP)) / 2, 0];
+  return sizes.map(([w, h]) => {
+    const scale = above ? wide / w : tall / h;
+    const place = { left, top, width: scale * w, height: scale * h, scale };
+    if (above) top += place.height + GAP;
+    else left += place.width + GAP;
+    return place;
+  });
 }
 
 /** From a line a x + b y + c = 0 to a point. */
@@ -284,14 +267,4 @@ function transposed(matrix) {
 
 function apply(matrix, vector) {
   return matrix.map((row) => row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2]);
-}
-
-function cross([a, b, c], [d, e, f]) {
-  return [b * f - c * e, c * d - a * f, a * e - b * d];
-}
-
-/** The vector that a matrix of rank 2 takes to 0: across the two rows that are least parallel. */
-function nullVector([row1, row2, row3]) {
-  const vectors = [cross(row1, row2), cross(row2, row3), cross(row3, row1)];
-  return vectors.reduce((best, vector) => (Math.hypot(...vector) > Math.hypot(...best) ? vector : best));
 }
