@@ -29,7 +29,8 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     lines += [*_camera_lines(pose, priors), *_check_lines(pose)]
     inliers = "are inliers" if pose.success else "are inliers of the best essential matrix"
     share = f"{100 * pose.inlier_ratio:.1f} %"
-    lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
+    if pose.num_inliers:
+        lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
     angle = pose.median_triangulation_angle_deg
     if pose.t is not None and angle is not None:
         lines.append(f"median triangulation angle {angle:.2f} deg")
