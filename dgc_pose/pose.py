@@ -110,9 +110,8 @@ def estimate_relative_pose(
     `Camera`s, which may have lens distortion; or texts and files as of --K. Without K2, K1 serves
     for both. fov: in place of a K, the horizontal field of view of both upright images, degrees.
     matcher: by default `load_matcher()`, the shipped network with refinement; a name is loaded for
-    this pair. trace: whether to return a `Trace`, the images, the map and the matches besides the
-    pose. scale: what determines the length of t. Without a pose, `success` is False and `reason`
-    says why.
+    this pair. trace: whether to return a `Trace`, which has images, map and matches too. scale:
+    what determines the length of t. Without a pose, `success` is False and `reason` says why.
 
     mask1, mask2: paths, or arrays (H, W), of the pixels as stored: where they are 0 or black,
     nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.

@@ -19,11 +19,10 @@ from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
 
 _PLAIN = (  # in `to_dict` as they are, arrays as lists
-    *("status", "success", "R", "t", "length", "length_std"),
-    *("quaternion_wxyz", "E", "camera1", "camera2"),
-    *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
-    *("rotation_error_90_deg", "translation_error_90_deg", "covariance", "probability"),
-    "any_probability",
+    *("status", "success", "R", "t", "length", "length_std", "quaternion_wxyz", "E"),
+    *("camera1", "camera2", "num_matches", "num_inliers", "inlier_ratio"),
+    *("median_triangulation_angle_deg", "rotation_error_90_deg", "translation_error_90_deg"),
+    *("covariance", "probability", "any_probability"),
 )
 
 
@@ -142,8 +141,7 @@ class RelativePose:
 
     @property
     def centre(self) -> np.ndarray | None:
-        """-R^T t (3,): camera 2's centre in camera 1's axes, at a distance of 1 as t; times
-        `length` in metres. None without a pose."""
+        """-R^T t (3,), unit length: camera 2's centre in camera 1's axes. None without a pose."""
         return None if self.R is None or self.t is None else -self.R.T @ self.t
 
     @property
@@ -193,8 +191,7 @@ class RelativePose:
 
     @property
     def rotation_error_90_deg(self) -> float | None:
-        """The error of R, degrees, that nine in ten right poses stay below; None without a
-        covariance."""
+        """The error of R, degrees, that nine in ten right poses stay below; None if not known."""
         return error_radii_deg(self.covariance)[0]
 
     @property
@@ -205,9 +202,8 @@ class RelativePose:
     def inverse(self) -> "RelativePose":
         """The pose of camera 1 relative to camera 2: x1 = R^T x2 - R^T t.
 
-        The covariance is in camera 1's axes, so that the error of t is that of R and t together.
-        `evidence` is None: it is measured with the images in their first order, which `reason` and
-        `warnings` keep. All else is inverted or stays.
+        The error of its t is that of R and t together. `evidence` is None: it is measured with the
+        images in their first order, which `reason` and `warnings` keep. All else is of the inverse.
         """
         R, E, covariance, of_cameras = self.R, self.E, self.covariance, self.camera_covariance
         if R is not None and E is not None and covariance is not None:
