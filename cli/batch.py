@@ -75,7 +75,10 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
     pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
     with progress_bars() as progress:
         return run_batch(
-            *(images, read_calibration(choice.k, "--K", choice.details), pairs, out),
+            images,
+            read_calibration(choice.k, "--K", choice.details),
+            pairs,
+            out,
             matcher=choice.matcher,
             estimation=choice.estimation,
             options=choice.work,

@@ -14,9 +14,9 @@ from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MaskChoice
 from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
+from dgc_pose.cli.process import say
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource, with_length
-from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
 from dgc_pose.images.mask import masked
@@ -73,13 +73,13 @@ def estimate(
     """Estimate the relative pose of two photographs.
 
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map, --baseline
-    or --distance states its length. Exits with 3 and the reason if there is no pose, and with all
-    of them if several explain the matches alike.
+    or --distance states its length. Without --K, --K1 and --fov it is as with --K auto. Exits with
+    3 and the reason if there is no pose, and with all of them if several explain the matches alike.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
         trace = traced(image1, image2, cameras, matcher, estimation, scale, masks)
-        pose, data = trace.pose, json_text(trace.pose.as_dict())
+        pose, data = trace.pose, trace.pose.to_json()
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
@@ -93,6 +93,9 @@ def estimate(
             points = trace.points3d  # in camera 1's axes
             known = np.isfinite(points).all(axis=1)
             write_points(stage(outputs.ply), points[known], trace.colours[known], outputs.ply)
+    if cameras.k is None and cameras.k1 is None and cameras.fov is None:
+        name = "K" if cameras.k2 is None else "K1"
+        say(f"{name} is not stated: the focal length is estimated (--{name} auto)")
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
     else:

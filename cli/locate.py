@@ -109,7 +109,7 @@ def locate(
             location = locations[photo] = locator.locate(photo, cameras.k, cameras.details)
             if place.json != STDOUT:
                 click.echo(location_text(photo, location))
-        data = json_text({photo: location.as_dict() for photo, location in locations.items()})
+        data = json_text({photo: location.to_dict() for photo, location in locations.items()})
         if json_file is not None:
             save_text(stage(json_file), data)
         if place.plot is not None:

@@ -3,12 +3,15 @@
 import math
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from dgc_pose.cameras.calibration import KDetails, pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import option
+
+_camera = partial(option, None, metavar="K|FILE|auto", section="cameras")
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -37,25 +40,20 @@ def parse_deviations(text: str) -> tuple[float, float]:
 class KChoice:
     """The options of K, for all images."""
 
-    k: str | None = option(
-        None,
+    k: str | None = _camera(
         "Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file (COLMAP, OpenCV, "
         "ROS, Kalibr, KITTI, NeRF, .csv, JSON, 3x3 matrix); or auto: not known (auto:shared: one "
         "camera took all, auto:two: each has its own).",
         flag="--K",
-        metavar="K|FILE|auto",
-        section="cameras",
     )
-    k_size: tuple[int, int] | None = option(
-        None,
+    k_size: tuple[int, int] | None = _camera(
         "Size of the images that K is for: K is scaled.",
         flag="--K-size",
         metavar="WxH",
         parse=parse_size,
         section="advanced",
     )
-    k_std: tuple[float, float] | None = option(
-        None,
+    k_std: tuple[float, float] | None = _camera(
         "Standard deviation of f, relative, and centre, px.",
         flag="--K-std",
         metavar="F[,C]",
@@ -73,22 +71,18 @@ class KChoice:
 class CameraChoice(KChoice):
     """The options of the cameras of two images. --K1 and --K2 override --K."""
 
-    k1: str | None = option(
-        None, "Camera of image 1 alone.", flag="--K1", metavar="K|FILE|auto", section="cameras"
-    )
-    k2: str | None = option(
-        None, "Camera of image 2 alone.", flag="--K2", metavar="K|FILE|auto", section="cameras"
-    )
+    k1: str | None = _camera("Camera of image 1; of both without --K2 and --K.", flag="--K1")
+    k2: str | None = _camera("Camera of image 2 alone.", flag="--K2")
+    fov: float | None = _camera("Horizontal field of view, in place of K.", metavar="DEGREES")
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
-        """The cameras of both images, checked. Raises InputError, naming the option, if one is
-        missing, unusable, or does not fit its image."""
-        names = ["--K" if k is None else flag for flag, k in (("--K1", self.k1), ("--K2", self.k2))]
-        text1, text2 = (self.k if k is None else k for k in (self.k1, self.k2))
-        if text1 is None or text2 is None:
-            number = 1 if text1 is None else 2
-            raise InputError(f"image {number} has no K: give --K or --K{number}, or --K auto")
-        return pair_cameras(text1, text2, image1, image2, (names[0], names[1]), self.details)
+        """The cameras of both images, checked; without any option as of --K auto. Raises
+        InputError, naming the option, if one is unusable, or does not fit its image."""
+        name1, text1 = ("--K", self.k) if self.k1 is None else ("--K1", self.k1)
+        name2, text2 = ("--K", self.k) if self.k2 is None else ("--K2", self.k2)
+        if text2 is None:
+            name2, text2 = name1, text1
+        return pair_cameras(text1, text2, image1, image2, (name1, name2), self.details, self.fov)
 
 
 @dataclass(frozen=True)

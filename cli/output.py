@@ -27,11 +27,12 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         if prior.orientation != 1
     ]
     lines += [*_camera_lines(pose, priors), *_check_lines(pose)]
-    inliers = "are inliers" if pose.success else "agree with the best essential matrix"
+    inliers = "are inliers" if pose.success else "are inliers of the best essential matrix"
     share = f"{100 * pose.inlier_ratio:.1f} %"
-    lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
-    if pose.t is not None:
-        angle = pose.median_triangulation_angle_deg
+    if pose.num_inliers:
+        lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
+    angle = pose.median_triangulation_angle_deg
+    if pose.t is not None and angle is not None:
         lines.append(f"median triangulation angle {angle:.2f} deg")
     if pose.rotation_error_90_deg is not None and pose.translation_error_90_deg is not None:
         lines.append(

@@ -86,7 +86,9 @@ class MatcherOptions:
     def load(self, caches: MatcherCaches | None = None, engine: Engine | None = None) -> Matcher:
         """The matcher; see `load_matcher`. engine: of a network that is loaded already."""
         try:
-            return self.kind.load(self, caches, engine)
+            matcher = self.kind.load(self, caches, engine)
+            matcher.loaded_anew = self.load
+            return matcher
         except WeightsError:
             path = Path(self.weights)
             if self.weights in PRESETS or path.suffix or path.exists():
@@ -126,7 +128,8 @@ def load_matcher(
     caches: to keep what is computed of an image from pair to pair; None to keep it of the last
     three images alone, for a network some 30 MB each beside their pixels.
 
-    A network's matcher can be neither pickled nor deep-copied: each process loads its own.
+    It can be pickled and copied: what is unpickled, or the copy, is loaded anew by these arguments,
+    with caches of its own, which are empty.
 
     Raises WeightsError if weights cannot be loaded, InputError if there is no such matcher or
     device.
@@ -163,16 +166,13 @@ def _network(
     return Refiner(matcher, options.refinement.source, options.matching.max_matches, native)
 
 
-def _key_points(caches: MatcherCaches | None) -> ImageCache | None:
-    return caches.key_points if caches else None
-
-
 # The first whose pattern the name fits. A new matcher is a row here, and a file with its class.
 KINDS = (
-    MatcherKind("sift", lambda options, caches, _: SiftMatcher(cache=_key_points(caches))),
+    MatcherKind("sift", lambda _, caches, *__: SiftMatcher(caches.key_points if caches else None)),
     MatcherKind("dis", lambda options, *_: FlowMatcher(options.matching), dense_map=True),
     MatcherKind(
-        "*.onnx", lambda options, caches, _: OnnxMatcher(options.weights, _key_points(caches))
+        "*.onnx",
+        lambda of, caches, _: OnnxMatcher(of.weights, caches.key_points if caches else None),
     ),
     MatcherKind("vismatch:*", lambda options, *_: VismatchMatcher(options.weights, options.device)),
     MatcherKind("*", _network, dense_map=True, network=True),

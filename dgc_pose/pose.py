@@ -22,7 +22,7 @@ from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import masked
 from dgc_pose.matchers import load_matcher
-from dgc_pose.matching import Matcher, MatchResult, PairSearch
+from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult, PairSearch
 from dgc_pose.system.options import check_type
 from dgc_pose.system.threads import in_threads
 from dgc_pose.trace import Trace
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     ImageSource = str | Path | np.ndarray | torch.Tensor | Image
     MaskSource = str | Path | ArrayLike | None
     CameraSource = ArrayLike | Camera | Path | None
+    MatcherSource = Matcher | str | Path | None
 
 # What is done for a pose, in this order, see `pose_of_pair`:
 # - quick: a pass over small images, which is enough for an easy pair
@@ -61,7 +62,8 @@ def estimate_relative_pose(
     K1: CameraSource = None,
     K2: CameraSource = None,
     *,
-    matcher: Matcher | None = None,
+    fov: float | None = None,
+    matcher: MatcherSource = None,
     options: EstimationOptions | None = None,
     mask1: MaskSource = None,
     mask2: MaskSource = None,
@@ -77,7 +79,8 @@ def estimate_relative_pose(
     K1: CameraSource = None,
     K2: CameraSource = None,
     *,
-    matcher: Matcher | None = None,
+    fov: float | None = None,
+    matcher: MatcherSource = None,
     options: EstimationOptions | None = None,
     mask1: MaskSource = None,
     mask2: MaskSource = None,
@@ -92,7 +95,8 @@ def estimate_relative_pose(
     K1: CameraSource = None,
     K2: CameraSource = None,
     *,
-    matcher: Matcher | None = None,
+    fov: float | None = None,
+    matcher: MatcherSource = None,
     options: EstimationOptions | None = None,
     mask1: MaskSource = None,
     mask2: MaskSource = None,
@@ -102,11 +106,12 @@ def estimate_relative_pose(
     """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
 
     image1, image2: paths, arrays (H, W[, 3]) in RGB order, or tensors. K1, K2: 3x3 matrices in
-    pixels of those images, (0, 0) the centre of the top-left pixel; or `Camera`s, which may have
-    lens distortion; or texts and files as of --K. Without K2, K1 serves for both. matcher: by
-    default `load_matcher()`, the shipped network with refinement. trace: whether to return a
-    `Trace`, the images, the map and the matches besides the pose. scale: what determines the
-    length of t. Without a pose, `success` is False and `reason` says why.
+    pixels of those images, (0, 0) the centre of the top-left pixel, or fx, fy, cx, cy; or
+    `Camera`s, which may have lens distortion; or texts and files as of --K. Without K2, K1 serves
+    for both. fov: in place of a K, the horizontal field of view of both upright images, degrees.
+    matcher: by default `load_matcher()`, the shipped network with refinement; a name is loaded for
+    this pair. trace: whether to return a `Trace`, which has images, map and matches too. scale:
+    what determines the length of t. Without a pose, `success` is False and `reason` says why.
 
     mask1, mask2: paths, or arrays (H, W), of the pixels as stored: where they are 0 or black,
     nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.
@@ -126,12 +131,13 @@ def estimate_relative_pose(
     first, second = in_threads(lambda image: load_image(*image), named)
     first, second = masked(first, mask1, "mask1"), masked(second, mask2, "mask2")
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
-    prior1, prior2 = pair_cameras(K1, K, first, second, ("K1", name))
+    prior1, prior2 = pair_cameras(K1, K, first, second, ("K1", name), fov=fov)
     first, second = first.oriented(prior1.orientation), second.oriented(prior2.orientation)
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
-    matcher = load_matcher() if matcher is None else matcher
-    check_type(matcher, Matcher, "matcher")
+    check_type(matcher, Matcher | str | Path | None, "matcher")
+    if not isinstance(matcher, Matcher):
+        matcher = load_matcher(DEFAULT_WEIGHTS if matcher is None else matcher)
     scale = ScaleSource() if scale is None else scale
     check_type(scale, ScaleSource, "scale")
     maps = scale.maps((first, second), (prior1, prior2))

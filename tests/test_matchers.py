@@ -1,7 +1,10 @@
 """Matchers by name: what each name gives, and what the caches and fingerprints tell."""
 
+import copy
 import os
+import pickle
 from pathlib import Path
+from typing import Any
 
 import dense_scene
 import numpy as np
@@ -11,6 +14,7 @@ import torch
 from dgc_pose import MatcherCaches, load_dense_matcher, load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
+from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.refinement import RefinementOptions
@@ -51,6 +55,40 @@ def test_caches_keep_what_is_computed_of_an_image(images: tuple[Image, Image]) -
         for field in ("features", "native", "key_points"):
             cache = getattr(caches, field)
             assert (cache.asked > cache.made > 0) if field in used else cache.asked == 0
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"name": "sift"},
+        {"name": "dis", "matching": MatchingOptions(max_matches=500)},
+        {},
+        {"refinement": None},
+        {"runtime": "torch"},
+        {"caches": MatcherCaches()},
+    ],
+)
+def test_a_matcher_is_pickled_and_copied_without_what_it_keeps(
+    images: tuple[Image, Image], options: dict[str, Any]
+) -> None:
+    matcher = load_matcher(**options)
+    before = len(pickle.dumps(matcher))
+    matches = matcher.match(*images).matches
+    assert len(pickle.dumps(matcher)) == before
+    for other in (pickle.loads(pickle.dumps(matcher)), copy.deepcopy(matcher), copy.copy(matcher)):
+        assert other is not matcher and (other.cache is None or other.cache is not matcher.cache)
+        again = other.match(*images).matches
+        assert np.array_equal(again.points1, matches.points1)
+        assert np.array_equal(again.points2, matches.points2)
+        assert (other.name, other.fingerprint) == (matcher.name, matcher.fingerprint)
+
+
+def test_key_points_of_the_last_three_images_are_kept(images: tuple[Image, Image]) -> None:
+    matcher = load_matcher("sift")
+    assert matcher.cache is not None
+    for pair in (images, images[::-1], images):
+        matcher.match(*pair)
+    assert matcher.cache.made == 4  # key points and structure of each
 
 
 def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:

@@ -62,6 +62,20 @@ def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_pat
         assert set(pose.seconds) == {"load", "match", "estimate"}
 
 
+def test_a_matcher_by_its_name_and_cameras_by_four_numbers_or_a_field_of_view() -> None:
+    pictures, K = dense_scene.pictures(), dense_scene.K
+    fov = 2 * np.degrees(np.arctan(dense_scene.SIZE[0] / 2 / K[0, 0]))
+    poses = [
+        estimate_relative_pose(*pictures, K, matcher=SiftMatcher()),
+        estimate_relative_pose(*pictures, K[(0, 1, 0, 1), (0, 1, 2, 2)].tolist(), matcher="sift"),
+        estimate_relative_pose(*pictures, fov=fov, matcher="sift"),
+    ]
+    assert poses[0].success
+    for pose in poses[1:]:
+        np.testing.assert_allclose(pose.R, poses[0].R, atol=1e-6)
+        np.testing.assert_allclose(pose.t, poses[0].t, atol=1e-6)
+
+
 def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> None:
     """A thing that moved over both images has a third of the matches without masks. One mask is an
     array, the other a file of half the size."""
@@ -419,7 +433,10 @@ SIFT = SiftMatcher()
 @pytest.mark.parametrize(
     ("call", "named"),
     [
-        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher="sift"), "matcher"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher=5), "matcher"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher="shift"), "shift"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, fov=60, matcher=SIFT), "fov and K1"),
+        (lambda: estimate_relative_pose(IMAGE, IMAGE, K2=K, fov=60, matcher=SIFT), "fov and K2"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher=SIFT, options={}), "options"),
         (lambda: estimate_relative_pose(None, IMAGE, K, matcher=SIFT), "image1"),
         (lambda: estimate_relative_pose(IMAGE, np.zeros(7), K, matcher=SIFT), "image2"),

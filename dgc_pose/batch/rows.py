@@ -63,7 +63,7 @@ class PairRow:
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
 
-# Fields that a row has as `RelativePose.as_dict` has them.
+# Fields that a row has as `RelativePose.to_dict` has them.
 _OF_POSE = (
     *("status", "success", "probability", "rotation_error_90_deg", "translation_error_90_deg"),
     *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
@@ -72,7 +72,7 @@ _OF_POSE = (
 
 def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairRow:
     """The row of an estimated pose."""
-    data = pose.as_dict()
+    data = pose.to_dict()
     values = {name: data[name] for name in _OF_POSE}
     for number, camera in enumerate((pose.camera1, pose.camera2), start=1):
         if camera is not None:

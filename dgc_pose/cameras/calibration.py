@@ -18,7 +18,7 @@ from functools import cached_property
 from pathlib import Path, PurePath, PurePosixPath
 from typing import TYPE_CHECKING, Any, get_args
 
-from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera
+from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera, view_camera
 from dgc_pose.cameras.checks import checked_camera, times
 from dgc_pose.cameras.formats import colmap
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
@@ -194,29 +194,35 @@ def pair_cameras(
     image2: Image,
     names: tuple[str, str] = ("K1", "K2"),
     details: KDetails = KDetails(),
+    fov: float | None = None,
 ) -> tuple[Camera, Camera]:
-    """The cameras of two images, each from a Camera, an array (3, 3), or a text or path as of --K.
+    """The cameras of two images, each from a Camera, an array (3, 3), fx, fy, cx, cy, or a text or
+    path as of --K; or both by the horizontal field of view of the upright image, degrees.
 
     An EXIF orientation is to be applied to an image without a K, and to one whose K fits the
     upright image alone: the camera has it as its `orientation`, and is that of the upright image.
 
     None is "auto"; if both are, by `auto_cameras`. A value without an identity gets that of its
-    argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable or
-    does not fit the image.
+    argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable,
+    does not fit the image, or is stated beside `fov`.
     """
+    headers = upright_header(image1), upright_header(image2)
     values = ["auto" if value is None else value for value in (K1, K2)]
     sharings = [_SHARING.get(value) if isinstance(value, str) else None for value in values]
-    if sharings[0] is not None and sharings[1] is not None:
+    if fov is not None:
+        if K1 is not None or K2 is not None:
+            raise InputError(ArgumentName("fov"), f"and {names[K1 is None]} are both stated")
+        first, second = (_fitted(view_camera(fov, h.size), details, h.size, "fov") for h in headers)
+    elif sharings[0] is not None and sharings[1] is not None:
         if sharings[0] != sharings[1]:
             raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
         _require_K(details, names[0])
-        first, second = auto_cameras(upright_header(image1), upright_header(image2), sharings[0])
-        first = replace(first, orientation=image1.orientation)
-        return first, replace(second, orientation=image2.orientation)
-    return (
-        image_camera(values[0], image1, names[0], details, "K1"),
-        image_camera(values[1], image2, names[1], details, "K2"),
-    )
+        first, second = auto_cameras(*headers, sharings[0])
+    else:
+        first = image_camera(values[0], image1, names[0], details, "K1")
+        return first, image_camera(values[1], image2, names[1], details, "K2")
+    first = replace(first, orientation=image1.orientation)
+    return first, replace(second, orientation=image2.orientation)
 
 
 def image_camera(
@@ -352,5 +358,5 @@ def parse_camera_data(data: Mapping[str, Any]) -> Camera:
     """The camera of `camera_data`. Raises KeyError, TypeError or ValueError for other data."""
     if data["focal_source"] not in get_args(FocalSource):
         raise ValueError("a focal_source that is none")
-    camera = keyed_camera(data)
-    return replace(camera, warnings=tuple(data["warnings"]), focal_source=data["focal_source"])
+    kept = {name: data[name] for name in ("focal_source", "orientation")}
+    return replace(keyed_camera(data), warnings=tuple(data["warnings"]), **kept)

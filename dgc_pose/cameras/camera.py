@@ -5,16 +5,18 @@ Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.pixels import rescale
+from dgc_pose.system.options import check_type
 
 FocalSource = Literal["given", "exif", "size", "matches"]
 
@@ -27,7 +29,7 @@ class Camera:
     lengths and a last row of 0 0 1.
 
     Attributes:
-        K: Intrinsic matrix (3, 3) float64, pixels.
+        K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,) it is made.
         size: (width, height) of the image K refers to; None if unknown.
         distortion: Distortion of the lens; None for a pinhole.
         warnings: Sentences about the origin of K, for the user.
@@ -127,15 +129,30 @@ class TwoViews:
 
 
 def matrix_camera(K: Any, name: str = "K") -> Camera:
-    """The camera of an array (3, 3). Raises as `Camera` does, naming the argument `name`."""
+    """The camera of a matrix (3, 3) or fx, fy, cx, cy (4,). Raises as `Camera`, naming `name`."""
     return Camera(_checked_matrix(K, name))
 
 
+def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:
+    """The camera of an image of `size` (width, height) by its horizontal field of view from edge to
+    edge; the principal point is the middle. Raises InputError, naming `fov`, outside 1 to 150."""
+    check_type(fov_deg, float, "fov")
+    if not 1 <= fov_deg <= 150:
+        raise InputError(
+            ArgumentName("fov"), f"must be an angle of 1 to 150 degrees, not {fov_deg}"
+        )
+    focal = size[0] / 2 / math.tan(math.radians(fov_deg) / 2)
+    K = [focal, focal, (size[0] - 1) / 2, (size[1] - 1) / 2]
+    return Camera(np.array(K), size, identity=f"fov {size[0]} x {size[1]}")
+
+
 def _checked_matrix(value: Any, name: str) -> np.ndarray:
-    """A read-only copy (3, 3) float64 of an intrinsic matrix."""
+    """A read-only copy (3, 3) float64 of an intrinsic matrix, or the matrix of fx, fy, cx, cy."""
     K = np.array(as_numpy(value, name), dtype=np.float64)
+    if K.shape == (4,):
+        K = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
     if K.shape != (3, 3):
-        raise InputError(f"{name} must have shape (3, 3), not {K.shape}")
+        raise InputError(f"{name} must have shape (3, 3) or (4,), not {K.shape}")
     if not np.isfinite(K).all():
         raise InputError(f"{name} has values that are not finite")
     is_triangular = np.abs(K[2] - (0, 0, 1)).max() <= 1e-9 and abs(K[1, 0]) <= 1e-9 * K[1, 1]

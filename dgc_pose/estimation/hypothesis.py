@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -89,6 +89,10 @@ class Hypothesis:
     def num_in_front(self) -> int:
         """Number of inliers in front of both cameras."""
         return int(self.inliers_in_front.sum())
+
+    def inverse(self) -> Hypothesis:
+        """The same of camera 1 relative to camera 2."""
+        return replace(self, R=self.R.T, t=-self.R.T @ self.t)
 
     def angle_to(self, R: np.ndarray, t: np.ndarray) -> float:
         """The larger of the angles to another pose's rotation and translation, degrees."""

@@ -70,11 +70,13 @@ FEATURES: Mapping[str, Feature] = {
         "inlier_ratio", 1, "only {e.inlier_ratio:.0%} of the matches are inliers"
     ),
     "over_chance": Feature(
-        "over_chance", 1, "wrong matches have {e.chance_ratio:.0%} inliers as well", (1, 100)
+        "over_chance", 1, "{e.chance_ratio:.0%} of wrong matches agree as well", (1, 100)
     ),
     "false_alarms": Feature("log10_rarity", 1, "so many inliers could be chance", (1, 5000)),
     "cheirality": Feature(
-        "cheirality_ratio", 1, "only {e.cheirality_ratio:.0%} lie in front of both cameras"
+        "cheirality_ratio",
+        1,
+        "only {e.cheirality_ratio:.0%} of the inliers lie in front of both cameras",
     ),
     "occupied_cells": Feature(
         "occupied_cells", 1, "the inliers lie in only {e.occupied_cells} grid cells", (3, 400)

@@ -41,12 +41,7 @@ from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
 _MIN_SECOND_SHARE = 0.1  # of a plane's inliers, that another motion needs; see docs/experiments.md
-_OF_CAMERAS = (
-    "ok",
-    "planar",
-    "improbable",
-    "undetermined",
-)  # statuses whose matches are evidence of K
+_OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches are evidence of K
 
 
 def estimate_pose(
@@ -286,6 +281,7 @@ def _result(
         any_probability=any_right,
         alternatives=alternatives,
         hypotheses=tuple(assessed.hypotheses),
+        median_triangulation_angle_deg=evidence.median_triangulation_angle_deg,
         warnings=tuple(dict.fromkeys(warnings)),
     )
 

@@ -1,27 +1,28 @@
 """The result of an estimate: a pose, or the reason why there is none."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
+import cv2
 import numpy as np
 
-from dgc_pose.cameras.calibration import camera_data
+from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.covariance import error_radii_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.status import STATUSES, Status, probability_text, short_text
-from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.files.inputs import read_as
+from dgc_pose.files.json_files import finite_or_none, json_text
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
 
-_PLAIN = (  # in `as_dict` as they are, arrays as lists
-    *("status", "success", "R", "t", "length", "length_std"),
-    *("quaternion_wxyz", "E", "camera1", "camera2"),
-    *("num_matches", "num_inliers", "inlier_ratio", "median_triangulation_angle_deg"),
-    *("rotation_error_90_deg", "translation_error_90_deg", "covariance", "probability"),
+_PLAIN = (  # in `to_dict` as they are, arrays as lists
+    *("status", "success", "R", "t", "length", "length_std", "quaternion_wxyz", "E"),
+    *("camera1", "camera2", "num_matches", "num_inliers", "inlier_ratio"),
+    *("median_triangulation_angle_deg", "rotation_error_90_deg", "translation_error_90_deg"),
+    *("covariance", "probability", "any_probability"),
 )
 
 
@@ -67,6 +68,7 @@ class RelativePose:
             "ambiguous" all poses; with any other failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
             first.
+        median_triangulation_angle_deg: Of the inliers; None without a hypothesis.
         warnings: Sentences about what makes the pose uncertain, for people.
         seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose.Step`),
             "estimate".
@@ -89,6 +91,7 @@ class RelativePose:
     any_probability: float | None = 0.0
     alternatives: tuple[Hypothesis, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
+    median_triangulation_angle_deg: float | None = None
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
 
@@ -129,9 +132,22 @@ class RelativePose:
     @property
     def cam2_from_cam1(self) -> np.ndarray | None:
         """[R | t] (3, 4), or None without a pose."""
-        if self.R is None or self.t is None:
-            return None
-        return np.column_stack([self.R, self.t])
+        return None if self.R is None or self.t is None else np.column_stack([self.R, self.t])
+
+    def matrix(self) -> np.ndarray | None:
+        """cam2_from_cam1 (4, 4), for homogeneous points, or None without a pose."""
+        rows = self.cam2_from_cam1
+        return None if rows is None else np.vstack([rows, (0, 0, 0, 1)])
+
+    @property
+    def centre(self) -> np.ndarray | None:
+        """-R^T t (3,), unit length: camera 2's centre in camera 1's axes. None without a pose."""
+        return None if self.R is None or self.t is None else -self.R.T @ self.t
+
+    @property
+    def rotvec(self) -> np.ndarray | None:
+        """R as a rotation vector (3,), radians, or None if R is not known."""
+        return None if self.R is None else cv2.Rodrigues(self.R)[0].ravel()
 
     @property
     def quaternion_wxyz(self) -> np.ndarray | None:
@@ -141,9 +157,7 @@ class RelativePose:
     @property
     def E(self) -> np.ndarray | None:
         """Essential matrix [t]x R (3, 3) of normalised points, or None without a pose."""
-        if self.R is None or self.t is None:
-            return None
-        return essential_from_pose(self.R, self.t)
+        return None if self.R is None or self.t is None else essential_from_pose(self.R, self.t)
 
     @property
     def K1(self) -> np.ndarray | None:
@@ -173,16 +187,11 @@ class RelativePose:
     @property
     def inlier_ratio(self) -> float:
         """Share of the matches used that are inliers; 0 without a hypothesis."""
-        return 0.0 if self.evidence is None else self.evidence.inlier_ratio
-
-    @property
-    def median_triangulation_angle_deg(self) -> float:
-        """Median triangulation angle of the inliers, degrees; NaN without a hypothesis."""
-        return math.nan if self.evidence is None else self.evidence.median_triangulation_angle_deg
+        return self.num_inliers / max(self.num_matches, 1)
 
     @property
     def rotation_error_90_deg(self) -> float | None:
-        """The error of R, degrees, that nine in ten stay below; None without a covariance."""
+        """The error of R, degrees, that nine in ten right poses stay below; None if not known."""
         return error_radii_deg(self.covariance)[0]
 
     @property
@@ -190,7 +199,30 @@ class RelativePose:
         """The angle between t and the true direction likewise."""
         return error_radii_deg(self.covariance)[1]
 
-    def as_dict(self) -> dict[str, Any]:
+    def inverse(self) -> "RelativePose":
+        """The pose of camera 1 relative to camera 2: x1 = R^T x2 - R^T t.
+
+        The error of its t is that of R and t together. `evidence` is None: it is measured with the
+        images in their first order, which `reason` and `warnings` keep. All else is of the inverse.
+        """
+        R, E, covariance, of_cameras = self.R, self.E, self.covariance, self.camera_covariance
+        if R is not None and E is not None and covariance is not None:
+            by = np.block([[R.T, np.zeros((3, 3))], [-E.T, R.T]])  # -w and -d by w and d
+            covariance = by @ covariance @ by.T
+        return replace(
+            self,
+            R=None if R is None else R.T,
+            t=self.centre,
+            covariance=covariance,
+            camera1=self.camera2,
+            camera2=self.camera1,
+            camera_covariance=None if of_cameras is None else np.roll(of_cameras, 5, (0, 1)),
+            evidence=None,
+            alternatives=tuple(other.inverse() for other in self.alternatives),
+            hypotheses=tuple(other.inverse() for other in self.hypotheses),
+        )
+
+    def to_dict(self) -> dict[str, Any]:
         """The pose as values of JSON, as `dgc-pose estimate --json` writes it; unknown values and
         those that are not finite are None.
 
@@ -199,19 +231,54 @@ class RelativePose:
         """
         of_alternative = ("R", "t", "num_inliers", "probability")
         return {
-            **{name: _plain(getattr(self, name)) for name in _PLAIN},
+            **{name: plain(getattr(self, name)) for name in _PLAIN},
             "alternatives": [
-                {name: _plain(getattr(other, name)) for name in of_alternative}
+                {name: plain(getattr(other, name)) for name in of_alternative}
                 for other in self.alternatives
             ],
             "warnings": ([] if self.success else [self.reason]) + list(self.warnings),
             "seconds": {step: round(value, 4) for step, value in self.seconds.items()},
         }
 
+    def to_json(self) -> str:
+        """`to_dict` as strict JSON, a newline at its end."""
+        return json_text(self.to_dict())
 
-def _plain(value: Any) -> Any:
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "RelativePose":
+        """The pose of `to_dict`, or of the JSON that `dgc-pose estimate --json` writes.
+
+        It has no `evidence`, `hypotheses` and `camera_covariance`. Of the inliers, also those of
+        the alternatives, the number alone is known: `inliers` is (num_inliers,), all True, and
+        `in_front` empty. Raises InputError for data that are no such pose.
+        """
+        with read_as("a pose of to_dict", "data"):
+            facts, said = STATUSES[data["status"]], tuple(data["warnings"])
+            others = [_parsed(other, ["R", "t", "probability"]) for other in data["alternatives"]]
+            return cls(
+                **_parsed(data, [of.name for of in fields(cls) if of.name in _PLAIN]),
+                reason=facts.meaning if facts.has_t else said[0],
+                alternatives=tuple(Hypothesis(**o, in_front=np.zeros(0, bool)) for o in others),
+                warnings=said[not facts.has_t :],
+                seconds=data["seconds"],
+            )
+
+
+def plain(value: Any) -> Any:
+    """A value of a result as one of JSON."""
     if isinstance(value, Camera):
         return camera_data(value)
     if isinstance(value, np.ndarray):
         return value.tolist()
     return finite_or_none(value) if isinstance(value, float) else value
+
+
+def _parsed(data: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """The values of which `data` has what `plain` makes of them, and a True for each inlier."""
+    values: dict[str, Any] = {name: data[name] for name in names}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            values[name] = parse_camera_data(value)
+        elif isinstance(value, list):
+            values[name] = np.array(value, float)
+    return values | {"inliers": np.ones(data["num_inliers"], bool)}

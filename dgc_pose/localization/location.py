@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.cameras.calibration import camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
+from dgc_pose.estimation.result import plain
 from dgc_pose.estimation.status import short_text
 from dgc_pose.matches import Matches
 
@@ -88,7 +88,7 @@ class Location:
 
     @property
     def rotation_error_90_deg(self) -> float | None:
-        """The error of R, degrees, that nine in ten stay below; None unless located."""
+        """The error of R, degrees, that nine in ten right ones stay below; None unless located."""
         return None if self.covariance is None else error_radius_deg(self.covariance[:3, :3])
 
     @property
@@ -96,19 +96,15 @@ class Location:
         """The error of the centre, in the model's unit, likewise."""
         return None if self.covariance is None else error_radius(self.covariance[3:, 3:])
 
-    def as_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """The location as values of JSON, as `dgc-pose locate --json` writes it; None of what is
         not known."""
-        arrays = {name: getattr(self, name) for name in ("R", "t", "centre", "direction")}
+        names = (
+            *("status", "R", "t", "centre", "direction", "direction_from"),
+            *("rotation_error_90_deg", "position_error_90", "covariance", "probability", "camera"),
+        )
         return {
-            "status": self.status,
-            **{name: None if a is None else a.tolist() for name, a in arrays.items()},
-            "direction_from": self.direction_from,
-            "rotation_error_90_deg": self.rotation_error_90_deg,
-            "position_error_90": self.position_error_90,
-            "covariance": None if self.covariance is None else self.covariance.tolist(),
-            "probability": self.probability,
-            "camera": None if self.camera is None else camera_data(self.camera),
+            **{name: plain(getattr(self, name)) for name in names},
             "references": [
                 {
                     "name": reference.name,

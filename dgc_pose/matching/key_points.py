@@ -7,7 +7,7 @@ import numpy as np
 
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache, image_cache
+from dgc_pose.matching.cache import ImageCache, LastImages
 from dgc_pose.matching.matcher import Matcher, MatchResult
 
 
@@ -25,11 +25,13 @@ class KeyPoints(NamedTuple):
 class KeyPointMatcher(Matcher, ABC):
     """Detects key points with descriptors in each image alone, and matches these; makes no map.
 
-    cache: of key points; None to detect them anew for each pair.
+    cache: of key points; None to keep those of the last three images.
     """
 
+    cache: ImageCache
+
     def __init__(self, cache: ImageCache | None = None) -> None:
-        self.cache = cache
+        self.cache = cache or LastImages()
 
     @abstractmethod
     def _detect(self, image: Image) -> KeyPoints:
@@ -46,9 +48,8 @@ class KeyPointMatcher(Matcher, ABC):
         """Expected error of a good match, pixels of the images."""
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        cache = self.cache or image_cache()
-        points1, descriptors1 = cache.get((image1,), lambda: self._detect(image1))
-        points2, descriptors2 = cache.get((image2,), lambda: self._detect(image2))
+        points1, descriptors1 = self.cache.get((image1,), lambda: self._detect(image1))
+        points2, descriptors2 = self.cache.get((image2,), lambda: self._detect(image2))
         rows1 = rows2 = np.zeros(0, int)
         confidence = np.zeros(0)
         if min(len(points1), len(points2)) > 1:  # a ratio test needs a second one

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import Any, SupportsIndex
 
 import numpy as np
 
@@ -123,6 +124,11 @@ class Matcher:
     engine: Engine | None = None  # of a network of ours, whose features may refine the matches
     cache: ImageCache | None = None  # of what is computed of an image
     name: str  # in results and tables
+    loaded_anew: Callable[[], Matcher] | None = None  # makes a copy; None: it is as of any object
+
+    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[Any, ...]:
+        """As pickle and copy take it."""
+        return (self.loaded_anew, ()) if self.loaded_anew else super().__reduce_ex__(protocol)
 
     @property
     def fingerprint(self) -> str | None:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import base64
 import binascii
-import math
 import re
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
-
-import numpy as np
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
@@ -31,7 +28,7 @@ class CameraRequest:
     kind: Kind
     k1: str = ""  # of image 1, or of both: fx,fy,cx,cy or MODEL,width,height,parameters, or auto
     k2: str = ""  # of image 2; empty for k1
-    fov_deg: float = 60.0  # horizontal field of view of both images
+    fov_deg: float | None = None  # horizontal field of view of both images
     file_name: str = ""  # of a file of cameras, without its folder
     content: bytes = b""  # of that file
 
@@ -42,18 +39,14 @@ class CameraRequest:
         if not isinstance(data, Mapping) or data.get("kind") not in kinds:
             raise InputError(f"camera must have a kind: {', '.join(kinds)}")
         k1, k2, file_name = (_text(data.get(key, "")) for key in ("k1", "k2", "name"))
-        fov = data.get("fov", cls.fov_deg)
-        if isinstance(fov, bool) or not isinstance(fov, (int, float)) or not 1 <= fov <= 170:
-            raise InputError("the field of view must lie between 1 and 170 degrees")
         content = _decoded(data.get("content")) if data["kind"] == "file" else b""
-        return cls(data["kind"], k1.strip(), k2.strip(), float(fov), file_name, content)
+        fov = (data.get("fov") or 0) if data["kind"] == "fov" else None
+        return cls(data["kind"], k1.strip(), k2.strip(), fov, file_name, content)
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked. Raises InputError for the client."""
-        if self.kind == "auto":
-            return pair_cameras("auto", "auto", image1, image2)
-        if self.kind == "fov":
-            return self._of_view(image1), self._of_view(image2)
+        if self.kind in ("auto", "fov"):
+            return pair_cameras(None, None, image1, image2, fov=self.fov_deg)
         if self.kind == "file":
             return self._of_file(image1, image2)
         names = ("K1", "K2") if self.k2 not in ("", self.k1) else ("K", "K")
@@ -70,13 +63,6 @@ class CameraRequest:
             return self.k1, self.k2 or self.k1
         K1, K2 = (camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() for camera in cameras)
         return ",".join(map(repr, K1)), ",".join(map(repr, K2))
-
-    def _of_view(self, image: Image) -> Camera:
-        """By the field of view from edge to edge; the principal point is the middle."""
-        width, height = image.size
-        focal = width / 2 / math.tan(math.radians(self.fov_deg) / 2)
-        K = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
-        return Camera(K, image.size)
 
     def _of_file(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         with scratch_folder() as folder:

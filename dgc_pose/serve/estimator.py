@@ -57,7 +57,7 @@ class Estimator:
         weights = [] if self.weights is None else ["--weights", self.weights]
         texts = request.texts(cameras)
         return {
-            "pose": trace.pose.as_dict(),
+            "pose": trace.pose.to_dict(),
             "reason": trace.pose.reason,
             "names": list(names),
             "sizes": [list(image1.size), list(image2.size)],

@@ -1,6 +1,7 @@
 """Cameras: the matrix, what is refused, resizing, points without an inverse, and checks of K."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -47,6 +48,32 @@ def test_a_pair_takes_what_callers_have(value: object) -> None:
         camera.K[0, 0] = 1
     np.testing.assert_array_equal(camera.K, K)
     assert camera.focal == 800
+
+
+@pytest.mark.parametrize("kind", [list, tuple, np.array, torch.tensor])
+def test_four_numbers_are_the_focal_lengths_and_the_principal_point(kind: Any) -> None:
+    image = Image(np.zeros((480, 640, 3), np.uint8))
+    numbers = kind([810.0, 790.0, 321.25, 238.5])
+    for camera in (pair_cameras(numbers, numbers, image, image)[0], matrix_camera(numbers)):
+        np.testing.assert_array_equal(camera.K, K - [[0, 1.5, 0], [0, 0, 0], [0, 0, 0]])
+    with pytest.raises(InputError, match=r"^K1 must have shape \(3, 3\) or \(4,\), not \(2, 2\)"):
+        pair_cameras(np.eye(2), None, image, image)
+
+
+def test_a_field_of_view_is_that_of_the_upright_image() -> None:
+    """Of the rays through the left and the right edge, half a pixel beyond the outer centres."""
+    images = [Image(np.zeros((480, 640, 3), np.uint8), orientation=n) for n in (1, 6)]
+    for camera, orientation, size in zip(
+        pair_cameras(None, None, *images, fov=50.0), (1, 6), (SIZE, SIZE[::-1]), strict=True
+    ):
+        assert (camera.orientation, camera.size, camera.exact) == (orientation, size, True)
+        edges = camera.normalise(np.array([[-0.5, 0], [size[0] - 0.5, 0]]))[:, 0]
+        np.testing.assert_allclose(np.degrees(np.arctan(edges)), [-25, 25])
+    for fov in (0.5, 160, np.nan, -60):
+        with pytest.raises(InputError, match="^fov must be an angle of 1 to 150 degrees"):
+            pair_cameras(None, None, *images, fov=fov)
+    with pytest.raises(InputError, match="^fov must be a number, not 'wide'$"):
+        pair_cameras(None, None, *images, fov="wide")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

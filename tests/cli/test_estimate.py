@@ -12,7 +12,8 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 KEYS = """status success R t length length_std quaternion_wxyz E camera1 camera2 num_matches
     num_inliers inlier_ratio median_triangulation_angle_deg rotation_error_90_deg
-    translation_error_90_deg covariance probability alternatives warnings seconds""".split()
+    translation_error_90_deg covariance probability any_probability alternatives warnings
+    seconds""".split()
 # Later ones override these.
 FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000", "--refine", "none")
 
@@ -213,10 +214,39 @@ def test_a_focal_length_that_is_not_known_is_told(folder, network, k, lines):
     assert f"f = {focal:.1f} +- {focal * camera['focal_std']:.1f} px" in told[-1]
 
 
+NOT_STATED = "K is not stated: the focal length is estimated (--K auto)\n"
+FOV = np.degrees(2 * np.arctan(160 / 300))  # of the scene's K
+
+
+@pytest.mark.parametrize(
+    ("k", "same_as", "said"),
+    [
+        ((), ("--K", "auto"), NOT_STATED),
+        (("--K1", dense_scene.K_TEXT), ("--K", dense_scene.K_TEXT), ""),
+        (
+            ("--K2", dense_scene.K_TEXT),
+            ("--K1", "auto", "--K2", dense_scene.K_TEXT),
+            NOT_STATED.replace("K ", "K1 ").replace("--K ", "--K1 "),
+        ),
+        (("--fov", FOV), ("--K", "300,300,159.5,119.5"), ""),
+    ],
+)
+def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
+    result = estimate("--json", "-", k=k)
+    assert (result.exit_code, result.stderr) == (0, said)
+    data, other = json.loads(result.stdout), json.loads(estimate("--json", "-", k=same_as).stdout)
+    np.testing.assert_allclose(data["R"], other["R"], atol=1e-9)
+    for name in ("camera1", "camera2"):
+        np.testing.assert_allclose(data[name]["K"], other[name]["K"], atol=1e-9)
+        assert data[name]["focal_std"] == pytest.approx(other[name]["focal_std"])
+
+
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (("--K", "300,300,159.5"), "--K"),
+        (("--fov", "60"), "--fov and --K are both stated"),
+        (("--K-size", "64x48", "--fov", "x"), "--fov"),
         (("--K", "nosuch.txt"), "nosuch.txt"),
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),

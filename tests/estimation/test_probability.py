@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 
 import numpy as np
 import pytest
@@ -20,6 +21,14 @@ from dgc_pose.estimation.probability import (
     parse_models,
     shipped_models,
 )
+
+
+def test_each_share_in_a_reason_is_of_something() -> None:
+    texts = [feature.words(GOOD_EVIDENCE) for feature in FEATURES.values()]
+    shares = [text for text in texts if "%" in text]
+    assert "only 95 % of the inliers lie in front of both cameras" in shares and len(shares) > 5
+    assert all(re.search(r"\d % (of |as many inliers)", text) for text in shares), shares
+
 
 ERROR = {"slope": -0.25, "intercept": 0.5}
 MODEL = {

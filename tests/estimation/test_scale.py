@@ -100,7 +100,7 @@ def test_the_length_is_text() -> None:
     assert "], 1.5 m\n" in repr(stated)
     stated = with_length(pose, scene.matches, ScaleSource(baseline=(1.5, 0.02)), [None, None])
     assert "], 1.5 m +- 0.02 m\n" in repr(stated)
-    assert stated.as_dict()["length"] == 1.5 and stated.as_dict()["length_std"] == 0.02
+    assert stated.to_dict()["length"] == 1.5 and stated.to_dict()["length_std"] == 0.02
 
 
 def test_without_a_pose_or_a_source_nothing_changes() -> None:

@@ -39,7 +39,7 @@ def test_references_that_agree_give_the_pose() -> None:
         inliers = reference.inliers
         assert len(inliers) == len(reference.matches) and 0.7 < inliers.mean() < 0.9
     np.testing.assert_allclose(location.cam_from_world[:, 3], -location.R @ location.centre)
-    data = location.as_dict()
+    data = location.to_dict()
     assert data["status"] == "located" and data["references"][0]["agrees"]
     assert data["position_error_90"] == pytest.approx(location.position_error_90)
 

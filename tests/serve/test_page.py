@@ -65,7 +65,7 @@ CHANGED = """(() => {
 
 
 def test_both_poses_of_an_ambiguous_pair_are_shown(page):
-    pose = ambiguous_pose().as_dict()
+    pose = ambiguous_pose().to_dict()
     changes = {"pose": pose, "reason": pose["warnings"][0], "F": None, "scene": None}
     page.evaluate(CHANGED % json.dumps(changes))
     estimate_rendered(page)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
-from multi_view import K, SIZE, render_views
+from multi_view import SIZE, K, render_views
 
 from dgc_pose.colmap.reconstruction import SparseModel
 from dgc_pose.viz.figure import save_figure

@@ -309,13 +309,10 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
 
     Raises InputError, naming `name`.
     """
-    array = np.asarray(values, dtype=np.float64)
-    if array.size == 4:
-        fx, fy, cx, cy = array.ravel()
-        array = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    if array.size != 9:
+    array = np.asarray(values, dtype=np.float64).ravel()
+    if array.size not in (4, 9):
         raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
-    return matrix_camera(array.reshape(3, 3), name)
+    return matrix_camera(array.reshape(3, 3) if array.size == 9 else array, name)
 
 
 def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:

@@ -1,0 +1,174 @@
+"""What a pose has in other forms: its inverse, and as values of JSON and back."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from ambiguous_pose import ambiguous_pose
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.matches import Matches
+from two_view import SIZE2, SceneKind, two_view_scene
+
+FAST = EstimationOptions(runs=1)
+
+
+def of_scene(kind: SceneKind = "general", **deviations: float) -> RelativePose:
+    scene = two_view_scene(kind, seed=1, count=300)
+    cameras = (replace(camera, **deviations) for camera in scene.cameras)
+    return estimate_pose(scene.matches, *cameras, FAST)
+
+
+def test_the_forms_of_a_pose() -> None:
+    pose = of_scene()
+    assert pose.R is not None and pose.t is not None and pose.centre is not None
+    point = np.array([0.3, -0.2, 4.0])
+    by_matrix = pose.matrix() @ np.append(point, 1)
+    np.testing.assert_allclose(by_matrix, [*(pose.R @ point + pose.t), 1])
+    np.testing.assert_allclose(pose.R @ pose.centre + pose.t, 0, atol=1e-12)
+    rotation = Rotation.from_matrix(pose.R)
+    np.testing.assert_allclose(pose.rotvec, rotation.as_rotvec(), atol=1e-9)
+    wxyz = np.roll(rotation.as_quat(canonical=True), 1)
+    np.testing.assert_allclose(pose.quaternion_wxyz, wxyz, atol=1e-9)
+    turned = of_scene("rotation_only")
+    assert turned.rotvec is not None and turned.matrix() is None and turned.centre is None
+    assert of_scene("random").rotvec is None
+
+
+def inverted(R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = R, t
+    matrix = np.linalg.inv(matrix)
+    return matrix[:3, :3], matrix[:3, 3]
+
+
+def test_the_inverse_has_the_covariance_of_inverted_poses() -> None:
+    pose = of_scene()
+    inverse = pose.inverse()
+    assert pose.R is not None and pose.t is not None and pose.covariance is not None
+    assert inverse.R is not None and inverse.t is not None and inverse.covariance is not None
+    R, t = inverted(pose.R, pose.t)
+    np.testing.assert_allclose(inverse.R, R, atol=1e-12)
+    np.testing.assert_allclose(inverse.t, t, atol=1e-12)
+    # Drawn errors, small enough for the inversion to be linear.
+    covariance = pose.covariance * 1e-8 / np.trace(pose.covariance)
+    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), covariance, 20_000)
+    turns = Rotation.from_rotvec(drawn[:, :3]).as_matrix()
+    of_inverse = []
+    for turn, d in zip(turns, drawn[:, 3:], strict=True):
+        R, t = inverted(turn @ pose.R, pose.t + d)
+        w = Rotation.from_matrix(R @ inverse.R.T).as_rotvec()
+        of_inverse.append([*w, *(t - inverse.t)])
+    expected = replace(pose, covariance=covariance).inverse().covariance
+    assert expected is not None
+    error = np.cov(np.array(of_inverse).T) - expected
+    assert np.abs(error).max() < 0.03 * np.abs(expected).max()
+    # t of the inverse is perpendicular to its errors likewise.
+    np.testing.assert_allclose(inverse.covariance[3:, 3:] @ inverse.t, 0, atol=1e-12)
+
+
+def test_the_inverse_is_the_pose_of_the_images_in_the_other_order() -> None:
+    scene = two_view_scene(seed=1, count=300)
+    matches = Matches(
+        scene.points2, scene.points1, scene.matches.confidence, scene.matches.error_px
+    )
+    other = estimate_pose(matches, *scene.cameras[::-1], FAST)
+    inverse = of_scene().inverse()
+    np.testing.assert_allclose(inverse.R, other.R, atol=1e-3)
+    np.testing.assert_allclose(inverse.t, other.t, atol=1e-3)
+    for name in ("rotation_error_90_deg", "translation_error_90_deg"):
+        assert getattr(inverse, name) == pytest.approx(getattr(other, name), rel=0.5)
+    assert inverse.camera1 is not None and inverse.camera1.size == SIZE2
+    assert inverse.num_inliers == pytest.approx(other.num_inliers, rel=0.01)
+
+
+def test_the_inverse_of_the_inverse_is_the_pose_but_for_its_evidence() -> None:
+    for pose in (of_scene(focal_std=0.1), of_scene("rotation_only"), ambiguous_pose()):
+        inverse = pose.inverse()
+        back, data = inverse.inverse().to_dict(), pose.to_dict()
+        assert back.keys() == data.keys() and inverse.evidence is None
+        for name, value in data.items():
+            if name in ("R", "t", "covariance", "E", "quaternion_wxyz") and value is not None:
+                np.testing.assert_allclose(back[name], value, atol=1e-12)
+            elif name == "alternatives":
+                for once, again in zip(value, back[name], strict=True):
+                    np.testing.assert_allclose(once["R"], again["R"], atol=1e-12)
+                    np.testing.assert_allclose(once["t"], again["t"], atol=1e-12)
+            elif not name.endswith("_error_90_deg"):
+                assert back[name] == value, name
+        for first, second in zip(pose.hypotheses, inverse.hypotheses, strict=True):
+            np.testing.assert_allclose(second.R @ first.t + second.t, 0, atol=1e-12)
+    fitted = of_scene(focal_std=0.1)
+    inverse = fitted.inverse()
+    assert fitted.camera_covariance is not None and inverse.camera_covariance is not None
+    assert inverse.camera1 is fitted.camera2 and inverse.camera2 is fitted.camera1
+    blocks, swapped = (
+        c.reshape(2, 5, 2, 5) for c in (fitted.camera_covariance, inverse.camera_covariance)
+    )
+    np.testing.assert_array_equal(swapped, blocks[::-1, :, ::-1])
+    assert fitted.camera_covariance[0, 0] != fitted.camera_covariance[5, 5]
+
+
+LENS = Camera(
+    np.array([[900.0, 1, 500], [0, 910, 400], [0, 0, 1]]),
+    (1000, 800),
+    Distortion("RADIAL", (0.1, -0.02)),
+    ("a warning",),
+    *(0.02, 3.0, 0.05, 6, "exif", "a telephone"),
+)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [
+        of_scene,
+        lambda: of_scene("planar"),
+        lambda: of_scene("rotation_only"),
+        lambda: of_scene("random"),
+        lambda: of_scene(focal_std=0.1, lens_std=0.05),
+        lambda: replace(of_scene(), camera1=LENS, length=1.5, length_std=0.1),
+        lambda: replace(of_scene(), warnings=("one", "two"), seconds={"load": 0.1, "quick": 1.0}),
+        ambiguous_pose,
+        lambda: RelativePose("too_few_matches", "few", np.zeros(3, bool), 3),
+        lambda: replace(of_scene(), probability=None, any_probability=None),
+    ],
+)
+def test_a_pose_is_read_from_its_json(made: Callable[[], RelativePose]) -> None:
+    pose = made()
+    read = RelativePose.from_dict(json.loads(pose.to_json()))
+    assert read.to_json() == pose.to_json()
+    assert RelativePose.from_dict(pose.to_dict()).to_dict() == pose.to_dict()
+    assert repr(read) == repr(pose)
+    assert (read.reason, read.warnings) == (pose.reason, pose.warnings)
+    np.testing.assert_array_equal(read.cam2_from_cam1, pose.cam2_from_cam1)
+    np.testing.assert_array_equal(read.covariance, pose.covariance)
+    assert len(read.inliers) == pose.num_inliers and read.evidence is None
+    if pose.camera1 is LENS and read.camera1 is not None:
+        np.testing.assert_array_equal(read.camera1.K, LENS.K)
+        others = {name: value for name, value in vars(read.camera1).items() if name != "K"}
+        assert others == {name: value for name, value in vars(LENS).items() if name != "K"}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda data: 5,
+        lambda data: {},
+        lambda data: {**data, "status": "fine"},
+        lambda data: {**data, "R": [[1, 0], [0]]},
+        lambda data: {**data, "num_inliers": -1},
+        lambda data: {**data, "camera1": {"K": 5}},
+        lambda data: {**data, "alternatives": [{}]},
+        lambda data: {**data, "status": "no_model", "warnings": []},
+    ],
+)
+def test_what_is_no_pose_is_refused(change: Callable[[Any], Any]) -> None:
+    with pytest.raises(InputError, match="^data is not a pose of to_dict that can be read"):
+        RelativePose.from_dict(change(of_scene().to_dict()))
