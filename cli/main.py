@@ -44,6 +44,7 @@ SECTIONS = {
         "reconstruct": "From a folder of photographs to a COLMAP model.",
         "locate": "Place photographs in a model of known poses.",
         "export-colmap": "Write a batch as a COLMAP database.",
+        "export": "Write a COLMAP model for another tool.",
     },
     "Benchmarks": {
         "bench-pairs": "Score methods on pairs with known poses.",

@@ -1,8 +1,10 @@
 """Points of a world, references on an arc, and a photograph: what a localization starts from."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import pycolmap
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -48,8 +50,6 @@ class WorldScene:
             name: np.column_stack([R, -R @ centre])
             for name, (R, centre) in zip(self.names, self.references, strict=True)
         }
-        from pathlib import Path
-
         return PosedModel(Path("none"), dict.fromkeys(poses, CAMERA), poses)
 
     @property
@@ -101,3 +101,31 @@ def world_scene(
     references = tuple((facing(c, 0.1 * i), c) for i, c in enumerate(centres))
     centre = np.array([0.1, -0.2, 0.15])
     return WorldScene(points, facing(centre, 0.2), centre, references)
+
+
+def write_colmap(
+    scene: WorldScene, folder: Path, camera: pycolmap.Camera | None = None, *, binary: bool = True
+) -> Path:
+    """The scene as pycolmap writes it, by default with `CAMERA`; its points are in two images."""
+    if camera is None:
+        camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 1.0, *IMAGE)
+        camera.params = [CAMERA.K[0, 0], CAMERA.K[1, 1], *(CAMERA.K[:2, 2] + 0.5)]
+    camera.camera_id = 1
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(camera)
+    for number, (name, (R, centre)) in enumerate(
+        zip(scene.names, scene.references, strict=True), start=1
+    ):
+        seen = camera.img_from_cam((scene.points - centre) @ R.T)
+        image = pycolmap.Image(name=name, camera_id=1, keypoints=seen)
+        image.image_id = number
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ centre)
+        model.add_image_with_trivial_frame(image, pose)
+    for index, point in enumerate(scene.points):
+        track = pycolmap.Track()
+        for number in (1, 2):
+            track.add_element(number, index)
+        model.add_point3D(point, track)
+    folder.mkdir(parents=True)
+    (model.write_binary if binary else model.write_text)(folder)
+    return folder

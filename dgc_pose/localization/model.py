@@ -72,7 +72,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     Raises InputError if there are no poses, several models, a pose that is none, no two images, or
     a camera that does not fit its image; ImageError for a broken image; OSError.
     """
-    path, root = _model_path(Path(source)), Path(images)
+    path, root = model_path(Path(source)), Path(images)
     if not root.is_dir():
         raise InputError(ArgumentName("images"), f"{root}: no such folder")
     file = read_file(path)
@@ -118,20 +118,17 @@ def _observations(path: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return observed
 
 
-def _model_path(path: Path) -> Path:
+def model_path(path: Path) -> Path:
     """The file or the folder of COLMAP's files that a source stands for."""
     if not path.is_dir():
         if not path.exists():
             raise InputError(ArgumentName("model"), f"{path}: no such file or folder")
         return path
-    for parent in (path, path / _SPARSE):
-        if any((parent / name).is_file() for name in _CAMERAS):
-            return parent
-        folders = sorted(parent.iterdir()) if parent.is_dir() else []
-        models = [f for f in folders if any((f / name).is_file() for name in _CAMERAS)]
+    for places in ("", "*/", f"{_SPARSE}/*/"):
+        models = sorted({file.parent for name in _CAMERAS for file in path.glob(places + name)})
         if len(models) > 1:
             listed = ", ".join(folder.name for folder in models)
-            raise InputError(ArgumentName("model"), f"{parent} has the models {listed}")
+            raise InputError(ArgumentName("model"), f"{models[0].parent} has the models {listed}")
         if models:
             return models[0]
     raise InputError(ArgumentName("model"), f"{path} holds no model of COLMAP")

@@ -11,6 +11,7 @@ import click
 import dense_scene
 from fuzz.readers import make_batch
 from photos import write_photos
+from world_scene import world_scene, write_colmap
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SECTIONS, main
@@ -33,6 +34,7 @@ _BASES: dict[str, Sequence[str]] = {
     "batch": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
     "reconstruct": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
     "export-colmap": ("batch", "--database", "new.db", "--sharing", "cells"),
+    "export": ("model", "--to", "nerfstudio", "--out", "new"),
 }
 
 
@@ -46,6 +48,7 @@ def make_files(folder: Path) -> None:
         (folder / name).write_bytes(bytes(range(256)) * 8)
     (folder / "huge.png").write_bytes(png_claiming(60_000, 50_000))
     write_photos(folder / "photos", 24)
+    write_colmap(world_scene(count=9), folder / "model")
     for name in ("dir", "batch", "run"):
         (folder / name).mkdir()
     make_batch(folder / "batch")

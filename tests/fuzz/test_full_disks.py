@@ -5,11 +5,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import dense_scene
+import numpy as np
 import pytest
 from batch_runs import view_folder
 from fuzz.readers import make_batch
 from multi_view import K_text
+from world_scene import IMAGE, world_scene, write_colmap
 
 FULL = """
 import resource, sys
@@ -19,6 +22,7 @@ main()
 """
 EXPORT = ("export-colmap", "batch", "--sharing", "cells")
 ESTIMATE = ("estimate", "one.png", "two.png", "--K", dense_scene.K_TEXT, "--weights", "sift")
+MVS = ("export", "model", "--to", "openmvs", "--images", "pictures", "--out", "x.mvs")
 BATCH = ("batch", "views", "--out", "out", "--pairs", "exhaustive", "--weights", "sift")
 BATCH += ("--workers", "1", "--runs", "1", "--iterations", "100", "--K", K_text())
 
@@ -38,6 +42,10 @@ def full(folder: Path, size: int, *words: str) -> subprocess.CompletedProcess[st
         (500, "h/features.h5: ", (*EXPORT, "--hloc", "h")),
         (500, "x.ply: ", (*ESTIMATE, "--ply", "x.ply")),
         (3000, "out/matched.bin: ", BATCH),
+        (100, "points.ply: 100 of ", ("export", "model", "--to", "nerfstudio", "--out", "x.n")),
+        (900, "x.n: File too large\n", ("export", "model", "--to", "nerfstudio", "--out", "x.n")),
+        (500, "x.tum: ", ("export", "model", "--to", "tum", "--out", "x.tum")),
+        (90_000, "x.mvs: File too large\n", MVS),
     ],
 )
 def test_a_full_disk_is_one_line(
@@ -48,6 +56,11 @@ def test_a_full_disk_is_one_line(
     make_batch(tmp_path / "batch")
     dense_scene.write_pictures(tmp_path)
     view_folder(tmp_path / "views", 2)
+    scene = world_scene(count=20)
+    write_colmap(scene, tmp_path / "model")
+    (tmp_path / "pictures").mkdir()
+    for name in scene.names:
+        cv2.imwrite(str(tmp_path / "pictures" / name), np.zeros(IMAGE[::-1], np.uint8))
     ended = full(tmp_path, size, *words)
     assert (ended.returncode, ended.stdout) == (2, "")
     assert ended.stderr.startswith(f"error: {line}") and ended.stderr.count("\n") == 1

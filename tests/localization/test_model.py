@@ -7,10 +7,9 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from world_scene import CAMERA, IMAGE, WorldScene, world_scene
+from world_scene import CAMERA, IMAGE, WorldScene, world_scene, write_colmap
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.colmap.database import HALF_PIXEL
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.localization.adding import write_model_with
@@ -27,31 +26,6 @@ def images(tmp_path: Path) -> Path:
     folder.mkdir()
     for name in SCENE.names:
         cv2.imwrite(str(folder / name), np.zeros(IMAGE[::-1], np.uint8))
-    return folder
-
-
-def _colmap(scene: WorldScene, folder: Path, *, binary: bool = True) -> Path:
-    """The scene as pycolmap writes it, with its points in the first two images."""
-    model = pycolmap.Reconstruction()
-    fx, fy = CAMERA.K[0, 0], CAMERA.K[1, 1]
-    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 1.0, *IMAGE)
-    camera.params = [fx, fy, *(CAMERA.K[:2, 2] + HALF_PIXEL)]
-    model.add_camera_with_trivial_rig(camera)
-    for number, (name, (R, centre)) in enumerate(
-        zip(scene.names, scene.references, strict=True), start=1
-    ):
-        seen = scene.pixels(CAMERA, R, centre) + HALF_PIXEL
-        image = pycolmap.Image(name=name, camera_id=1, keypoints=seen)
-        image.image_id = number
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(R), -R @ centre)
-        model.add_image_with_trivial_frame(image, pose)
-    for index, point in enumerate(scene.points):
-        track = pycolmap.Track()
-        for number in (1, 2):
-            track.add_element(number, index)
-        model.add_point3D(point, track)
-    folder.mkdir(parents=True)
-    (model.write_binary if binary else model.write_text)(folder)
     return folder
 
 
@@ -85,9 +59,9 @@ def test_models_have_the_poses_of_their_files(kind: str, images: Path, tmp_path:
     elif kind == "transforms":
         source = _transforms(SCENE, tmp_path / "transforms.json")
     elif kind == "results":
-        source = _colmap(SCENE, tmp_path / "out" / "sparse").parent
+        source = write_colmap(SCENE, tmp_path / "out" / "sparse").parent
     else:
-        source = _colmap(SCENE, tmp_path / "model", binary=kind == "binary")
+        source = write_colmap(SCENE, tmp_path / "model", binary=kind == "binary")
     model = load_model(source, images)
     assert sorted(model.poses) == SCENE.names
     for name, (R, centre) in zip(SCENE.names, SCENE.references, strict=True):
@@ -118,8 +92,8 @@ def test_images_that_are_missing_are_told(images: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
-    _colmap(SCENE, tmp_path / "two" / "0")
-    _colmap(SCENE, tmp_path / "two" / "1")
+    write_colmap(SCENE, tmp_path / "two" / "0")
+    write_colmap(SCENE, tmp_path / "two" / "1")
     cameras = tmp_path / "cameras.csv"
     cameras.write_text("name,fx,fy,cx,cy\nr0.jpg,900,900,500,400\n")
     odd = tmp_path / "odd.json"
@@ -146,7 +120,9 @@ def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["binary", "table"])
 def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) -> None:
     is_colmap = kind == "binary"
-    source = _colmap(SCENE, tmp_path / "m") if is_colmap else _table(SCENE, tmp_path / "poses.csv")
+    source = (
+        write_colmap(SCENE, tmp_path / "m") if is_colmap else _table(SCENE, tmp_path / "poses.csv")
+    )
     photo = tmp_path / "new.png"
     cv2.imwrite(str(photo), np.zeros((480, 640), np.uint8))
     camera = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))

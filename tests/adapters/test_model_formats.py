@@ -1,0 +1,200 @@
+"""Models in the formats of other tools, read back by other readers than wrote them."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from command_line import assert_refused, contents, run
+from scipy.spatial.transform import Rotation
+from world_scene import IMAGE, WorldScene, world_scene, write_colmap
+
+from dgc_pose.localization.model import load_model
+
+SCENE = world_scene(count=20)
+LENSES = {
+    "PINHOLE": (900, 905, 510, 390),
+    "RADIAL": (900, 510, 390, -0.15, 0.02),
+    "OPENCV": (900, 905, 510, 390, -0.15, 0.02, 0.003, -0.002),
+    "OPENCV_FISHEYE": (900, 905, 510, 390, 0.05, -0.02, 0.01, 0.002),
+    "FULL_OPENCV": (900, 905, 510, 390, *[0.01] * 8),
+}
+
+
+def write_model(folder: Path, lens: str, scene: WorldScene = SCENE) -> Path:
+    """A model of the scene with a lens, in COLMAP's files."""
+    camera = pycolmap.Camera.create_from_model_name(1, lens, 1.0, *IMAGE)
+    camera.params = [float(value) for value in LENSES[lens]]
+    return write_colmap(scene, folder, camera)
+
+
+@pytest.fixture
+def images(tmp_path: Path) -> Path:
+    """The images of the scene: red is x, green is y, a level for each 4 pixels."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    y, x = np.indices(IMAGE[::-1])
+    for name in SCENE.names:
+        cv2.imwrite(str(folder / name), np.dstack([0 * x, y // 4, x // 4]))
+    return folder
+
+
+@pytest.mark.parametrize("lens", [name for name in LENSES if name != "FULL_OPENCV"])
+def test_nerfstudio_shows_the_points_where_the_images_do(
+    lens: str, images: Path, tmp_path: Path
+) -> None:
+    """By OpenCV's projections with the intrinsics and the matrix of the file."""
+    model = write_model(tmp_path / "out" / "sparse", lens)
+    done = run("export", model.parent, "--to", "nerfstudio", "--out", tmp_path / "nerf")
+    assert (done.exit_code, done.stderr) == (0, ""), done.output
+    assert done.stdout == f"{tmp_path / 'nerf'}: 5 images for nerfstudio\n"
+    data = json.loads((tmp_path / "nerf" / "transforms.json").read_text())
+    assert data["camera_model"] == ("OPENCV_FISHEYE" if "FISHEYE" in lens else "OPENCV")
+    written = pycolmap.Reconstruction(model)
+    assert {frame["file_path"] for frame in data["frames"]} == {*SCENE.names}
+    for frame in data["frames"]:
+        observed = written.find_image_with_name(frame["file_path"]).points2D
+        pixels = np.stack([point.xy for point in observed])
+        cam_from_world = np.diag([1, -1, -1, 1]) @ np.linalg.inv(frame["transform_matrix"])
+        cam = SCENE.points @ cam_from_world[:3, :3].T + cam_from_world[:3, 3]
+        fx, fy, cx, cy = (frame[key] for key in ("fl_x", "fl_y", "cx", "cy"))
+        K, zero = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]), np.zeros(3)
+        keys = ("k1", "k2", "k3", "k4") if "FISHEYE" in lens else ("k1", "k2", "p1", "p2")
+        project = cv2.fisheye.projectPoints if "FISHEYE" in lens else cv2.projectPoints
+        lens_values = np.array([frame.get(key, 0.0) for key in keys])
+        projected, _ = project(cam[:, None], zero, zero, K, lens_values)
+        np.testing.assert_allclose(projected[:, 0], pixels, atol=1e-6)
+        assert (frame["w"], frame["h"]) == IMAGE
+    points = pycolmap.Reconstruction()
+    points.import_PLY(tmp_path / "nerf" / data["ply_file_path"])
+    cloud = np.stack([point.xyz for point in points.points3D.values()])
+    np.testing.assert_allclose(np.sort(cloud, 0), np.sort(SCENE.points, 0), atol=1e-5)
+
+
+def test_nerfstudio_is_read_by_locate_with_the_same_cameras(images: Path, tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model", "OPENCV")
+    words = ("--to", "nerfstudio", "--images", images, "--out", tmp_path / "nerf")
+    assert run("export", model, *words).exit_code == 0
+    exported, original = (
+        load_model(path, images) for path in (tmp_path / "nerf" / "transforms.json", model)
+    )
+    for name in SCENE.names:
+        path = str(images / name)  # of a file whose images lie elsewhere
+        assert exported.root / path == images / name
+        np.testing.assert_allclose(exported.poses[path], original.poses[name], atol=1e-12)
+        np.testing.assert_allclose(exported.cameras[path].K, original.cameras[name].K)
+        assert exported.cameras[path].distortion == original.cameras[name].distortion
+
+
+@pytest.mark.parametrize(
+    ("names", "times"),
+    [
+        (["9.5.jpg", "10.25.jpg", "a/1305031102.175304.png"], [9.5, 10.25, 1305031102.175304]),
+        (["left.jpg", "a 1.jpg", "2.jpg"], [2, 1, 0]),
+    ],
+)
+def test_tum_has_a_time_and_the_pose_of_each_camera(
+    names: list[str], times: list[float], tmp_path: Path
+) -> None:
+    model = pycolmap.Reconstruction(write_model(tmp_path / "model", "PINHOLE"))
+    for number, name in enumerate(names, start=1):
+        model.images[number].name = name
+    for number in (4, 5):
+        model.deregister_frame(model.images[number].frame_id)
+    model.write_text(tmp_path / "model")
+    for path in (tmp_path / "model").glob("*.bin"):
+        path.unlink()
+    assert run("export", tmp_path / "model", "--to", "tum", "--out", tmp_path / "t").exit_code == 0
+    table = np.loadtxt(tmp_path / "t" / "trajectory.txt")
+    assert (np.diff(table[:, 0]) > 0).all() and len(table) == 3
+    for time, (R, centre) in zip(times, SCENE.references, strict=False):
+        (row,) = table[table[:, 0] == time]
+        np.testing.assert_allclose(row[1:4], centre, atol=1e-9)
+        np.testing.assert_allclose(Rotation.from_quat(row[4:]).as_matrix(), R.T, atol=1e-9)
+
+
+def test_openmvs_has_images_without_distortion(images: Path, tmp_path: Path) -> None:
+    """A pixel has the colour of the place that the lens puts its ray at; the points are where the
+    pinholes see them, in both of COLMAP's forms."""
+    model = write_model(tmp_path / "model", "OPENCV")
+    words = ("--to", "openmvs", "--images", images, "--out", tmp_path / "mvs")
+    done = run("export", model, *words)
+    assert (done.exit_code, done.stderr) == (0, ""), done.output
+    fx, fy, cx, cy, *lens = LENSES["OPENCV"]
+    for path in (tmp_path / "mvs" / "sparse").glob("*.bin"):
+        path.rename(tmp_path / path.name)
+    undistorted = pycolmap.Reconstruction(tmp_path / "mvs" / "sparse")  # the text
+    for image in pycolmap.Reconstruction(tmp_path).images.values():
+        assert image.camera.params.tolist() == undistorted.cameras[1].params.tolist()
+    for image in undistorted.images.values():
+        assert image.camera.model.name == "PINHOLE"
+        pixels = cv2.imread(str(tmp_path / "mvs" / "images" / image.name))
+        assert pixels.shape[1::-1] == (image.camera.width, image.camera.height)
+        ideal = image.camera.img_from_cam(
+            SCENE.points @ np.array(image.cam_from_world().rotation.matrix()).T
+            + image.cam_from_world().translation
+        )
+        seen = np.stack([point.xy for point in image.points2D])
+        np.testing.assert_allclose(seen, ideal, atol=1e-3)
+        for x, y in ((30, 20), (500, 400), (900, 100), (700, 650)):
+            ray = np.append(image.camera.cam_from_img((x + 0.5, y + 0.5)), 1.0)
+            K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+            place, _ = cv2.projectPoints(ray[None], np.zeros(3), np.zeros(3), K, np.array(lens))
+            np.testing.assert_allclose(4.0 * pixels[y, x, :0:-1], place[0, 0], atol=10)
+
+
+def test_unusable_input_is_one_line_and_leaves_nothing(images: Path, tmp_path: Path) -> None:
+    model = write_model(tmp_path / "model", "OPENCV")
+    full = write_model(tmp_path / "full", "FULL_OPENCV")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    none = pycolmap.Reconstruction()
+    none.add_camera_with_trivial_rig(pycolmap.Reconstruction(model).cameras[1])
+    none.write_binary(empty)
+    cut = write_model(tmp_path / "cut", "OPENCV")
+    (cut / "images.bin").write_bytes((cut / "images.bin").read_bytes()[:150])
+    mixed = pycolmap.Reconstruction(write_model(tmp_path / "mixed", "OPENCV_FISHEYE"))
+    other = pycolmap.Camera.create_from_model_name(2, "PINHOLE", 900.0, *IMAGE)
+    mixed.add_camera_with_trivial_rig(other)
+    image = pycolmap.Image(name="other.jpg", camera_id=2, image_id=9)
+    mixed.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    mixed.write_binary(tmp_path / "mixed")
+    outside = pycolmap.Reconstruction(write_model(tmp_path / "outside", "OPENCV"))
+    for number, image in outside.images.items():
+        image.name = f"../images/{SCENE.names[number - 1]}"
+    outside.write_binary(tmp_path / "outside")
+    (tmp_path / "file.json").write_text("{}")
+    (tmp_path / "small").mkdir()
+    (tmp_path / "text").mkdir()
+    for name in SCENE.names:
+        cv2.imwrite(str(tmp_path / "small" / name), np.zeros((10, 20), np.uint8))
+        (tmp_path / "text" / name).write_text("no image")
+    before = contents(tmp_path)
+    for source, to, words, expected in (
+        (tmp_path / "none", "tum", (), "none: no such file or folder"),
+        (images, "tum", (), "holds no model of COLMAP"),
+        (empty, "tum", (), "has no poses of images"),
+        (cut, "tum", (), "images.bin is not COLMAP's images that can be read"),
+        (tmp_path / "file.json", "tum", (), "file.json"),
+        (full, "nerfstudio", (), "--to nerfstudio cannot hold FULL_OPENCV"),
+        (tmp_path / "mixed", "nerfstudio", (), "cannot hold OPENCV_FISHEYE, PINHOLE"),
+        (model, "nerfstudio", ("--images", tmp_path / "nowhere"), "nowhere: No such file"),
+        (model, "openmvs", (), "--images is needed for openmvs"),
+        (model, "openmvs", ("--images", tmp_path / "nowhere"), ".jpg cannot be read: No such file"),
+        (model, "openmvs", ("--images", tmp_path / "text"), ".jpg"),
+        (model, "openmvs", ("--images", tmp_path / "small"), "20 x 10 is not its camera's size"),
+        (
+            tmp_path / "outside",
+            "openmvs",
+            ("--images", images),
+            "does not hold the model's ../images/r",
+        ),
+        (model, "bundle", (), "'nerfstudio', 'openmvs', 'tum'"),
+    ):
+        refused = run("export", source, "--to", to, *words, "--out", tmp_path / "o")
+        assert_refused(refused, expected)
+    there = run("export", model, "--to", "tum", "--out", images)
+    assert_refused(there, f"--out {images} is there already")
+    assert contents(tmp_path) == before
