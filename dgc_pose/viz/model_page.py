@@ -36,7 +36,7 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
     points: (N, 3), world; at most 20,000 are shown. colours: (N, 3) uint8, RGB. unit: of length, if
     it is known. Raises ImageError if a photograph cannot be read.
     """
-    axes = mean_axes([*model.poses.values()])[2]
+    axes = mean_axes([*model.poses.values()])
 
     def shown(name: str) -> dict[str, Any]:
         pose, camera = model.poses[name], model.cameras[name]

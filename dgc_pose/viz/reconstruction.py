@@ -56,14 +56,20 @@ def frusta(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The centres and the corners of the images (N, 5, 3) of cam_from_world poses (3, 4), the edges
     1 long, and the axes (3, 3) that they are in, in rows: to the right, up and ahead of the mean
-    camera, by least sum of |R_k - mean|^2. shapes: (2,) as of `SparseModel`."""
+    camera. shapes: (2,) as of `SparseModel`."""
     R, t = np.split(np.stack(poses), [3], axis=2)
-    mean = aligning_rotation(np.tile(np.eye(3), (len(R), 1)), R.transpose(0, 2, 1).reshape(-1, 3))
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.stack(shapes)[:, None] / 2
     rays = np.insert(corners, 2, 1, axis=2)
     rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    centres, axes = -t.transpose(0, 2, 1) @ R, mean * np.array([[1], [-1], [1]])
+    centres, axes = -t.transpose(0, 2, 1) @ R, mean_axes(poses) * np.array([[1], [-1], [1]])
     return np.concatenate([centres, centres + rays @ R], axis=1) @ axes.T, axes
+
+
+def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:
+    """The axes (3, 3) of the mean camera of cam_from_world poses (3, 4), in rows: of least sum of
+    |R_k - axes|^2."""
+    rows = np.stack(poses)[:, :, :3].transpose(0, 2, 1).reshape(-1, 3)
+    return aligning_rotation(np.tile(np.eye(3), (len(poses), 1)), rows)
 
 
 def draw_cameras(
