@@ -82,7 +82,7 @@ def _words(text: str) -> str:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder, "demo.png")
-        outputs = {DEMO: output(f"{DEMO} --plot {drawn}")}
+        outputs = {DEMO: output(f"{DEMO} --plot {drawn} --plot-dpi 120")}
         with Image.open(drawn) as picture:
             # FASTOCTREE keeps the colours of lines.
             colours = picture.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)

@@ -50,7 +50,7 @@ def _draw_place(panel: Axes, model: PosedModel, location: Location) -> None:
     poses, views = [*model.poses.values()], [model.cameras[name] for name in model.poses]
     if pose is not None and location.camera is not None:
         poses, views = [*poses, pose], [*views, location.camera]
-    cameras, axes = frusta(poses, [np.divide(view.size or 1, view.focal) for view in views])
+    cameras, axes = frusta(poses, [2 * view.K[:2, 2] / view.focal for view in views])
     seen = np.concatenate([np.empty((0, 3)), *(xyz for xyz, _ in model.points.values())]) @ axes.T
     names, shades = [*model.poses], np.full((len(seen), 3), 0.7)
     colours = ["gray"] * len(names) + ["tab:blue"] * (len(poses) - len(names))
@@ -67,5 +67,5 @@ def _draw_place(panel: Axes, model: PosedModel, location: Location) -> None:
         ellipse = Ellipse(middle, width, height, angle=angle, color="tab:blue", zorder=3)
         ellipse.set_label("the photograph, and its error")
         panel.add_patch(ellipse)
-    panel.set(title="from above", ylabel="z")
+    panel.set(title="from above", xlabel="x", ylabel="z")
     panel.legend(loc="best", fontsize=8)

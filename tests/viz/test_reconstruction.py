@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
-from multi_view import SIZE, K, render_views
+from multi_view import SIZE, K
+from scipy.spatial.transform import Rotation
 
 from dgc_pose.colmap.reconstruction import SparseModel
 from dgc_pose.viz.figure import save_figure
@@ -15,10 +16,11 @@ from dgc_pose.viz.reconstruction import frusta, plot_reconstruction
 
 
 def a_model(views: int, points: int, name: str = "{}.jpg") -> SparseModel:
-    poses = {
-        name.format(i): np.column_stack([view.R, view.t])
-        for i, view in enumerate(render_views(views))
-    }
+    """Cameras on a quarter of a circle of radius 4 around the points."""
+    poses = {}
+    for i, angle in enumerate(np.linspace(-45, 45, views)):
+        R = Rotation.from_euler("yx", (angle, 10), degrees=True).as_matrix()
+        poses[name.format(i)] = np.c_[R, (0, 0, 4) - R @ (0, 0, 4)]
     cloud = np.random.default_rng(0).normal((0, 0, 4), 1, (points, 3))
     shapes = dict.fromkeys(poses, np.array(SIZE) / K[0, 0])
     return SparseModel(poses, cloud, np.zeros((points, 3), np.uint8), 4.0, 0.5, (), shapes)
