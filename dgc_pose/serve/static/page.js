@@ -14,6 +14,7 @@ let result = null;
 let resultInputs = ""; // those that it is of, see `inputs`
 let pairsKnown = ""; // of the table, see `known`
 let pictures = null; // of both images, and of the map
+let shownImages = 0; // so far; each has a number
 let running = 0; // of the newest request; older answers are ignored
 let drawn = 150; // matches, as chosen; a result may have fewer
 const view = new View(at("view"), at("pointed"));
@@ -50,8 +51,6 @@ function compare() {
   at("result").classList.toggle("stale", inputs() !== resultInputs);
   at("pairs").classList.toggle("stale", known() !== pairsKnown);
 }
-
-let shownImages = 0;
 
 function show(index, image) {
   images[index] = { ...image, number: ++shownImages };
