@@ -12,7 +12,7 @@ from dgc_pose.errors import missing_package
 
 pytestmark = pytest.mark.slow
 
-_PAIR = [str(resources.files("dgc_pose") / "data" / "demo" / f"image{k}.jpg") for k in (1, 2)]
+_PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg") for k in (1, 2)]
 _K = ("--K", "460,460,319.5,239.5")
 _TORCH = "torch, which is not installed: pip install '.[torch]'"
 _CUDA = f"device cuda needs {_TORCH}"

@@ -27,7 +27,7 @@ def _net(name: str) -> DGCNet:
 
 
 def _inputs(net: DGCNet) -> list[Tensor]:
-    folder = resources.files("dgc_pose") / "data" / "demo"
+    folder = resources.files("dgc_pose") / "data" / "rendered"
     device = next(net.parameters()).device
     images = [load_image(str(folder / f"image{number}.jpg")) for number in (1, 2)]
     return [network_input(image.pixels, (INPUT_SIZE, INPUT_SIZE), device) for image in images]

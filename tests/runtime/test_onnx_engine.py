@@ -33,7 +33,7 @@ def engines(request: pytest.FixtureRequest) -> Engines:
 
 @pytest.fixture(scope="module")
 def pictures() -> list[np.ndarray]:
-    folder = resources.files("dgc_pose") / "data" / "demo"
+    folder = resources.files("dgc_pose") / "data" / "rendered"
     return [load_image(str(folder / f"image{number}.jpg")).pixels for number in (1, 2)]
 
 
