@@ -39,10 +39,11 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
     pair = rendered_pair()
     K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:
+        click.echo("two photographs by a phone, K not known:\n")
         photographs = _shown(bundled_photographs(), CameraChoice(k="auto"), matcher, estimation)
         if outputs.plot is not None:
             draw(photographs, stage(outputs.plot), outputs)
-    click.echo("")
+    click.echo("\na rendered pair:\n")
     rendered = _shown((pair.path1, pair.path2), CameraChoice(k1=K1, k2=K2), matcher, estimation)
     if not (photographs.pose.success and rendered.pose.success):
         return NO_POSE
@@ -61,7 +62,7 @@ def _shown(
     Ks = {"--K": cameras.k, "--K1": cameras.k1, "--K2": cameras.k2}
     words = [word for flag, K in Ks.items() if K is not None for word in (flag, K)]
     words = ["dgc-pose", "estimate", *map(str, paths), *words]
-    click.echo(shlex.join([*words, *_chosen(click.get_current_context())]))
+    click.echo(shlex.join([*words, *_chosen(click.get_current_context())]) + "\n")
     click.echo(pose_text(trace.pose, (trace.prior1, trace.prior2)))
     return trace
 

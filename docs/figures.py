@@ -5,7 +5,7 @@
 A line `<!-- output of: dgc-pose COMMAND -->` stands above each block of such output, in README.md
 and docs/*.md; a block that is out of date is replaced, as tests/test_docs.py demands. `words of:`
 stands above those whose numbers are of one machine: with K not known they differ by more than the
-last digits. docs/demo.png is drawn anew.
+last digits. docs/demo.png, the upper part of a plot, is drawn anew.
 """
 
 import re
@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PICTURE = ROOT / "docs" / "demo.png"
 DEMO = "dgc-pose demo"
+TOP = 0.358  # of the plot's height: the headline and the matches
 PALETTE = 256  # colours of the picture: a quarter of the bytes
 RELATIVE, PLACES = 0.01, 2  # between processors: a share, and units of the last place printed
 
@@ -84,8 +85,9 @@ def main() -> None:
         drawn = Path(folder, "demo.png")
         outputs = {DEMO: output(f"{DEMO} --plot {drawn} --plot-dpi 120")}
         with Image.open(drawn) as picture:
+            top = picture.crop((0, 0, picture.width, round(TOP * picture.height)))
             # FASTOCTREE keeps the colours of lines.
-            colours = picture.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
+            colours = top.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
         colours.save(PICTURE, optimize=True)
 
     def run(command: str) -> str:

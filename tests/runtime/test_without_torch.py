@@ -15,7 +15,7 @@ from multi_view import K_text, render_views, write_views
 pytestmark = pytest.mark.slow
 
 _K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
-_PAIR = [str(resources.files("dgc_pose") / "data" / "demo" / f"image{k}.jpg") for k in (1, 2)]
+_PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg") for k in (1, 2)]
 
 
 def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path: Path) -> None:
