@@ -34,7 +34,7 @@ def file_option(help: str, metavar: str, **kind: bool) -> Any:
 
 
 def _number(default: float, help: str, least: float, most: float) -> Any:
-    return option(default, help, metavar="N", section="output", min=least, max=most)
+    return option(default, help, metavar="N", section="advanced", min=least, max=most)
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Outputs:
     json: str | None = file_option("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = file_option("Write the matches and which are inliers.", "PATH.npz")
     plot: str | None = file_option("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
-    plot_width: float = _number(10.0, "Its width, inches: with fewer, text is larger.", 6, 20)
-    plot_dpi: int = _number(200, "Its pixels to an inch.", 50, 600)
+    plot_width: float = _number(10.0, "Width of --plot, inches; text keeps its size.", 6, 20)
+    plot_dpi: int = _number(200, "Pixels to an inch of --plot.", 50, 600)
     ply: str | None = file_option(
         "Write the inliers' points in space, coloured; nothing without a pose.", "PATH.ply"
     )
