@@ -34,7 +34,7 @@ def file_option(help: str, metavar: str, **kind: bool) -> Any:
 
 
 def _number(default: float, help: str, least: float, most: float) -> Any:
-    return option(default, help, metavar="N", section="output", min=least, max=most)
+    return option(default, help, metavar="N", section="advanced", min=least, max=most)
 
 
 @dataclass(frozen=True)
