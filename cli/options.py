@@ -73,7 +73,7 @@ class CameraChoice(KChoice):
 
     k1: str | None = _camera("Camera of image 1; of both without --K2 and --K.", flag="--K1")
     k2: str | None = _camera("Camera of image 2 alone.", flag="--K2")
-    fov: float | None = _camera("Horizontal field of view, in place of K.", metavar="DEGREES")
+    fov: float | None = _camera("Horizontal field of view.", metavar="DEGREES", section="advanced")
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
         """The cameras of both images, checked; without any option as of --K auto. Raises
