@@ -12,16 +12,14 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
-from itertools import chain
 from typing import Any, Generic
 
 import numpy as np
 
-from dgc_pose.benchmarks.methods import Matchers, Method, load_matchers, parse_methods
+from dgc_pose.benchmarks.methods import Matchers, Method
 from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
 from dgc_pose.benchmarks.scores import MapScore, Score
 from dgc_pose.benchmarks.scoring import MatchedPair, epipolar_errors, pair_seed, score
-from dgc_pose.benchmarks.summary import by_method
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -29,19 +27,6 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import CorrespondenceMap, MatchResult, PairSearch, select_matches
 from dgc_pose.pose import pose_of_pair
 from dgc_pose.system.processes import process_pools
-
-
-def score_pairs(
-    pairs: PairSet[Score], methods: Sequence[str], *, device: str = "auto"
-) -> dict[str, list[Score]]:
-    """The records of methods on a data set, of each pair in order, by the method's specification.
-
-    methods: see `parse_methods`. device: of networks. Raises what `Evaluation.run` raises, and
-    InputError or WeightsError for a method that cannot be used.
-    """
-    parsed = parse_methods(methods)
-    evaluation = Evaluation(pairs, parsed, load_matchers(parsed, device=device))
-    return by_method(chain.from_iterable(evaluation.run()))
 
 
 @dataclass(frozen=True)

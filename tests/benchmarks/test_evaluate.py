@@ -15,8 +15,7 @@ from evaluation_pairs import (
     posed_pairs,
 )
 
-from dgc_pose.benchmarks.evaluate import Evaluation, score_pairs
-from dgc_pose.benchmarks.methods import load_matchers, parse_methods
+from dgc_pose.benchmarks.methods import parse_methods
 from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.matching.texture import texture
@@ -47,19 +46,6 @@ def test_a_row_a_pair_and_method_in_order(tmp_path) -> None:
     assert true.true_rotation_deg == pytest.approx(
         np.degrees(np.arccos((np.trace(dense_scene.R) - 1) / 2)), abs=1e-4
     )
-
-
-def test_pairs_are_scored_by_a_call(tmp_path) -> None:
-    """The records are those of an evaluation, by method."""
-    pairs, names = posed_pairs(tmp_path, 2), ["sift:refine=none", "dis"]
-    scores = score_pairs(pairs, names)
-    assert list(scores) == names
-    methods = parse_methods(names)
-    rows = Evaluation(pairs, methods, load_matchers(methods, device="cpu")).run()
-    for name, records in zip(names, zip(*rows, strict=True), strict=True):
-        assert [record.view2 for record in scores[name]] == [2, 3]
-        angles = [record.rotation_error_deg for record in scores[name]]
-        assert angles == [record.rotation_error_deg for record in records]
 
 
 def test_the_epipolar_error_is_that_of_the_map(tmp_path) -> None:
