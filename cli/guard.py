@@ -35,7 +35,7 @@ class NamedPath(click.Path):
 
 
 class OutputFile(click.Path):
-    """The path of a file to write: stdout: or `-`, for stdout; picture: of a picture."""
+    """A file that the command writes. stdout: or `-`, for stdout. picture: in a format of one."""
 
     def __init__(self, *, stdout: bool = False, picture: bool = False) -> None:
         super().__init__()
