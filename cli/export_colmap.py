@@ -63,9 +63,7 @@ def export_colmap(
     with progress_bars() as progress:
         shared, pairs = share(batch, options.per_image, partial(progress, "images"))
     if hloc is not None:
-        hloc.mkdir(parents=True, exist_ok=True)
-    if database is not None:
-        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
-    if hloc is not None:
         write_hloc(hloc, shared)
         click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")
+    if database is not None:
+        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
