@@ -39,12 +39,12 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
     pair = rendered_pair()
     K1, K2 = _numbers(pair.camera1), _numbers(pair.camera2)
     with staged(outputs.plot) as stage:
-        click.echo("two photographs by a phone, K not known:\n")
-        photographs = _shown(bundled_photographs(), CameraChoice(k="auto"), matcher, estimation)
+        heading, cameras = "two photographs by a phone, K not known:\n", CameraChoice(k="auto")
+        photographs = _shown(heading, bundled_photographs(), cameras, matcher, estimation)
         if outputs.plot is not None:
             draw(photographs, stage(outputs.plot), outputs)
-    click.echo("\na rendered pair:\n")
-    rendered = _shown((pair.path1, pair.path2), CameraChoice(k1=K1, k2=K2), matcher, estimation)
+    heading, cameras = "\na rendered pair:\n", CameraChoice(k1=K1, k2=K2)
+    rendered = _shown(heading, (pair.path1, pair.path2), cameras, matcher, estimation)
     if not (photographs.pose.success and rendered.pose.success):
         return NO_POSE
     click.echo("\n" + _beside(rendered.pose, pair))
@@ -52,16 +52,18 @@ def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Output
 
 
 def _shown(
+    heading: str,
     paths: tuple[Path, Path],
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> Trace:
-    """The trace of a pair, printed below the command that does the same."""
+    """The trace of a pair, printed below a heading and the command that does the same."""
     trace = traced(*paths, cameras, matcher, estimation, ScaleSource())
     Ks = {"--K": cameras.k, "--K1": cameras.k1, "--K2": cameras.k2}
     words = [word for flag, K in Ks.items() if K is not None for word in (flag, K)]
     words = ["dgc-pose", "estimate", *map(str, paths), *words]
+    click.echo(heading)
     click.echo(shlex.join([*words, *_chosen(click.get_current_context())]) + "\n")
     click.echo(pose_text(trace.pose, (trace.prior1, trace.prior2)))
     return trace

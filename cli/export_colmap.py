@@ -11,7 +11,7 @@ import click
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.progress import progress_bars
-from dgc_pose.colmap.options import SharingOptions
+from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
 
@@ -40,12 +40,9 @@ def described(exported: Exported) -> str:
     metavar="DIR",
     help="Write features.h5, matches.h5 and pairs.txt there, as hloc's reconstruction reads them.",
 )
-@dataclass_options(SharingOptions, "sharing")
+@dataclass_options(ReconstructionOptions, "options", only=("per_image",))
 def export_colmap(
-    folder: Path,
-    database: str | None,
-    hloc: Path | None,
-    sharing: SharingOptions,
+    folder: Path, database: str | None, hloc: Path | None, options: ReconstructionOptions
 ) -> None:
     """Write the matches and poses of a batch as a COLMAP database.
 
@@ -64,11 +61,9 @@ def export_colmap(
     images = [batch.plan.root / name for name in batch.plan.names]
     require_no_input(written, [*folder.iterdir(), *images])
     with progress_bars() as progress:
-        shared, pairs = share(batch, sharing, partial(progress, "images"))
-    if hloc is not None:
-        hloc.mkdir(parents=True, exist_ok=True)
-    if database is not None:
-        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
+        shared, pairs = share(batch, options.per_image, partial(progress, "images"))
     if hloc is not None:
         write_hloc(hloc, shared)
         click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")
+    if database is not None:
+        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")

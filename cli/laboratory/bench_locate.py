@@ -17,7 +17,7 @@ from dgc_pose.files.tables import aligned
 from dgc_pose.images.folder import search_images
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)
@@ -41,9 +41,6 @@ class LocateBenchOptions:
     json: str | None = option(
         None, "Write the score of each photograph.", metavar="PATH", type=OutputFile()
     )
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @click.command()

@@ -58,7 +58,7 @@ class ReconstructBenchOptions:
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @dataclass_options(ReconstructBenchOptions, "bench")
-@dataclass_options(ReconstructionOptions, "reconstruction", only=("sharing", "mapping"))
+@dataclass_options(ReconstructionOptions, "reconstruction", only=("per_image", "mapping"))
 @dataclass_options(BatchOptions, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(

@@ -26,10 +26,7 @@ class RunChoice:
     """How a data set is worked through."""
 
     workers: int = option(
-        1,
-        "Processes that estimate poses; their number changes no result.",
-        min=1,
-        max=1024,
+        1, "Processes that estimate poses; their number changes no result.", min=1, max=1024
     )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")

@@ -17,11 +17,7 @@ class BatchOptions:
     """How a batch is worked through; none of it changes the result."""
 
     workers: int | None = option(
-        None,
-        "Processes that match; default: one for each core.",
-        metavar="N",
-        min=1,
-        max=1024,
+        None, "Processes that match; default: one for each core.", metavar="N", min=1, max=1024
     )
     memory: float | None = option(
         None,

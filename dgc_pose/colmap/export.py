@@ -9,8 +9,7 @@ import numpy as np
 
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import write_database
-from dgc_pose.colmap.options import SharingOptions
-from dgc_pose.colmap.shared import PairGeometry, SharedMatches, merge_by_cells
+from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
@@ -34,18 +33,17 @@ class Exported:
 
 def share(
     batch: Batch,
-    options: SharingOptions,
+    per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[SharedMatches, list[PairGeometry]]:
-    """The shared key points of a batch, and the pairs that they are of.
+    """The shared key points of a batch, and the pairs that they are of. per_image: most corners of
+    an image.
 
     Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
     pairs = pair_geometries(batch)
     if not pairs:
         raise InputError(f"{batch.folder}: no pair of this batch has a pose")
-    if options.sharing == "cells":
-        return merge_by_cells(pairs, options), pairs
     images: BoundedCache[str, Image] = BoundedCache(
         lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
     )
@@ -54,7 +52,7 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
 
-    return track_corners(pairs, batch.plan.final_cameras, load, options.per_image, progress), pairs
+    return track_corners(pairs, batch.plan.final_cameras, load, per_image, progress), pairs
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:

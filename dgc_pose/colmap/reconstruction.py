@@ -76,7 +76,7 @@ def reconstruct(
     require_model_folder(out / MODEL)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
-        shared, pairs = share(batch, options.sharing, progress)
+        shared, pairs = share(batch, options.per_image, progress)
         exported = write_shared(batch, shared, pairs, out / DATABASE)
         reconstruction = map_database(out / DATABASE, batch.plan.root, mapping)
         metric = to_metres(reconstruction, batch.plan.root, batch.plan.names, options)

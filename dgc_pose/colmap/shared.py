@@ -4,20 +4,16 @@ Matches of a dense matcher lie at fresh places in each pair. A reconstruction ne
 that are seen in three views and more, so the pairs of an image must share key points.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.colmap.options import SharingOptions
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
-from dgc_pose.geometry.neighbours import nearest_to
 
 Names = tuple[str, str]
-
-_KEY_POINTS_PER_IMAGE = 8192  # of merged cells, unless the options have another number
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +93,6 @@ def epipolar_error_px(
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-def pairs_by_image(pairs: Iterable[PairGeometry]) -> dict[str, list[PairGeometry]]:
-    """The pairs of each image, in their order."""
-    pairs_of: dict[str, list[PairGeometry]] = {}
-    for pair in pairs:
-        for name in pair.names:
-            pairs_of.setdefault(name, []).append(pair)
-    return pairs_of
-
-
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Matches among (M, 2) in which no key point occurs twice: the best scored ones, in their
     order."""
@@ -116,41 +103,3 @@ def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
         _, first = np.unique(index[order, side], return_index=True)
         best &= np.isin(np.arange(len(index)), order[first])
     return index[best]
-
-
-def merge_by_cells(pairs: Sequence[PairGeometry], options: SharingOptions) -> SharedMatches:
-    """Key points in cells, and the matches of each pair re-assigned to the nearest ones.
-
-    This needs no images, and moves each match by up to the side of a cell, as hloc does with dense
-    matchers. A cell that more pairs have a match in is preferred to one of fewer, then the better
-    score.
-    """
-    key_points = {
-        name: _best_of_cells(name, its_pairs, options)
-        for name, its_pairs in pairs_by_image(pairs).items()
-    }
-    matches = {}
-    for pair in pairs:
-        distance1, nearest1 = nearest_to(pair.points1, key_points[pair.row.name1])
-        distance2, nearest2 = nearest_to(pair.points2, key_points[pair.row.name2])
-        near = np.maximum(distance1, distance2) <= options.cell
-        if near.any():
-            index = np.column_stack([nearest1, nearest2])[near].astype(np.uint32)
-            matches[pair.names] = one_to_one(index, pair.scores[near])
-    return SharedMatches(key_points, matches)
-
-
-def _best_of_cells(name: str, pairs: Sequence[PairGeometry], options: SharingOptions) -> np.ndarray:
-    """The key points (N, 2) of an image."""
-    points = np.concatenate([p.towards(name)[2] for p in pairs])
-    scores = np.concatenate([p.scores for p in pairs])
-    pair = np.repeat(np.arange(len(pairs)), [len(p.scores) for p in pairs])
-    cells = np.floor((points + 0.5) / options.cell).astype(np.int64)
-    _, cell = np.unique(cells, axis=0, return_inverse=True)
-    cell = cell.ravel()
-    pairs_of_cells = np.unique(np.column_stack([cell, pair]), axis=0)
-    support = np.bincount(pairs_of_cells[:, 0])[cell]
-    order = np.lexsort((-scores, -support))
-    _, first = np.unique(cell[order], return_index=True)
-    best = order[np.sort(first)][: options.per_image or _KEY_POINTS_PER_IMAGE]
-    return points[best]

@@ -21,7 +21,6 @@ from dgc_pose.colmap.shared import (
     SharedMatches,
     epipolar_error_px,
     one_to_one,
-    pairs_by_image,
 )
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image
@@ -29,7 +28,6 @@ from dgc_pose.matches import Matches
 from dgc_pose.refinement.align import locate, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches, consistent
 
-_CORNERS_PER_IMAGE = 1000
 _AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
 # Farthest match that predicts a corner in the other image, as a share of the longer side.
 _MAX_DISTANCE_TO_MATCH = 0.015
@@ -54,20 +52,21 @@ def track_corners(
     pairs: Sequence[PairGeometry],
     cameras: Mapping[str, Camera],
     load: Callable[[str], Image],
-    per_image: int | None = None,
+    per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> SharedMatches:
     """Key points and matches of all images of the pairs.
 
     load: an image by its name; it is called for neighbouring images again and again, and should
-    cache the latest ones. per_image: most corners of an image, evenly spread; None for 1000.
+    cache the latest ones. per_image: most corners of an image, evenly spread.
     """
     builder = _Builder(pairs, cameras)
-    pairs_of = pairs_by_image(pairs)
+    pairs_of: defaultdict[str, list[PairGeometry]] = defaultdict(list)
+    for pair in pairs:
+        for name in pair.names:
+            pairs_of[name].append(pair)
     for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
-        builder.add(
-            name, *_tracks_of(name, its_pairs, cameras, load, per_image or _CORNERS_PER_IMAGE)
-        )
+        builder.add(name, *_tracks_of(name, its_pairs, cameras, load, per_image))
         progress(number, len(pairs_of))
     return builder.result()
 

@@ -9,8 +9,7 @@ from multi_view import render_views
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from dgc_pose.colmap.options import SharingOptions
-from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px, merge_by_cells, one_to_one
+from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px, one_to_one
 
 
 def _tracks(shared: SharedMatches) -> dict[int, int]:
@@ -44,26 +43,6 @@ def test_one_to_one_keeps_the_best() -> None:
     scores = np.array([0.5, 0.9, 0.8, 0.3, 0.4])
     assert one_to_one(index, scores).tolist() == [[0, 1], [3, 2]]
     assert one_to_one(index[:0], scores[:0]).shape == (0, 2)
-
-
-@pytest.mark.parametrize("noise_px", [0.05, 0.3])
-def test_merging_makes_tracks_of_matches_at_fresh_places(noise_px: float) -> None:
-    """Unmerged matches are tracks of two views each; in cells most points are seen by all four."""
-    views = render_views(4)
-    pairs = cloud_pairs([(view.R, view.t) for view in views], count=150, noise_px=noise_px)
-    shared = merge_by_cells(pairs, SharingOptions(cell=2.0))
-    lengths = shared.track_lengths()
-    assert (lengths == 4).sum() > 100
-    cameras = {name: camera() for name in shared.key_points}
-    for pair in pairs:
-        index = shared.pairs[pair.names]
-        assert len(np.unique(index[:, 0])) == len(index) == len(np.unique(index[:, 1]))
-        merged = [shared.key_points[name][index[:, k]] for k, name in enumerate(pair.names)]
-        assert np.median(epipolar_error_px(pair.row, cameras, *merged)) < 2 * noise_px
-        # No match moves farther than it may.
-        for points, moved in zip((pair.points1, pair.points2), merged, strict=True):
-            nearest = np.linalg.norm(points[:, None] - moved, axis=-1).min(0)
-            assert nearest.max() <= 2
 
 
 def test_matches_far_from_the_pose_do_not_fit() -> None:

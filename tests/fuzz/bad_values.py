@@ -9,7 +9,7 @@ from pathlib import Path
 
 import click
 import dense_scene
-from fuzz.readers import make_batch
+from fuzz.readers import make_batch, make_photographs
 from photos import write_photos
 from world_scene import world_scene, write_colmap
 
@@ -33,7 +33,7 @@ _BASES: dict[str, Sequence[str]] = {
     "demo": ("--refine", "none", "--runs", "1"),
     "batch": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
     "reconstruct": ("photos", "--out", "new", "--pairs", "sequential:1", *_BATCH),
-    "export-colmap": ("batch", "--database", "new.db", "--sharing", "cells"),
+    "export-colmap": ("batch", "--database", "new.db"),
     "export": ("model", "--to", "nerfstudio", "--out", "new"),
 }
 
@@ -52,6 +52,7 @@ def make_files(folder: Path) -> None:
     for name in ("dir", "batch", "run"):
         (folder / name).mkdir()
     make_batch(folder / "batch")
+    make_photographs(folder / "batch")
     for name in ("results.csv", "summary.json", "pairs.csv", "checkpoint.pt"):
         (folder / "run" / name).write_text("of another run\n")
     os.mkfifo(folder / "fifo")

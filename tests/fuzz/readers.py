@@ -191,6 +191,12 @@ def make_batch(folder: Path) -> None:
     (folder / "summary.json").write_text(json.dumps(summary))
 
 
+def make_photographs(folder: Path) -> None:
+    """Those of the batch of `make_batch` that can be read."""
+    for name in ("a.png", "b.png"):
+        cv2.imwrite(str(folder / name), _pixels((10, 8)))
+
+
 def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
     """The pairs of a batch that has matched all and has no result."""
     names = ("a.png", "b.png", "c.png")

@@ -10,7 +10,7 @@ import dense_scene
 import numpy as np
 import pytest
 from batch_runs import view_folder
-from fuzz.readers import make_batch
+from fuzz.readers import make_batch, make_photographs
 from multi_view import K_text
 from world_scene import IMAGE, world_scene, write_colmap
 
@@ -20,7 +20,7 @@ from dgc_pose.cli.main import main
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv.pop(1)),) * 2)
 main()
 """
-EXPORT = ("export-colmap", "batch", "--sharing", "cells")
+EXPORT = ("export-colmap", "batch")
 ESTIMATE = ("estimate", "one.png", "two.png", "--K", dense_scene.K_TEXT, "--weights", "sift")
 MVS = ("export", "model", "--to", "openmvs", "--images", "pictures", "--out", "x.mvs")
 BATCH = ("batch", "views", "--out", "out", "--pairs", "exhaustive", "--weights", "sift")
@@ -54,6 +54,7 @@ def test_a_full_disk_is_one_line(
     """SQLite's and HDF5's errors once ended the process, and left files. A batch goes on."""
     (tmp_path / "batch").mkdir()
     make_batch(tmp_path / "batch")
+    make_photographs(tmp_path / "batch")
     dense_scene.write_pictures(tmp_path)
     view_folder(tmp_path / "views", 2)
     scene = world_scene(count=20)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 from command_line import assert_refused, contents, run
-from fuzz.readers import make_batch
+from fuzz.readers import make_batch, make_photographs
 from photos import write_photos
 
 from dgc_pose.files.outputs import only_writer, replaced_folder
 
 RECONSTRUCT = ("reconstruct", "batch", "--out", ".", "--K", "9,9,4,3")
-EXPORT = ("export-colmap", "batch", "--sharing", "cells")
+EXPORT = ("export-colmap", "batch")
 
 
 @pytest.fixture
@@ -20,6 +20,7 @@ def batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     Path("batch").mkdir()
     make_batch(Path("batch"))
+    make_photographs(Path("batch"))
     return tmp_path
 
 
