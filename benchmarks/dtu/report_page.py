@@ -16,8 +16,8 @@ from dgc_pose.benchmarks.scores import MATCHES, DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.scene import picture_url
 from dgc_pose.viz.figure import save_figure
-from dgc_pose.viz.model_page import picture_url
 
 PAGE = "report.html"
 WORST = 10  # pairs of each method that have a picture

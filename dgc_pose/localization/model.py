@@ -47,19 +47,15 @@ class PosedModel:
 
     def centre(self, name: str) -> np.ndarray:
         """Position (3,) of a camera, world."""
-        return centre_of(self.poses[name])
+        pose = self.poses[name]
+        centre: np.ndarray = -pose[:, :3].T @ pose[:, 3]
+        return centre
 
     @property
     def extent(self) -> float:
         """The largest distance of two cameras, in the model's unit."""
         centres = np.stack([self.centre(name) for name in self.poses])
         return float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
-
-
-def centre_of(pose: np.ndarray) -> np.ndarray:
-    """Position (3,) of the camera of cam_from_world (3, 4), world."""
-    centre: np.ndarray = -pose[:, :3].T @ pose[:, 3]
-    return centre
 
 
 def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -> PosedModel:

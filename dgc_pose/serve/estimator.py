@@ -13,10 +13,10 @@ from dgc_pose.images.image import load_image
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.pose import pose_of_pair
+from dgc_pose.scene import picture_url, pose_scene
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.images import StoredImage, shrunk
 from dgc_pose.trace import Trace
-from dgc_pose.viz.model_page import picture_url, pose_scene
 
 SHOWN_MATCHES = 3000  # more would slow the page down
 SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
