@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,20 +20,14 @@ from dgc_pose import (
     Image,
     ImageError,
     InputError,
-    RelativePose,
     estimate_pose,
     estimate_relative_pose,
     load_image,
     load_matcher,
 )
-from dgc_pose.cameras.pair_list import rendered_pair
-from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.options import Effort
-from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchResult, PairSearch
+from dgc_pose.matching import PairSearch
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.pose import pose_of_pair
 
 
 @pytest.fixture(scope="module")
@@ -225,196 +218,6 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
     assert error_90 is not None and rotation_error_deg(pose.R, dense_scene.R) < error_90 < 2
 
 
-class _Stepwise(PairSearch):
-    """The map's matches: every fourth of them by a quick pass, every third by the fine one, every
-    second by the whole, and all by the search for more. Of the mirror image of image 2 every fourth
-    or none."""
-
-    has_quick, of_mirror_image = True, False
-
-    def __init__(self, matcher: _Steps, image1: Image, image2: Image) -> None:
-        super().__init__(matcher, image1, image2)
-        self.steps, self.views = matcher.steps, None
-
-    def every(self, step: str, count: int) -> MatchResult:
-        self.steps.append(step)
-        result = self.matcher._match(*PICTURES)
-        rows = np.arange(len(result.matches)) % count == 0
-        self.result = replace(result, matches=result.matches.subset(rows))
-        return self.result
-
-    def quick(self) -> MatchResult | None:
-        is_mirrored = self.image2 is not PICTURES[1]
-        result = self.every("mirrored" if is_mirrored else "quick", 4)
-        return result if (self.of_mirror_image if is_mirrored else self.has_quick) else None
-
-    def fine(self) -> MatchResult:
-        return self.every("fine", 3)
-
-    def whole(self) -> MatchResult:
-        return self.every("match", 2)
-
-    def more(self, hypotheses: Any) -> MatchResult:
-        self.views = hypotheses
-        return self.every("more", 1)
-
-
-class _Steps(dense_scene.MapMatcher):
-    """The matcher of such searches, and the steps that they did."""
-
-    def __init__(self) -> None:
-        super().__init__(dense_scene.true_map(error_px=0.2))
-        self.steps: list[str] = []
-
-    def search(self, image1: Image, image2: Image) -> _Stepwise:
-        return _Stepwise(self, image1, image2)
-
-
-PICTURES = tuple(map(load_image, dense_scene.pictures()))
-EXACT = Camera(dense_scene.K, dense_scene.SIZE)
-OPTIONS = EstimationOptions(runs=1)
-
-
-def _with(monkeypatch: pytest.MonkeyPatch, *answers: Mapping[str, Any]) -> list[Matches]:
-    """Poses in turn with these values in place of their own, the last for all further ones. The
-    list fills with the matches that each is estimated from."""
-    estimated: list[Matches] = []
-
-    def estimate(matches: Matches, *arguments: Any, **options: Any) -> RelativePose:
-        pose = estimate_pose(matches, *arguments, **options)
-        estimated.append(matches)
-        return replace(pose, **answers[min(len(estimated), len(answers)) - 1])
-
-    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
-    return estimated
-
-
-def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
-    total = None if probability is None else probability + others
-    return {"probability": probability, "any_probability": total}
-
-
-def _of_share(share: float) -> Hypothesis:
-    inliers, in_front = np.ones((2, 9), dtype=bool)
-    return Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers, in_front, share=share)
-
-
-CERTAIN = _doubt(0.995)
-ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
-LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
-SEARCHED = ["mirrored", "more"]
-
-
-@pytest.mark.parametrize(
-    ("effort", "answers", "steps"),
-    [
-        ("auto", [CERTAIN], ["quick"]),
-        ("auto", [_doubt(0.9), CERTAIN], ["quick", "match"]),
-        ("auto", [LOOSE], ["quick", "fine"]),  # certain, but not accurate
-        ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["quick", "fine", "match"]),
-        ("auto", [LOOSER], ["quick", "fine", *SEARCHED[1:]]),
-        ("auto", [_doubt(None)], ["quick", "match", "mirrored"]),
-        ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
-        ("auto", [_doubt(0.0, 0.9)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED[1:]]),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["quick", "match"]),
-        ("auto", [_doubt(0.8)], ["quick", "match", *SEARCHED[1:]]),
-        ("auto", [_doubt(0.5, 0.495)], ["quick", "match", "mirrored"]),
-        ("auto", [_doubt(0.001)], ["quick", "match", "mirrored"]),  # hopeless
-        ("fast", [_doubt(0.5)], ["quick", "mirrored"]),
-        ("fast", [LOOSE], ["quick"]),
-        ("thorough", [CERTAIN], ["match"]),
-        ("thorough", [LOOSE, CERTAIN], ["match", *SEARCHED[1:]]),
-        ("thorough", [_doubt(0.5)], ["match", *SEARCHED]),
-    ],
-)
-def test_steps_are_done_as_long_as_they_may_change_the_answer(
-    monkeypatch: pytest.MonkeyPatch, effort: Effort, answers: Any, steps: list[str]
-) -> None:
-    estimated = _with(monkeypatch, *answers)
-    search = _Steps().search(*PICTURES)
-    pose = pose_of_pair(search, EXACT, EXACT, replace(OPTIONS, effort=effort))
-    poses = [step for step in steps if step != "mirrored"]
-    assert search.steps == steps and list(pose.seconds) == [*poses, "estimate"]
-    last = search.last.matches
-    assert len(estimated) == len(poses)
-    assert last is estimated[-1] and len(pose.inliers) == len(last)
-    expected = {"quick": 4, "fine": 3, "match": 2, "more": 1}[poses[-1]]
-    assert len(last) == -(-len(search.matcher._match(*PICTURES).matches) // expected)
-
-
-def test_a_quick_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rendered scene whose matches tell the focal length."""
-    wrong = Camera(np.diag([1.15, 1.15, 1]) @ dense_scene.K, dense_scene.SIZE)
-    for camera, steps in ((EXACT, ["quick"]), (wrong, ["quick", "fine"])):
-        _with(monkeypatch, CERTAIN)
-        search = _Steps().search(*PICTURES)
-        pose_of_pair(search, camera, camera, OPTIONS)
-        assert search.steps[:2] == steps
-
-
-@pytest.mark.parametrize("uncertain", [1, 2])
-def test_focal_lengths_that_are_not_known_need_all_the_matches(
-    monkeypatch: pytest.MonkeyPatch, uncertain: int
-) -> None:
-    _with(monkeypatch, _doubt(0.5))
-    cameras = [replace(EXACT, focal_std=0.02 if n + 1 == uncertain else 0.0) for n in range(2)]
-    search = _Steps().search(*PICTURES)
-    pose_of_pair(search, *cameras, OPTIONS)
-    assert search.steps == ["match", "mirrored"]
-
-
-@pytest.mark.parametrize(("answer", "status"), [(_doubt(0.96), "mirrored"), (_doubt(0.9), "ok")])
-def test_a_likely_pose_of_the_mirror_image_ends_the_search(
-    monkeypatch: pytest.MonkeyPatch, answer: Mapping[str, Any], status: str
-) -> None:
-    monkeypatch.setattr(_Stepwise, "of_mirror_image", True)
-    estimated = _with(monkeypatch, _doubt(0.5), _doubt(0.5), answer)
-    search = _Steps().search(*PICTURES)
-    pose = pose_of_pair(search, EXACT, EXACT, OPTIONS)
-    steps, last = ["quick", "match", "mirrored"], search.last
-    assert search.steps == (steps if status == "mirrored" else [*steps, "more"])
-    assert pose.status == status and len(pose.inliers) == len(last.matches)
-    if status == "mirrored":
-        assert last.matches is estimated[1] and not pose.success and "mirror image" in pose.reason
-        assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
-
-
-def test_a_mirrored_photograph_is_recognised() -> None:
-    """The bundled pair: the second image as selfie cameras store it."""
-    pair = rendered_pair()
-    second = load_image(pair.path2)
-    K2 = pair.camera2.K.copy()
-    K2[0, 2] = second.size[0] - 1 - K2[0, 2]
-    mirrored = np.ascontiguousarray(second.pixels[:, ::-1])
-    pose = estimate_relative_pose(pair.path1, mirrored, pair.camera1, K2)
-    assert pose.status == "mirrored", pose
-
-
-@pytest.mark.parametrize("effort", ["fast", "auto"])
-def test_a_quick_pass_without_an_answer_is_followed_by_the_whole(
-    monkeypatch: pytest.MonkeyPatch, effort: Effort
-) -> None:
-    estimated = _with(monkeypatch, CERTAIN)
-    search = _Steps().search(*PICTURES)
-    search.has_quick = False
-    pose = pose_of_pair(search, EXACT, EXACT, replace(OPTIONS, effort=effort))
-    assert search.steps == ["quick", "match"] and len(estimated) == 1
-    assert list(pose.seconds) == ["match", "estimate"]
-
-
-def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
-    _with(monkeypatch, _doubt(0.5))
-    search = _Steps().search(*PICTURES)
-    before = estimate_pose(search.every("before", 2).matches, EXACT, EXACT, OPTIONS)
-    pose_of_pair(search, EXACT, EXACT, OPTIONS)
-    assert len(search.views) == len(before.hypotheses) > 0
-    for views, hypothesis in zip(search.views, before.hypotheses, strict=True):
-        assert (views.camera1, views.camera2) == (EXACT, EXACT)
-        np.testing.assert_allclose(views.R, hypothesis.R, atol=0.01)
-        np.testing.assert_allclose(views.t, hypothesis.t, atol=0.05)
-
-
 @pytest.mark.parametrize("kind", ["planar", "rotation_only"])
 def test_verdicts_on_rendered_scenes(kind: Literal["planar", "rotation_only"]) -> None:
     size = (640, 480)
@@ -443,7 +246,7 @@ SIFT = SiftMatcher()
         (lambda: estimate_relative_pose("missing.png", IMAGE, K), "missing.png"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, np.eye(2), matcher=SIFT), "K1"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, K, 5 * K, matcher=SIFT), "K2"),
-        (lambda: estimate_pose(IMAGE, EXACT, EXACT), "matches"),
+        (lambda: estimate_pose(IMAGE, Camera(K), Camera(K)), "matches"),
         (lambda: load_matcher(5), "name"),
         (lambda: load_matcher("sift", matching={}), "matching"),
         (lambda: load_matcher("sift", device=0), "device"),
