@@ -1,21 +1,17 @@
-"""Cameras with their photographs, and points, as the values of JSON that a page draws."""
+"""Cameras and points as the values of JSON that a page draws."""
 
-import base64
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
-import cv2
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.neighbours import nearest
-from dgc_pose.images.image import Image, resize_by
 from dgc_pose.trace import Trace
 
 _MOST = 3000  # points of a pair: more would slow a page down
 _NEAR = 0.97  # of the points' distances that are shown: the farthest would shrink all others
-_SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and of its JPEG
 _DEPTHS = 0.1, 0.18  # of a camera's pyramid, over the median distance of the points
 
 
@@ -24,22 +20,20 @@ def pose_scene(trace: Trace) -> dict[str, Any]:
     if trace.pose.R is None or trace.pose.t is None:
         raise InputError(ArgumentName("trace"), f"has no R and t: {trace.pose.reason}")
     pose = np.column_stack([trace.pose.R, trace.pose.t])
-    first = scene_camera("1", trace.camera1.K, trace.image1, np.eye(3, 4))
-    second = scene_camera("2", trace.camera2.K, trace.image2, pose)
+    first = scene_camera("1", trace.camera1.K, trace.image1.size, np.eye(3, 4))
+    second = scene_camera("2", trace.camera2.K, trace.image2.size, pose)
     return scene_of([first, second], trace.points3d, trace.colours, _MOST)
 
 
-def scene_camera(label: str, K: np.ndarray, image: Image, pose: np.ndarray) -> dict[str, Any]:
+def scene_camera(
+    label: str, K: np.ndarray, size: tuple[int, int], pose: np.ndarray
+) -> dict[str, Any]:
     """A camera: its centre and, at a depth of 1, the corners of its view from the top left on."""
-    width, height = image.size
+    width, height = size
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
     rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
-    small = resize_by(image.pixels, min(1.0, _SIDE / max(image.size)))
-    return {
-        "label": label,
-        "corners": np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3],
-        "photograph": picture_url(small, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _QUALITY),
-    }
+    corners = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
+    return {"label": label, "corners": corners}
 
 
 def scene_of(
@@ -60,11 +54,3 @@ def scene_of(
         camera["corners"] = corners.round(digits).tolist()
     xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
     return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}
-
-
-def picture_url(pixels: np.ndarray, kind: Literal["jpeg", "webp"], *settings: int) -> str:
-    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as text that a page shows."""
-    order = [2, 1, 0, 3][: pixels.shape[2]]
-    done, data = cv2.imencode(f".{kind}", np.ascontiguousarray(pixels[..., order]), list(settings))
-    assert done
-    return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode()}"

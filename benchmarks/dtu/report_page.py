@@ -16,7 +16,7 @@ from dgc_pose.benchmarks.scores import MATCHES, DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.scene import picture_url
+from dgc_pose.images.image import picture_url
 from dgc_pose.viz.figure import save_figure
 
 PAGE = "report.html"

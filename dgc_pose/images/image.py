@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
@@ -291,3 +292,11 @@ def resize_by(pixels: np.ndarray, scale: float) -> np.ndarray:
     """As `resize`, by one factor for both axes; the sides are rounded, and at least 1 pixel."""
     height, width = pixels.shape[:2]
     return resize(pixels, (max(1, round(width * scale)), max(1, round(height * scale))))
+
+
+def picture_url(pixels: np.ndarray, kind: Literal["jpeg", "webp"], *settings: int) -> str:
+    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as text that a page shows."""
+    order = [2, 1, 0, 3][: pixels.shape[2]]
+    done, data = cv2.imencode(f".{kind}", np.ascontiguousarray(pixels[..., order]), list(settings))
+    assert done
+    return f"data:image/{kind};base64,{base64.b64encode(data.tobytes()).decode()}"

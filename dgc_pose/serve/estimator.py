@@ -9,11 +9,11 @@ import numpy as np
 
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.epipolar import fundamental_from_essential
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import load_image, picture_url
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
 from dgc_pose.pose import pose_of_pair
-from dgc_pose.scene import picture_url, pose_scene
+from dgc_pose.scene import pose_scene
 from dgc_pose.serve.cameras import CameraRequest, command, python_text
 from dgc_pose.serve.images import StoredImage, shrunk
 from dgc_pose.trace import Trace

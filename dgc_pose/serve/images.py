@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.images.image import image_size, load_image, resize_by
-from dgc_pose.scene import picture_url
+from dgc_pose.images.image import image_size, load_image, picture_url, resize_by
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
 

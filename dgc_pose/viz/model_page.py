@@ -7,10 +7,11 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from dgc_pose.errors import printable
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.scene import pose_scene, scene_camera, scene_of
 from dgc_pose.system.threads import in_threads
@@ -19,6 +20,7 @@ from dgc_pose.viz.reconstruction import mean_axes
 
 _FILES = resources.files("dgc_pose")
 _PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here
+_SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and of its JPEG
 _MOST = 20_000  # points: more would slow a page down
 
 
@@ -35,7 +37,7 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
         pose, camera = model.poses[name], model.cameras[name]
         image = load_image(model.root / name).oriented(camera.orientation)
         turned = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
-        return scene_camera(Path(name).stem, camera.K, image, turned)
+        return _pictured(scene_camera(Path(name).stem, camera.K, image.size, turned), image)
 
     scene = scene_of(in_threads(shown, sorted(model.poses)), points @ axes.T, colours, _MOST)
     facts = f"{len(model.poses)} cameras, {len(points)} points"
@@ -46,8 +48,16 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
 def pose_page(trace: Trace) -> str:
     """The same of a pair: both cameras, and the inliers in camera 1's axes. Raises InputError
     without R and t."""
-    names = " and ".join(Path(image.name).name for image in (trace.image1, trace.image2))
-    return _page(names, f"{trace.pose.num_inliers} inliers", pose_scene(trace))
+    scene, images = pose_scene(trace), (trace.image1, trace.image2)
+    scene["cameras"] = [*map(_pictured, scene["cameras"], images)]
+    names = " and ".join(Path(image.name).name for image in images)
+    return _page(names, f"{trace.pose.num_inliers} inliers", scene)
+
+
+def _pictured(camera: dict[str, Any], image: Image) -> dict[str, Any]:
+    """A camera of a scene with its photograph."""
+    small = resize_by(image.pixels, min(1.0, _SIDE / max(image.size)))
+    return camera | {"photograph": picture_url(small, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _QUALITY)}
 
 
 def _page(title: str, facts: str, scene: dict[str, Any]) -> str:
