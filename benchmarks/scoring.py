@@ -17,7 +17,6 @@ from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error
 
 # How a warning of a K that may be wrong begins
 _DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
-_OF_POSE = ("status", "success", "num_matches", "num_inliers", "inlier_ratio")
 _SAMPLE = 60  # matches of each pair and method, for the pictures of a report
 
 
@@ -59,7 +58,11 @@ def score(pair: MatchedPair[Score]) -> Score:
         "method": pair.method,
         "true_rotation_deg": rotation_error_deg(truth.R, np.eye(3)),
         "true_baseline_mm": float(np.linalg.norm(truth.t)),
-        **{name: getattr(pose, name) for name in _OF_POSE},
+        "status": pose.status,
+        "success": pose.success,
+        "num_matches": pose.num_matches,
+        "num_inliers": pose.num_inliers,
+        "inlier_ratio": pose.inlier_ratio,
         "rotation_error_deg": rotation,
         "translation_error_deg": translation,
         "translation_folded_deg": folded(translation),

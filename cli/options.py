@@ -46,14 +46,16 @@ class KChoice:
         "camera took all, auto:two: each has its own).",
         flag="--K",
     )
-    k_size: tuple[int, int] | None = _camera(
+    k_size: tuple[int, int] | None = option(
+        None,
         "Size of the images that K is for: K is scaled.",
         flag="--K-size",
         metavar="WxH",
         parse=parse_size,
         section="advanced",
     )
-    k_std: tuple[float, float] | None = _camera(
+    k_std: tuple[float, float] | None = option(
+        None,
         "Standard deviation of f, relative, and centre, px.",
         flag="--K-std",
         metavar="F[,C]",

@@ -136,8 +136,8 @@ def estimate_relative_pose(
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
     check_type(matcher, Matcher | str | Path | None, "matcher")
-    if not isinstance(matcher, Matcher):
-        matcher = load_matcher(DEFAULT_WEIGHTS if matcher is None else matcher)
+    matcher = DEFAULT_WEIGHTS if matcher is None else matcher
+    matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
     scale = ScaleSource() if scale is None else scale
     check_type(scale, ScaleSource, "scale")
     maps = scale.maps((first, second), (prior1, prior2))

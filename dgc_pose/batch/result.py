@@ -44,11 +44,16 @@ class Batch:
                 yield row, read_matches(file, group_name(row.name1, row.name2))
 
 
+def is_finished(out: Path) -> bool:
+    """Whether the folder has a result; not whether it is whole."""
+    return (out / SUMMARY).is_file()
+
+
 def read_batch(out: Path) -> Batch:
     """The result of a finished batch. Raises InputError, with the path, if it is not finished, or
     a file of it is broken."""
     plan = read_plan(out)
-    if not (out / SUMMARY).is_file():
+    if not is_finished(out):
         raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
     rows = list(read_rows(out / PAIRS))
     if len(rows) != len(plan.pairs):

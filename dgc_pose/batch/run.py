@@ -16,7 +16,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
-from dgc_pose.batch.result import SUMMARY, Batch, read_batch, summary_of, write_pairs
+from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import FAILED, PairRow
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
@@ -88,7 +88,7 @@ def run_batch(
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
             plan = continued(before, plan, out)
-            if (out / SUMMARY).is_file() and plan.same_files(plan.names, before.states):
+            if is_finished(out) and plan.same_files(plan.names, before.states):
                 result = read_batch(out)
                 if all(row.status != FAILED for row in result.rows):
                     return result
