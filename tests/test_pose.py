@@ -99,6 +99,28 @@ def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> Non
         estimate_relative_pose(*images, pair.K1, pair.K2, matcher=SiftMatcher(), mask2=masks[0])
 
 
+def test_a_picture_under_alpha_0_takes_no_part(pair: RenderedPair, tmp_path: Path) -> None:
+    """Both images have the same picture at the same place, which has most of the matches where it
+    is seen; as files and as arrays."""
+    still = np.random.default_rng(0).integers(0, 256, (60, 90, 3), np.uint8)
+    still = cv2.resize(still, (360, 240), interpolation=cv2.INTER_CUBIC)
+    sources: list[tuple[np.ndarray | Path, ...]] = [(), (), ()]
+    for name, image in (("1.png", pair.image1), ("2.webp", pair.image2)):
+        image = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
+        image[100:340, 60:420] = np.dstack([still, np.zeros(still.shape[:2], np.uint8)])
+        PIL.Image.fromarray(image).save(tmp_path / name, lossless=True, exact=True)
+        for kind, source in enumerate((image[:, :, :3], image, tmp_path / name)):
+            sources[kind] += (source,)
+    under = []
+    for images in sources:
+        trace = estimate_relative_pose(*images, pair.K1, pair.K2, matcher=SiftMatcher(), trace=True)
+        x, y = trace.matches.points1.T
+        under.append(np.mean((x > 59.5) & (x < 419.5) & (y > 99.5) & (y < 339.5)))
+    assert under[0] > 0.5 and under[1:] == [0, 0]
+    assert trace.pose.success and rotation_error_deg(trace.pose.R, pair.R) < 0.5
+    assert translation_error_deg(trace.pose.t, pair.t) < 3
+
+
 def test_a_mask_is_turned_and_mirrored_with_its_image(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

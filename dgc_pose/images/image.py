@@ -107,15 +107,17 @@ def load_image(
     torch tensor of such a shape, of (1, H, W), (3, H, W) or (4, H, W), or of a batch of one image.
     An `Image` is returned as it is. `name` is the argument's name in errors about arrays.
 
-    Grey is repeated, alpha is dropped. 8-bit values stay, floats within [0, 1] are multiplied by
-    255, and all others (16 bit, 12 bit in 16, other floats) are rescaled from the minimum and
-    maximum of the image, over all colours together, to 0 and 255.
+    Grey is repeated. Where alpha is 0, the `mask` is False, and the pixels get the mean colour of
+    the others. 8-bit values stay, floats within [0, 1] are multiplied by 255, and all others (16
+    bit, 12 bit in 16, other floats) are rescaled from the minimum and maximum of the image, over
+    all colours together, to 0 and 255.
 
     Files give their pixels as stored; `upright` applies an EXIF orientation. HEIC has a rotation of
     its own, which is part of decoding.
 
     Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt or
-    too large; InputError, with `name`, if an array has the wrong shape, is empty or not finite.
+    too large; InputError, with `name`, if an array has the wrong shape, is empty or not finite;
+    these too if alpha is 0 everywhere.
     """
     if isinstance(source, str | os.PathLike):
         source = _read_file(Path(source))
@@ -127,7 +129,7 @@ def load_image(
             array = array[0]
         if array.ndim == 3 and array.shape[0] in (1, 3, 4):
             array = np.moveaxis(array, 0, 2)
-    return Image(_to_rgb8(array, name), name)
+    return _of_array(array, name)
 
 
 def _read_file(path: Path) -> Image:
@@ -135,12 +137,11 @@ def _read_file(path: Path) -> Image:
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array, header = _decoded(path, cv2.IMREAD_UNCHANGED)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
-            rgb = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
-        else:
-            if array.ndim == 3 and array.shape[2] >= 3:
-                array = array[:, :, [2, 1, 0]]  # OpenCV stores BGR(A)
-            rgb = _to_rgb8(array, str(path))
-        return Image(rgb, str(path), exif=header.exif, orientation=header.orientation)
+            array = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
+        elif array.ndim == 3 and array.shape[2] >= 3:
+            array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
+        image = _of_array(array, str(path))
+        return replace(image, exif=header.exif, orientation=header.orientation)
 
 
 def upright_header(image: Image | Header) -> Header:
@@ -207,11 +208,11 @@ def _checked_header(header: Header, path: Path) -> Header:
 
 
 def _decoded(path: Path, flags: int) -> tuple[np.ndarray, Header]:
-    """Pixels in the order BGR. Of HEIC 8-bit colours without alpha, whatever the flags."""
+    """Pixels in the order BGR. Of HEIC 8-bit colours, whatever the flags."""
     data = read_bytes(path, MAX_BYTES, ImageError)
     header = _complete_header(data, path)
     if header.format == "HEIF":
-        return _decoded_heif(data, path), header
+        return _decoded_heif(data, path, alpha=flags == cv2.IMREAD_UNCHANGED), header
     try:
         with quiet():
             array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
@@ -224,13 +225,15 @@ def _decoded(path: Path, flags: int) -> tuple[np.ndarray, Header]:
     return array, header
 
 
-def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
+def _decoded_heif(data: bytes, path: Path, *, alpha: bool) -> np.ndarray:
     import pillow_heif
 
     with read_as("HEIC", path, ImageError):
         image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
         array = np.asarray(image)
-    return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR) if array.ndim == 2 else array[:, :, :3].copy()
+    if array.ndim == 2:
+        return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR)
+    return array[:, :, : 4 if alpha else 3].copy()
 
 
 def _complete_header(data: bytes, path: Path) -> Header:
@@ -247,17 +250,32 @@ def _complete_header(data: bytes, path: Path) -> Header:
     return _checked_header(header, path)
 
 
-def _to_rgb8(array: np.ndarray, name: str) -> np.ndarray:
+def _of_array(array: np.ndarray, name: str) -> Image:
+    """The image of an array (H, W), or (H, W, C) of grey, RGB or RGBA."""
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
         raise InputError(
             f"{name} must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
         )
-    array = _to_8_bit(array[:, :, :3], name)  # without alpha, which has its own range
-    if array.shape[2] == 1:
-        array = np.repeat(array, 3, axis=2)
-    return np.ascontiguousarray(array)
+    colours, used = array[:, :, :3], None
+    if array.shape[2] == 4 and not (array[:, :, 3] != 0).all():
+        used = array[:, :, 3] != 0
+        if not used.any():
+            raise InputError(f"{name} has alpha 0 everywhere, which leaves no pixel of it")
+        colours = filled(colours, used)
+    colours = _to_8_bit(colours, name)
+    if colours.shape[2] == 1:
+        colours = np.repeat(colours, 3, axis=2)
+    return Image(np.ascontiguousarray(colours), name, mask=used)
+
+
+def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
+    """A copy of pixels (H, W, C) with the mean colour of those that are `used` (H, W) at all
+    others, or the network would match what is there."""
+    pixels = pixels.copy()
+    pixels[~used] = pixels[used].mean(0, dtype=np.float64)
+    return pixels
 
 
 def _to_8_bit(array: np.ndarray, name: str) -> np.ndarray:

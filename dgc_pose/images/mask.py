@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
-from dgc_pose.images.image import Image, read_pixels
+from dgc_pose.images.image import Image, filled, read_pixels
 
 _SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask is scaled
 
@@ -20,9 +20,10 @@ _SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mas
 def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") -> Image:
     """The image with a mask of its pixels as stored; without one, None, the image as it is.
 
-    source: a path, or an array (H, W), or (H, W, C) of colours. Pixels that are 0, False or black
-    are not matched, and get the mean colour of the others. A mask of another size is scaled to that
-    of the image. name: of the argument in errors, which have the path without it.
+    source: a path, or an array (H, W), or (H, W, C) of colours, of which the second or fourth is
+    alpha. Pixels that are 0, False, black or of alpha 0 are not matched, nor are those that the
+    image's own mask leaves out; they get the mean colour of the others. A mask of another size is
+    scaled to that of the image. name: of the argument in errors, which have the path without it.
 
     Raises ImageError, with the path, if a file cannot be read; InputError, with `name`, if an array
     has another shape, if the mask has another aspect ratio than the image, and if it leaves no
@@ -34,18 +35,20 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
     array = read_pixels(source) if isinstance(source, str | Path) else as_numpy(source, name)
     if array.ndim not in (2, 3) or array.size == 0:
         raise InputError(argument, f"must have shape (H, W), not {array.shape}")
-    used = array != 0 if array.ndim == 2 else (array[:, :, :3] != 0).any(2)  # without alpha
+    array = array[:, :, None] if array.ndim == 2 else array
+    colours = 2 * ((array.shape[2] - 1) // 2) + 1  # 1 of 2 and 3 of 4, the last being alpha
+    used = (array[:, :, :colours] != 0).any(2) & (array[:, :, colours:] != 0).all(2)
     (height, width), (columns, rows) = used.shape, image.size
     if abs(width * rows / (height * columns) - 1) > _SAME_SHAPE:
         raise InputError(argument, f"is {width} x {height} and the image {columns} x {rows}")
     if (width, height) != image.size:
         nearest = cv2.INTER_NEAREST_EXACT  # by the half-pixel rule
         used = cv2.resize(used.astype(np.uint8), image.size, interpolation=nearest).astype(bool)
+    if image.mask is not None:
+        used &= image.mask
     if not used.any():
         raise InputError(argument, "leaves no pixel of the image")
-    pixels = image.pixels.copy()
-    pixels[~used] = pixels[used].mean(0)  # or the network would match what is masked
-    return replace(image, pixels=pixels, mask=used)
+    return replace(image, pixels=filled(image.pixels, used), mask=used)
 
 
 def mask_file(folder: str | Path | None, name: str) -> Path | None:

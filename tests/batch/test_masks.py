@@ -46,6 +46,25 @@ def test_masked_pixels_are_not_matched(batch: Batch) -> None:
     assert min(unmasked) < MIDDLE - 5
 
 
+def test_pixels_of_alpha_0_are_not_matched(photos: Path, tmp_path: Path) -> None:
+    """Of photographs whose left is under alpha 0; and one has a mask of its own."""
+    for name in NAMES:
+        pixels = cv2.imread(str(photos / name))
+        alpha = np.full(pixels.shape[:2], 255, np.uint8)
+        alpha[:, : round(0.3 * SIZE[0])] = 0
+        cv2.imwrite(str(photos / name), np.dstack([pixels, alpha]))
+    write_masks(tmp_path / "masks", NAMES[:1])
+    batch = run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
+    least = dict.fromkeys(NAMES, np.inf)
+    for row, matches in batch.matches():
+        for name, points in ((row.name1, matches.points1), (row.name2, matches.points2)):
+            least[name] = min(least[name], points[:, 0].min())
+    assert least[NAMES[0]] >= MIDDLE
+    assert all(0.3 * SIZE[0] - 1 < least[name] < MIDDLE for name in NAMES[1:])
+    points = share(batch, 1000)[0].key_points.values()
+    assert len(points) == 3 and min(p[:, 0].min() for p in points) >= 0.3 * SIZE[0] - 1
+
+
 def test_no_key_point_of_a_reconstruction_is_masked(batch: Batch) -> None:
     shared, _ = share(batch, 1000)
     for name in NAMES[:2]:

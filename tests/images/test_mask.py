@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.images.image import Image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
 
 USED = np.random.default_rng(0).random((40, 60)) < 0.6
@@ -51,6 +51,29 @@ def test_arrays_and_tensors_are_masks() -> None:
     for source in sources:
         assert np.array_equal(_mask(source), USED)
     assert masked(IMAGE, None) is IMAGE
+
+
+def test_alpha_0_is_ignored_in_masks(tmp_path: Path) -> None:
+    """White under alpha 0, black under another, grey and colours."""
+    white, alpha = np.full((40, 60, 1), 255, np.uint8), USED[..., None] * np.uint8(9)
+    for channels in ([white, alpha], [white, white, white, alpha]):
+        assert np.array_equal(_mask(np.dstack(channels)), USED)
+        path = tmp_path / "alpha.png"
+        PIL.Image.fromarray(np.dstack(channels)).save(path)
+        assert np.array_equal(_mask(path), USED)
+    black = white * (np.arange(60) < 30)[:, None].astype(np.uint8)
+    both = np.dstack([black, black, black, alpha])
+    assert np.array_equal(_mask(both), USED & (np.arange(60) < 30))
+
+
+def test_a_mask_is_joined_with_that_of_the_image() -> None:
+    left = np.broadcast_to(np.arange(60) < 30, (40, 60))
+    image = masked(load_image(np.dstack([IMAGE.pixels, 255 * USED])), left)
+    assert image.mask is not None and np.array_equal(image.mask, USED & left)
+    mean = IMAGE.pixels[USED & left].mean(0)
+    assert np.abs(image.pixels[~image.mask] - mean).max() < 1
+    with pytest.raises(InputError, match="mask1 leaves no pixel of the image"):
+        masked(image, ~left, "mask1")
 
 
 def test_a_mask_of_another_size_is_scaled() -> None:
