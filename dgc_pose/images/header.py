@@ -1,4 +1,4 @@
-"""The header of an encoded image: format, size and EXIF data, without decoding a pixel.
+"""The header of an encoded image, without decoding a pixel: format, size, camera, pixels' shape.
 
 A file has the format of its first bytes, whatever its name. Pillow reads the headers, OpenCV the
 pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory for what a header
@@ -37,6 +37,7 @@ _FORMATS = {
     }.items()
 }
 _KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  # tags of TIFF
+_X_RESOLUTION, _Y_RESOLUTION = 282, 283
 MAKE, MODEL, EXIF_DIRECTORY, _GPS_DIRECTORY = 271, 272, 34665, 34853
 FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 37386, 40962, 40963
 _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
@@ -46,6 +47,9 @@ EXCHANGING = range(5, 9)  # orientations that exchange width and height
 _MAX_ZOOM = 200.0
 _MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
 _MAX_TEXT = 80  # characters of a name
+_PIXEL_ASPECTS = (0.25, 4.0)  # plausible ones
+# Of Google's XMP of panoramas, as an attribute or an element.
+_PROJECTION = re.compile(rb"GPano:ProjectionType[\s=\"'>]+((?i:equirectangular|cylindrical))")
 
 
 class UnreadableFormatError(ValueError):
@@ -70,12 +74,14 @@ class Exif:
 
 @dataclass(frozen=True)
 class Header:
-    """Format, size and EXIF data of an encoded image."""
+    """What the header of an encoded image says."""
 
     format: str  # a key of `_FORMATS`
     size: tuple[int, int]  # (width, height) as it is decoded
     orientation: int = 1  # by EXIF, 1 to 8; 1 is upright. HEIF's own rotation is part of decoding
     exif: Exif = Exif()
+    pixel_aspect: float = 1.0  # width of a pixel as it is decoded over its height; 1 if not stated
+    projection: str = ""  # "equirectangular" or "cylindrical", of a panorama by XMP; else ""
 
 
 def image_format(start: bytes) -> str:
@@ -113,8 +119,11 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
             tags = _tiff_tags(data)
             if not complete and {EXIF_DIRECTORY, _GPS_DIRECTORY, MAKE, MODEL}.intersection(tags):
                 raise ValueError("the EXIF data may lie behind the start")
-            size = (int(tags[_WIDTH]), int(tags[_HEIGHT]))
-            return Header(name, size, _known(tags.get(_ORIENTATION, 1)), _tiff_exif(data, tags))
+            size, orientation = (int(tags[_WIDTH]), int(tags[_HEIGHT])), tags.get(_ORIENTATION, 1)
+            stated = *read_exif(data)[1:], _projection(data)  # the file has the form of a block
+            return Header(name, size, _known(orientation), *stated)
+        if name == "PNG" and not complete:
+            raise ValueError("EXIF data and XMP may lie behind the pixels")
         return _pillow_header(data, name, complete)
 
 
@@ -144,15 +153,6 @@ def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
     return directory
 
 
-def _tiff_exif(data: bytes, tags: Any) -> Exif:
-    try:
-        directories = [tags[tag] for tag in (EXIF_DIRECTORY, _GPS_DIRECTORY) if tag in tags]
-        more = {k: v for offset in directories for k, v in _tiff_tags(data, offset).items()}
-        return _camera_tags(tags, more)
-    except Exception:  # the pixels may be intact
-        return Exif()
-
-
 def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
     """Not by PIL.Image.open, which refuses 179 million pixels: telephones take such images."""
     PIL.Image.init()
@@ -162,10 +162,49 @@ def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
     if name == "JPEG":  # the registered factory also reads blocks of several images
         from PIL.JpegImagePlugin import JpegImageFile as factory
     image: PIL.Image.Image = factory(io.BytesIO(data), "")
-    header = Header(name, image.size, *read_exif(image.info.get("exif", b"")))
+    block = _png_exif(data, image.info) if name == "PNG" else image.info.get("exif", b"")
+    orientation, exif, aspect = read_exif(block)
+    stated = _density_aspect(image.info)
+    aspect = aspect if stated == 1 else stated
+    header = Header(name, image.size, orientation, exif, aspect, _projection(data))
     if complete:
         image.verify()
     return header
+
+
+def _png_exif(data: bytes, info: Mapping[str, Any]) -> bytes:
+    """The EXIF block of a PNG, empty without one: a chunk before its pixels or behind them, or a
+    text as ImageMagick writes it."""
+    at = max(data.find(b"eXIf" + order) for order in (b"II*\0", b"MM\0*"))
+    if at > 0:
+        return data[at + 4 :][: int.from_bytes(data[at - 4 : at], "big")]
+    try:  # an empty line, a name and a length, then hexadecimal digits
+        return bytes.fromhex(info["Raw profile type exif"].split("\n", 3)[3])
+    except (KeyError, IndexError, ValueError):  # the pixels may be intact
+        return b""
+
+
+def _projection(data: bytes) -> str:
+    found = _PROJECTION.search(data)
+    return found[1].decode().lower() if found else ""
+
+
+def _density_aspect(info: Mapping[str, Any]) -> float:
+    """The aspect of a pixel by JFIF or a chunk pHYs of PNG; 1 without either. Without a unit the
+    numbers are its width to its height, as ffmpeg writes them in both; else pixels a length."""
+    ratio, density = info.get("aspect"), info.get("jfif_density", info.get("dpi"))
+    if info.get("jfif_unit") == 0:
+        ratio = density
+    elif isinstance(density, tuple):  # and no text of that name
+        ratio = density[::-1]
+    return _aspect(*ratio) if isinstance(ratio, tuple) else 1.0
+
+
+def _aspect(width: Any, height: Any) -> float:
+    """The aspect of a pixel by two numbers; 1 for what is none of a pixel."""
+    width, height = _number(width), _number(height)
+    aspect = width / height if width and height else 1.0
+    return aspect if _PIXEL_ASPECTS[0] <= aspect <= _PIXEL_ASPECTS[1] else 1.0
 
 
 def _heif_header(data: bytes) -> Header:
@@ -173,24 +212,26 @@ def _heif_header(data: bytes) -> Header:
     import pillow_heif
 
     image = pillow_heif.open_heif(data)  # decodes nothing
-    _, exif = read_exif(image.info.get("exif") or b"")
-    return Header("HEIF", image.size, exif=exif)
+    _, exif, _ = read_exif(image.info.get("exif") or b"")
+    return Header("HEIF", image.size, exif=exif, projection=_projection(data))
 
 
 def _known(orientation: Any) -> int:
     return int(orientation) if orientation in range(2, 9) else 1
 
 
-def read_exif(block: bytes) -> tuple[int, Exif]:
-    """The orientation and the camera of an EXIF block, with or without `Exif\\0\\0` before it; of a
-    damaged one as of an empty one."""
+def read_exif(block: bytes) -> tuple[int, Exif, float]:
+    """The orientation, the camera, and the aspect of a pixel of an EXIF block, with or without
+    `Exif\\0\\0` before it; of a damaged one as of an empty one."""
     try:
-        exif = PIL.Image.Exif()
-        exif.load(block)
-        camera = _camera_tags(exif, exif.get_ifd(EXIF_DIRECTORY) | exif.get_ifd(_GPS_DIRECTORY))
-        return _known(exif.get(_ORIENTATION, 1)), camera
+        block = block.removeprefix(b"Exif\0\0")
+        tags = _tiff_tags(block)
+        directories = [tags[tag] for tag in (EXIF_DIRECTORY, _GPS_DIRECTORY) if tag in tags]
+        more = {k: v for offset in directories for k, v in _tiff_tags(block, offset).items()}
+        aspect = _aspect(tags.get(_Y_RESOLUTION), tags.get(_X_RESOLUTION))
+        return _known(tags.get(_ORIENTATION, 1)), _camera_tags(tags, more), aspect
     except Exception:  # a damaged block raises almost anything
-        return 1, Exif()
+        return 1, Exif(), 1.0
 
 
 def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:

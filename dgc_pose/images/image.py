@@ -42,6 +42,8 @@ class Image:
         exif: The camera by the file's EXIF data.
         orientation: Orientation by EXIF, 1 to 8, that is still to be applied to `pixels`; 1: none.
         mask: (H, W) bool, False for pixels that are not matched; None: all are.
+        pixel_aspect: Width of a pixel of `pixels` over its height; 1 if the file does not state it.
+        projection: That of a panorama, by the file's XMP; "" if it states none.
     """
 
     pixels: np.ndarray
@@ -50,6 +52,8 @@ class Image:
     exif: Exif = Exif()
     orientation: int = 1
     mask: np.ndarray | None = None
+    pixel_aspect: float = 1.0
+    projection: str = ""
 
     def __post_init__(self) -> None:
         pixels = self.pixels
@@ -83,7 +87,8 @@ class Image:
             return self
         pixels = np.ascontiguousarray(turned(self.pixels, orientation))
         mask = None if self.mask is None else np.ascontiguousarray(turned(self.mask, orientation))
-        return replace(self, pixels=pixels, mask=mask, orientation=1)
+        aspect = self.pixel_aspect ** (-1 if orientation in EXCHANGING else 1)
+        return replace(self, pixels=pixels, mask=mask, orientation=1, pixel_aspect=aspect)
 
 
 def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -141,13 +146,16 @@ def _read_file(path: Path) -> Image:
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
         image = _of_array(array, str(path))
-        return replace(image, exif=header.exif, orientation=header.orientation)
+        kept = "exif", "orientation", "pixel_aspect", "projection"
+        return replace(image, **{field: getattr(header, field) for field in kept})
 
 
 def upright_header(image: Image | Header) -> Header:
     """The header of an image with its EXIF orientation applied."""
-    size = image.size[::-1] if image.orientation in EXCHANGING else image.size
-    return Header("", size, exif=image.exif)
+    size, aspect = image.size, image.pixel_aspect
+    if image.orientation in EXCHANGING:
+        size, aspect = size[::-1], 1 / aspect
+    return Header("", size, 1, image.exif, aspect, image.projection)
 
 
 def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:

@@ -1,5 +1,6 @@
 """EXIF blocks: written by Pillow in every format, damaged, and absurd."""
 
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL.TiffImagePlugin import IFDRational
+from png_chunks import with_chunk
 
 from dgc_pose.images.header import Exif, read_exif
 from dgc_pose.images.image import image_header, load_image
@@ -61,6 +63,27 @@ def test_every_format_gives_its_block_from_the_header_and_the_file(
     PIL.Image.fromarray(noise).save(path, format, exif=block_of(TAGS), **lossless)
     assert side < 400 or path.stat().st_size > 2**17
     assert image_header(path).exif == load_image(path).exif == KNOWN
+
+
+@pytest.mark.parametrize("kind", ["eXIf behind", "eXIf", "tEXt", "zTXt", "damaged"])
+@pytest.mark.parametrize("side", [16, 400])
+def test_a_png_gives_its_block_wherever_it_is(tmp_path: Path, kind: str, side: int) -> None:
+    """As a chunk, and as a text that ImageMagick writes."""
+    path, block = tmp_path / "photo.png", block_of(TAGS)
+    noise = np.random.default_rng(0).integers(0, 256, (side, side, 3), np.uint8)
+    PIL.Image.fromarray(noise).save(path)
+    lines = [block.hex()[i : i + 72] for i in range(0, 2 * len(block), 72)]
+    text = "\n".join(["", "exif", f"{len(block):8}", *lines, ""]).encode("ascii")
+    name = b"Raw profile type exif\0"
+    chunk, content = {
+        "tEXt": (b"tEXt", name + text),
+        "zTXt": (b"zTXt", name + b"\0" + zlib.compress(text)),
+        "damaged": (b"tEXt", name + b"\nexif\n      8\nno digits"),
+    }.get(kind, (b"eXIf", block.removeprefix(b"Exif\0\0")))
+    data = with_chunk(path.read_bytes(), chunk, content, behind=kind == "eXIf behind")
+    path.write_bytes(data)
+    expected = Exif() if kind == "damaged" else KNOWN
+    assert image_header(path).exif == load_image(path).exif == expected
 
 
 def test_a_tiff_without_a_directory_of_exif_may_name_its_camera(tmp_path: Path) -> None:
