@@ -351,6 +351,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "orientation": camera.orientation,
         "focal_source": camera.focal_source,
         "identity": camera.identity,
+        "projection": camera.projection,
     }
 
 
@@ -359,4 +360,5 @@ def parse_camera_data(data: Mapping[str, Any]) -> Camera:
     if data["focal_source"] not in get_args(FocalSource):
         raise ValueError("a focal_source that is none")
     kept = {name: data[name] for name in ("focal_source", "orientation")}
+    kept["projection"] = data.get("projection", "")  # files of 0.2.0 have none
     return replace(keyed_camera(data), warnings=tuple(data["warnings"]), **kept)

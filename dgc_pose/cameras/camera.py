@@ -42,6 +42,7 @@ class Camera:
             image; else 1.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
             image, or the matches.
+        projection: That of a panorama, as its file states it; "": of a perspective or fisheye.
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
             by the same factor. None: a camera of its image alone.
     """
@@ -56,6 +57,7 @@ class Camera:
     orientation: int = 1
     focal_source: FocalSource = "given"
     identity: str | None = None
+    projection: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))

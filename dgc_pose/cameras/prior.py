@@ -77,29 +77,34 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
 
     EXIF's focal length on 35 mm film comes first; then that of the lens, with the resolution on the
     sensor or the sensor's width in COLMAP's table. Where they contradict each other, or give the
-    field of view of no photograph, the size is taken, with a warning.
+    field of view of no photograph, the size is taken, with a warning. All of these are of the
+    picture as it looks with square pixels: fx is fy over the `pixel_aspect` of the image.
 
     sharing: of "files" the `identity` is equal for images that one camera may have taken: of the
-    same size, in either orientation, whose EXIF data name the same camera, lens, focal length and
-    zoom, or none. Of two images of which one has lost its EXIF data it is not known that one camera
-    took both. "shared": one for all; "two": None.
+    same size and pixels, in either orientation, whose EXIF data name the same camera, lens, focal
+    length and zoom, or none. Of two images of which one has lost its EXIF data it is not known that
+    one camera took both. "shared": one for all; "two": None.
     """
     width, height = image.size
     longer, shorter = max(width, height), min(width, height)
     exif = image.exif
     names = (exif.make, exif.model, exif.lens, exif.focal_mm, exif.focal_35mm)
-    identity = f"auto {longer} x {shorter}"
+    identity, aspect = f"auto {longer} x {shorter}", image.pixel_aspect
+    if aspect != 1:
+        identity += f", pixels of {aspect if width >= height else 1 / aspect:.4g}"
+    square = (width * aspect, float(height))  # the size with square pixels
+    mean = (1 + 1 / aspect) / 2  # of the focal lengths along x and y, over the latter
     if any(names):
         identity += "".join(f", {name or '-'}" for name in (*names, exif.digital_zoom))
     source: FocalSource = "size"
-    focal, std, margin, warnings = SIZE_FOCAL * longer, SIZE_STD, 0.0, list[str]()
-    if by_exif := _exif_focal(exif, image.size):
+    focal, std, margin, warnings = SIZE_FOCAL * max(square), SIZE_STD, 0.0, list[str]()
+    if by_exif := _exif_focal(exif, square):
         source, (focal, std, margin) = "exif", by_exif
-        identity += f", {focal:.1f} px"  # parts of images of several sizes differ in nothing else
+        identity += f", {mean * focal:.1f} px"  # parts of several sizes differ in nothing else
         if exif.size is not None and margin:
             warnings.append(
                 f"{width} x {height} pixels are a part of the {exif.size[0]} x {exif.size[1]} of "
-                "the EXIF data: the focal length and the middle are less certain"
+                "the EXIF data, or squeezed: the focal length and the middle are less certain"
             )
     elif exif.focal_35mm is not None or (exif.focal_mm and exif.pixels_per_mm):
         lengths = {"on 35 mm film": exif.focal_35mm, "of the lens": exif.focal_mm}
@@ -109,18 +114,19 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
             f"{height} pixels: it is taken from the size"
         )
     return Camera(
-        np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]),
+        np.array([[focal / aspect, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]),
         image.size,
         warnings=tuple(warnings),
         focal_std=std,
-        centre_std=float(np.hypot(CENTRE_STD * longer, margin / math.sqrt(12))),
+        centre_std=mean * math.hypot(CENTRE_STD * max(square), margin / math.sqrt(12)),
         lens_std=_ACTION_LENS_STD if _ACTION.search(f"{exif.make} {exif.model}") else LENS_STD,
         focal_source=source,
         identity={"files": identity, "shared": "shared", "two": None}[sharing],
+        projection=image.projection,
     )
 
 
-def _exif_focal(exif: Exif, size: tuple[int, int]) -> tuple[float, float, float] | None:
+def _exif_focal(exif: Exif, size: tuple[float, float]) -> tuple[float, float, float] | None:
     """The focal length of an image of `size` (width, height), pixels; the standard deviation of its
     logarithm; and how many pixels the image that the camera wrote is larger. None without one."""
     whole = _whole(exif, size)
@@ -154,8 +160,8 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
     """The camera with the focal length of another, unless it has one of EXIF data."""
     if camera.focal_source == "exif":
         return camera
-    K = camera.K.copy()
-    K[[0, 1], [0, 1]] = other.K[[0, 1], [0, 1]]
+    K, focals = camera.K.copy(), other.K.diagonal()[:2]
+    K[[0, 1], [0, 1]] = focals if camera.size == other.size else focals[::-1]
     return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
 
 
@@ -193,7 +199,7 @@ def _fits(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -
     return stored, upright
 
 
-def _whole(exif: Exif, size: tuple[int, int]) -> _Whole | None:
+def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
     """None if the image is neither the one that the camera wrote, at any scale, nor a part of it.
 
     A part is as large as it was, or as large as shows the most of the other image: the scale is the

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dgc_pose.cameras.calibration import camera_data, image_camera, parse_camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import (
     SIZE_STD,
@@ -14,6 +15,7 @@ from dgc_pose.cameras.prior import (
     with_orientation,
 )
 from dgc_pose.images.header import Exif, Header
+from dgc_pose.images.image import Image, upright_header
 
 SIZE = (4000, 3000)  # a diagonal of 5000
 FILM_DIAGONAL = np.hypot(36, 24)
@@ -130,6 +132,7 @@ def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) 
     camera = auto_camera(photo(replace(PHONE, size=SIZE), size))
     (warning,) = camera.warnings
     assert f"{size[0]} x {size[1]} pixels are a part of the 4000 x 3000" in warning
+    assert "of the EXIF data, or squeezed: the focal length" in warning
     ends = np.log(3004.4 * np.array(scales))
     assert np.log(camera.focal) == pytest.approx(ends.mean(), abs=1e-4)
     assert np.abs(ends - np.log(camera.focal)).max() < camera.focal_std
@@ -141,7 +144,25 @@ def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) 
     assert camera.warnings == () and 0.07 < camera.focal_std < 0.1
 
 
+@pytest.mark.parametrize(
+    "exif", [NO_EXIF, PHONE, replace(PHONE, size=SIZE), replace(SENSOR, size=SIZE)]
+)
+@pytest.mark.parametrize("whole", [SIZE, SIZE[::-1]])
+@pytest.mark.parametrize("squeezed", [(3000, 3000), (4000, 1500), (1000, 3000)])
+def test_pixels_that_are_not_square(
+    exif: Exif, whole: tuple[int, int], squeezed: tuple[int, int]
+) -> None:
+    """The camera of a squeezed image is that of the whole one, resized along one axis."""
+    aspect = whole[0] / squeezed[0] * squeezed[1] / whole[1]
+    camera = auto_camera(replace(photo(exif, squeezed), pixel_aspect=aspect))
+    expected = auto_camera(photo(exif, whole)).resized(squeezed)
+    np.testing.assert_allclose(camera.K, expected.K, rtol=1e-9)
+    assert camera.focal_std == pytest.approx(expected.focal_std)
+    assert (camera.focal_source, camera.warnings) == (expected.focal_source, ())
+
+
 EXIF = Exif("Maker", "X1", "back camera", 5.1, 26)
+WIDE = replace(photo(EXIF), pixel_aspect=1.25)
 
 
 @pytest.mark.parametrize(
@@ -167,6 +188,10 @@ EXIF = Exif("Maker", "X1", "back camera", 5.1, 26)
         (photo(), photo(orientation=8), True),
         (photo(), photo(size=SIZE[::-1]), True),
         (photo(), photo(size=(4000, 2999)), False),
+        (WIDE, WIDE, True),
+        (WIDE, replace(WIDE, size=SIZE[::-1], pixel_aspect=0.8), True),
+        (WIDE, replace(WIDE, size=SIZE[::-1]), False),
+        (WIDE, photo(EXIF), False),
     ],
 )
 def test_one_camera_if_size_and_exif_agree(first: Header, second: Header, same: bool) -> None:
@@ -182,6 +207,12 @@ def test_a_shared_camera_has_the_exif_data_of_either_image() -> None:
             assert camera1.focal_std == camera2.focal_std < 0.1
             assert (camera1.focal_source, camera2.focal_source) == ("exif", "exif")
             assert camera2.K[0, 2] == (images[1].size[0] - 1) / 2
+    for turned in (False, True):
+        bare = upright_header(replace(photo(orientation=6 if turned else 1), pixel_aspect=1.25))
+        camera1, camera2 = auto_cameras(WIDE, bare, "shared")
+        focals = camera1.K.diagonal()[:2]
+        np.testing.assert_array_equal(camera2.K.diagonal()[:2], focals[:: -1 if turned else 1])
+        assert focals[1] == pytest.approx(1.25 * focals[0])
     camera1, camera2 = auto_cameras(photo(EXIF), photo(size=(800, 600)), "shared")
     assert (camera1.focal_source, camera2.focal_source) == ("exif", "size")
 
@@ -207,6 +238,19 @@ def test_a_warning_of_the_orientation_for_a_K_that_may_be_for_the_upright_image(
     assert all(f"orientation {orientation} is not applied" in text for text in warnings[1:])
     assert with_orientation(auto_camera(image), image).warnings == ()
     assert not is_of_upright(Camera(K, size), None, image) or centre == (1490, 2010)
+
+
+def test_a_panorama_by_the_file_alone_has_its_projection() -> None:
+    for name in ("", "equirectangular", "cylindrical"):
+        header = replace(photo(EXIF, (40, 20)), projection=name)
+        camera = auto_camera(header)
+        assert camera.projection == name
+        assert parse_camera_data(camera_data(camera)).projection == name
+        given = image_camera(camera.K, Image(np.zeros((20, 40, 3), np.uint8), projection=name))
+        assert given.projection == ""
+        np.testing.assert_array_equal(camera.K, auto_camera(replace(header, projection="")).K)
+    old = {key: value for key, value in camera_data(camera).items() if key != "projection"}
+    assert parse_camera_data(old).projection == ""
 
 
 def test_the_lens_is_not_known_and_that_of_an_action_camera_less() -> None:
