@@ -113,9 +113,8 @@ def estimate_relative_pose(
     this pair. trace: whether to return a `Trace`, which has images, map and matches too. scale:
     what determines the length of t. Without a pose, `success` is False and `reason` says why.
 
-    mask1, mask2: paths, or arrays (H, W), of the pixels as stored: where they are 0, black or of
-    alpha 0, nothing is matched; nor is it where an image has alpha 0. A mask of another size is
-    scaled, if its aspect ratio is that of the image.
+    mask1, mask2: paths, or arrays (H, W), of the stored pixels: where 0, black or of alpha 0,
+    nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.
 
     A K that is not known is None or "auto"; for K2 alone "auto". The matches determine the focal
     length then: see `K1`, `K2`, `focal_std1` and `focal_std2` of the pose. One camera took both

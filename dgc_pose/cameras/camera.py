@@ -42,9 +42,9 @@ class Camera:
             image; else 1.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
             image, or the matches.
-        projection: That of a panorama, as its file states it; "": of a perspective or fisheye.
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
             by the same factor. None: a camera of its image alone.
+        projection: That of a panorama, as its file states it; "": of a perspective or fisheye.
     """
 
     K: np.ndarray

@@ -77,8 +77,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
 
     EXIF's focal length on 35 mm film comes first; then that of the lens, with the resolution on the
     sensor or the sensor's width in COLMAP's table. Where they contradict each other, or give the
-    field of view of no photograph, the size is taken, with a warning. All of these are of the
-    picture as it looks with square pixels: fx is fy over the `pixel_aspect` of the image.
+    field of view of no photograph, the size is taken, with a warning. fx is fy / `pixel_aspect`.
 
     sharing: of "files" the `identity` is equal for images that one camera may have taken: of the
     same size and pixels, in either orientation, whose EXIF data name the same camera, lens, focal
@@ -86,12 +85,10 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     one camera took both. "shared": one for all; "two": None.
     """
     width, height = image.size
-    longer, shorter = max(width, height), min(width, height)
     exif = image.exif
     names = (exif.make, exif.model, exif.lens, exif.focal_mm, exif.focal_35mm)
-    identity, aspect = f"auto {longer} x {shorter}", image.pixel_aspect
-    if aspect != 1:
-        identity += f", pixels of {aspect if width >= height else 1 / aspect:.4g}"
+    identity, aspect = f"auto {max(image.size)} x {min(image.size)}", image.pixel_aspect
+    identity += "" if aspect == 1 else f", pixels of {aspect ** (1 if width >= height else -1):.4g}"
     square = (width * aspect, float(height))  # the size with square pixels
     mean = (1 + 1 / aspect) / 2  # of the focal lengths along x and y, over the latter
     if any(names):

@@ -10,7 +10,7 @@ import math
 import re
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import PIL.Image
@@ -37,7 +37,7 @@ _FORMATS = {
     }.items()
 }
 _KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  # tags of TIFF
-_X_RESOLUTION, _Y_RESOLUTION = 282, 283
+_SAMPLES, _X_RESOLUTION, _Y_RESOLUTION = 277, 282, 283
 MAKE, MODEL, EXIF_DIRECTORY, _GPS_DIRECTORY = 271, 272, 34665, 34853
 FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 37386, 40962, 40963
 _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
@@ -104,27 +104,27 @@ def image_format(start: bytes) -> str:
 def read_header(data: bytes, *, complete: bool = True) -> Header:
     """The header of an encoded image.
 
-    complete: whether `data` is all of the file, and not its beginning; then the checksums of a PNG
-    are checked.
+    complete: whether `data` is all of the file, and not its beginning, of a PNG its end too; then
+    the checksums of a PNG are checked.
 
     Raises UnreadableFormatError if the format is not read, any other exception if the header is
     damaged.
     """
-    name = image_format(data)
+    name, found = image_format(data), _PROJECTION.search(data)
+    projection = found[1].decode().lower() if found else ""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "HEIF":
-            return _heif_header(data)
+            return replace(_heif_header(data), projection=projection)
         if name == "TIFF":
             tags = _tiff_tags(data)
+            if (samples := tags.get(_SAMPLES, 1)) > 4:  # OpenCV decodes no more
+                raise UnreadableFormatError(f"a TIFF of {samples} samples a pixel, not 1, 3 or 4")
             if not complete and {EXIF_DIRECTORY, _GPS_DIRECTORY, MAKE, MODEL}.intersection(tags):
                 raise ValueError("the EXIF data may lie behind the start")
             size, orientation = (int(tags[_WIDTH]), int(tags[_HEIGHT])), tags.get(_ORIENTATION, 1)
-            stated = *read_exif(data)[1:], _projection(data)  # the file has the form of a block
-            return Header(name, size, _known(orientation), *stated)
-        if name == "PNG" and not complete:
-            raise ValueError("EXIF data and XMP may lie behind the pixels")
-        return _pillow_header(data, name, complete)
+            return Header(name, size, _known(orientation), *read_exif(data)[1:], projection)
+        return replace(_pillow_header(data, name, complete), projection=projection)
 
 
 def _is_raw(start: bytes) -> bool:
@@ -164,40 +164,31 @@ def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
     image: PIL.Image.Image = factory(io.BytesIO(data), "")
     block = _png_exif(data, image.info) if name == "PNG" else image.info.get("exif", b"")
     orientation, exif, aspect = read_exif(block)
-    stated = _density_aspect(image.info)
-    aspect = aspect if stated == 1 else stated
-    header = Header(name, image.size, orientation, exif, aspect, _projection(data))
+    header = Header(name, image.size, orientation, exif, _density_aspect(image.info, aspect))
     if complete:
         image.verify()
     return header
 
 
-def _png_exif(data: bytes, info: Mapping[str, Any]) -> bytes:
-    """The EXIF block of a PNG, empty without one: a chunk before its pixels or behind them, or a
-    text as ImageMagick writes it."""
+def _png_exif(data: bytes, info: Mapping[Any, Any]) -> bytes:
+    """The EXIF block of a PNG, a chunk anywhere or a text of ImageMagick's; empty without one."""
     at = max(data.find(b"eXIf" + order) for order in (b"II*\0", b"MM\0*"))
     if at > 0:
-        return data[at + 4 :][: int.from_bytes(data[at - 4 : at], "big")]
+        return data[at + 4 :]
     try:  # an empty line, a name and a length, then hexadecimal digits
         return bytes.fromhex(info["Raw profile type exif"].split("\n", 3)[3])
     except (KeyError, IndexError, ValueError):  # the pixels may be intact
         return b""
 
 
-def _projection(data: bytes) -> str:
-    found = _PROJECTION.search(data)
-    return found[1].decode().lower() if found else ""
-
-
-def _density_aspect(info: Mapping[str, Any]) -> float:
-    """The aspect of a pixel by JFIF or a chunk pHYs of PNG; 1 without either. Without a unit the
+def _density_aspect(info: Mapping[Any, Any], by_exif: float) -> float:
+    """The aspect of a pixel by JFIF or a chunk pHYs of PNG, else by EXIF data. Without a unit the
     numbers are its width to its height, as ffmpeg writes them in both; else pixels a length."""
-    ratio, density = info.get("aspect"), info.get("jfif_density", info.get("dpi"))
-    if info.get("jfif_unit") == 0:
-        ratio = density
-    elif isinstance(density, tuple):  # and no text of that name
-        ratio = density[::-1]
-    return _aspect(*ratio) if isinstance(ratio, tuple) else 1.0
+    pair = info.get("aspect", info.get("jfif_density", info.get("dpi")))
+    if not isinstance(pair, tuple):  # none, or a text of that name
+        return by_exif
+    aspect = _aspect(*(pair if "aspect" in info or info.get("jfif_unit") == 0 else pair[::-1]))
+    return by_exif if aspect == 1 else aspect
 
 
 def _aspect(width: Any, height: Any) -> float:
@@ -213,7 +204,7 @@ def _heif_header(data: bytes) -> Header:
 
     image = pillow_heif.open_heif(data)  # decodes nothing
     _, exif, _ = read_exif(image.info.get("exif") or b"")
-    return Header("HEIF", image.size, exif=exif, projection=_projection(data))
+    return Header("HEIF", image.size, exif=exif)
 
 
 def _known(orientation: Any) -> int:

@@ -44,8 +44,7 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
     if (width, height) != image.size:
         nearest = cv2.INTER_NEAREST_EXACT  # by the half-pixel rule
         used = cv2.resize(used.astype(np.uint8), image.size, interpolation=nearest).astype(bool)
-    if image.mask is not None:
-        used &= image.mask
+    used &= True if image.mask is None else image.mask
     if not used.any():
         raise InputError(argument, "leaves no pixel of the image")
     return replace(image, pixels=filled(image.pixels, used), mask=used)
