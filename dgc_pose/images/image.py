@@ -15,7 +15,7 @@ import numpy as np
 
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
-from dgc_pose.files.inputs import read_as, read_bytes, read_start
+from dgc_pose.files.inputs import open_regular, read_as, read_bytes
 from dgc_pose.geometry.pixels import within
 from dgc_pose.images.header import EXCHANGING, Exif, Header, UnreadableFormatError, read_header
 from dgc_pose.system.stderr import quiet
@@ -108,39 +108,44 @@ def load_image(
 ) -> Image:
     """An image as 8-bit RGB.
 
-    `source` is a path, an array (H, W), (H, W, 1), (H, W, 3) or (H, W, 4) in RGB(A) order, or a
-    torch tensor of such a shape, of (1, H, W), (3, H, W) or (4, H, W), or of a batch of one image.
-    An `Image` is returned as it is. `name` is the argument's name in errors about arrays.
+    `source` is a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or
+    4, grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
+    last, a tensor first. An `Image` is returned as it is. `name` is the argument's in errors.
 
-    Grey is repeated. Where alpha is 0, the `mask` is False, and the pixels get the mean colour of
-    the others. 8-bit values stay, floats within [0, 1] are multiplied by 255, and all others (16
-    bit, 12 bit in 16, other floats) are rescaled from the minimum and maximum of the image, over
-    all colours together, to 0 and 255.
+    Grey is repeated. Alpha 0 is a `mask`, under which the pixels get the mean colour of the others.
+    8-bit values stay, floats within [0, 1] are multiplied by 255, and all others (16 bit, 12 bit in
+    16, other floats) are rescaled, over all colours together, from the least and greatest to 0 and
+    255; few that lie far from the others are saturated.
 
     Files give their pixels as stored; `upright` applies an EXIF orientation. HEIC has a rotation of
     its own, which is part of decoding.
 
-    Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt or
-    too large; InputError, with `name`, if an array has the wrong shape, is empty or not finite;
-    these too if alpha is 0 everywhere.
+    Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt, too
+    large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
+    finite or of alpha 0.
     """
+    if source is None:
+        raise InputError(f"{name} is None, as cv2.imread returns it for a file that it cannot read")
+    if isinstance(source, bytes | bytearray):
+        raise InputError(f"{name} is {type(source).__name__}, not a path, an array or a tensor")
+    if isinstance(source, str) and "://" in source:
+        raise InputError(f"{name} is a URL, which is not fetched: {source}")
     if isinstance(source, str | os.PathLike):
         source = _read_file(Path(source))
     if isinstance(source, Image):
         return source.oriented(source.orientation if upright else 1)
     array = as_numpy(source, name)
-    if is_tensor(source):
-        if array.ndim == 4 and array.shape[0] == 1:
-            array = array[0]
-        if array.ndim == 3 and array.shape[0] in (1, 3, 4):
-            array = np.moveaxis(array, 0, 2)
+    if array.ndim == 4 and array.shape[0] == 1:
+        array = array[0]
+    is_last = not is_tensor(source) and array.shape[-1:] in ((1,), (3,), (4,))
+    if array.ndim == 3 and array.shape[0] in (1, 3, 4) and not is_last:
+        array = np.moveaxis(array, 0, 2)
     return _of_array(array, name)
 
 
 def _read_file(path: Path) -> Image:
     with _image_errors(path):
-        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-        array, header = _decoded(path, cv2.IMREAD_UNCHANGED)
+        array, header = _decoded(path)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
             array = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         elif array.ndim == 3 and array.shape[2] >= 3:
@@ -152,20 +157,19 @@ def _read_file(path: Path) -> Image:
 
 def upright_header(image: Image | Header) -> Header:
     """The header of an image with its EXIF orientation applied."""
-    size, aspect = image.size, image.pixel_aspect
-    if image.orientation in EXCHANGING:
-        size, aspect = size[::-1], 1 / aspect
+    size = image.size[::-1] if image.orientation in EXCHANGING else image.size
+    aspect = image.pixel_aspect ** (-1 if image.orientation in EXCHANGING else 1)
     return Header("", size, 1, image.exif, aspect, image.projection)
 
 
-def read_pixels(path: str | Path, flags: int = cv2.IMREAD_UNCHANGED) -> np.ndarray:
-    """A file's pixels as `cv2.imdecode` gives them with these flags, BGR.
+def read_pixels(path: str | Path) -> np.ndarray:
+    """A file's pixels as OpenCV gives them, BGR(A).
 
     For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
     file is missing, corrupt, too large or no regular file.
     """
     with _image_errors(Path(path)):
-        return _decoded(Path(path), flags)[0]
+        return _decoded(Path(path))[0]
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -176,7 +180,11 @@ def image_size(path: str | Path) -> tuple[int, int]:
 def image_header(path: Path) -> Header:
     """The header of an image file. Raises ImageError, with the path."""
     with _image_errors(path):
-        start = read_start(path, _HEADER_BYTES, ImageError)
+        with open_regular(path, ImageError) as stream:
+            start = stream.read(_HEADER_BYTES)
+            if start.startswith(b"\x89PNG"):  # which may have EXIF data and XMP behind the pixels
+                stream.seek(max(stream.tell(), stream.seek(0, os.SEEK_END) - _HEADER_BYTES))
+                start += stream.read()
         try:
             header = read_header(start, complete=False)
         except Exception:  # in a TIFF the pixels may lie before the header
@@ -215,33 +223,32 @@ def _checked_header(header: Header, path: Path) -> Header:
     return header
 
 
-def _decoded(path: Path, flags: int) -> tuple[np.ndarray, Header]:
-    """Pixels in the order BGR. Of HEIC 8-bit colours, whatever the flags."""
+def _decoded(path: Path) -> tuple[np.ndarray, Header]:
+    """Pixels in the order BGR. Of HEIC 8-bit colours."""
     data = read_bytes(path, MAX_BYTES, ImageError)
     header = _complete_header(data, path)
     if header.format == "HEIF":
-        return _decoded_heif(data, path, alpha=flags == cv2.IMREAD_UNCHANGED), header
+        return _decoded_heif(data, path), header
     try:
         with quiet():
-            array = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+            # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8
+            array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
             raise MemoryError from None
         raise ImageError(f"{path} cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
-        raise ImageError(f"{path} is corrupt: OpenCV cannot decode this {header.format}")
+        raise ImageError(f"{path} cannot be decoded: OpenCV does not read this {header.format}")
     return array, header
 
 
-def _decoded_heif(data: bytes, path: Path, *, alpha: bool) -> np.ndarray:
+def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
     import pillow_heif
 
     with read_as("HEIC", path, ImageError):
         image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
         array = np.asarray(image)
-    if array.ndim == 2:
-        return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR)
-    return array[:, :, : 4 if alpha else 3].copy()
+    return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR) if array.ndim == 2 else array.copy()
 
 
 def _complete_header(data: bytes, path: Path) -> Header:
@@ -279,9 +286,8 @@ def _of_array(array: np.ndarray, name: str) -> Image:
 
 
 def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """A copy of pixels (H, W, C) with the mean colour of those that are `used` (H, W) at all
-    others, or the network would match what is there."""
-    pixels = pixels.copy()
+    """A copy of pixels (H, W, C) with the mean colour of those that are `used` (H, W) elsewhere."""
+    pixels = pixels.copy()  # as they are, the network would match what is there
     pixels[~used] = pixels[used].mean(0, dtype=np.float64)
     return pixels
 
@@ -294,10 +300,27 @@ def _to_8_bit(array: np.ndarray, name: str) -> np.ndarray:
         raise InputError(f"{name} has values that are not finite")
     if array.dtype.kind in "bf" and low >= 0 and high <= 1:
         low, high = 0.0, 1.0
+    else:
+        low, high = _shown_range(array, low, high)
     scale = 255 / (high - low) if high > low else 0.0
     # 16 bits fit into float32, which halves the memory that a large image takes.
     values: np.ndarray = array.astype(np.float32 if array.dtype.itemsize <= 2 else np.float64)
-    return np.rint((values - low) * scale).astype(np.uint8)
+    return np.rint((values - low) * scale).clip(0, 255).astype(np.uint8)
+
+
+def _shown_range(array: np.ndarray, low: float, high: float) -> tuple[float, float]:
+    """The values, of an array's least and greatest at most, that become 0 and 255: half as far from
+    the 1st and 99th percentile as these are apart. In the percentiles neither the least nor the
+    greatest counts, which may be of no data or one pixel, nor one that nearly all pixels have."""
+    step = max(array.shape) // 1000 + 1  # some of the pixels tell it
+    values = array[::step, ::step]
+    values = values[(values > low) & (values < high)]
+    while values.size:
+        first, last = map(float, np.percentile(values, (1, 99)))
+        if first < last:
+            return max(low, 1.5 * first - 0.5 * last), min(high, 1.5 * last - 0.5 * first)
+        values = values[values != first]
+    return low, high
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:

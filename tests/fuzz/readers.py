@@ -77,8 +77,7 @@ def _read_image(folder: Path, path: Path) -> None:
     finally:
         image = load_image(path)
     assert image.pixels.dtype == np.uint8 and image.pixels.shape[2] == 3
-    if path.suffix != ".tiff":  # OpenCV makes no colours of floats
-        read_pixels(path, cv2.IMREAD_COLOR)
+    read_pixels(path)
 
 
 def _make_cameras(folder: Path) -> None:

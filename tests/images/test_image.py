@@ -298,7 +298,7 @@ def test_a_huge_image_is_refused_by_its_header(tmp_path: Path) -> None:
     # From a telephone, beyond Pillow's limit.
     path.write_bytes(b"P6\n16384 12288\n255\n" + bytes(100))
     assert image_size(path) == (16384, 12288)
-    with pytest.raises(ImageError, match=r"huge\.ppm is corrupt"):
+    with pytest.raises(ImageError, match=r"huge\.ppm cannot be decoded: OpenCV does not read"):
         load_image(path)
 
 
@@ -323,6 +323,77 @@ def test_floats_within_0_and_1_are_multiplied_and_others_stretched(rgb: np.ndarr
     assert load_image(np.full((4, 5), 700, np.uint16)).pixels.max() == 0
 
 
+def thermal(shape: tuple[int, int] = (96, 128)) -> np.ndarray:
+    """Smooth, of 7000 to 8020."""
+    coarse = np.random.default_rng(3).uniform(7000, 8020, (12, 16)).astype(np.float32)
+    return cv2.resize(coarse, shape[::-1])
+
+
+@pytest.mark.parametrize(
+    ("value", "share"),
+    [(65535, 0.0), (30000, 0.004), (0, 0.0), (0, 0.3), (-9999, 0.2), (-3.4e38, 0.5), (1e7, 0.0)],
+)
+def test_a_few_pixels_far_off_do_not_decide_of_the_range(value: float, share: float) -> None:
+    """Hot pixels, one and some, and a value that stands for no data: the others keep at least a
+    third of the range that they have alone, in their order."""
+    clean = thermal()
+    dirty = clean.astype(np.float64)
+    off = np.zeros(dirty.shape, bool)
+    off[: round(share * len(dirty))] = True
+    if share < 0.01:
+        off.flat[:: round(1 / share) if share else dirty.size] = True
+    dirty[off] = value
+    if 0 <= value <= 65535:
+        dirty, clean = dirty.astype(np.uint16), clean.astype(np.uint16)
+    alone, shown = load_image(clean).pixels[..., 0], load_image(dirty).pixels[..., 0]
+    assert np.ptp(shown[~off].astype(int)) > 85
+    slope, offset = np.polyfit(alone[~off], shown[~off], 1)
+    assert slope > 1 / 3 and np.abs(slope * alone + offset - shown)[~off].max() < 2
+    assert set(np.unique(shown[off])) <= ({255} if value > 9000 else {0})
+
+
+def test_both_ends_and_a_value_that_nearly_all_pixels_have() -> None:
+    """No data and a hot pixel, round a small thing on a plain ground."""
+    values = np.full((100, 100), 7000, np.float32)
+    values[40:44, 40:48] = np.linspace(7100, 7200, 8)
+    values[0, 0], values[99] = 60000, -9999
+    pixels = load_image(values).pixels[..., 0]
+    assert np.ptp(pixels[40:44, 40:48].astype(int)) > 85
+    assert (pixels[99] == 0).all() and pixels[0, 0] == 255
+    for few in ([7000, 7000], [7000, 9000], [-9999, 7000, 7001]):
+        image = load_image(np.array([few, few], np.float32)).pixels[..., 0]
+        assert (np.diff(image.astype(int)) >= 0).all()
+        assert len(set(few)) == 1 or image.max() == 255
+
+
+def tiff(path: Path, samples: int, dtype: type) -> Path:
+    """A file of one strip without compression."""
+    pixels, bits = np.ones((6, 8, samples), dtype), np.dtype(dtype).itemsize * 8
+    tags = [(256, 4, 1, 8), (257, 4, 1, 6), (258, 3, samples, 0), (259, 3, 1, 1), (262, 3, 1, 1)]
+    tags += [(273, 4, 1, 0), (277, 3, 1, samples), (278, 4, 1, 6), (279, 4, 1, pixels.nbytes)]
+    at = 8 + 2 + 12 * len(tags) + 4
+    values = {258: at, 273: at + 2 * samples}
+    data = b"II*\0" + struct.pack("<IH", 8, len(tags))
+    for tag, kind, count, value in tags:
+        data += struct.pack("<HHII", tag, kind, count, values.get(tag, value))
+    data += bytes(4) + struct.pack(f"<{samples}H", *[bits] * samples) + pixels.tobytes()
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("samples", [5, 10])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_a_multispectral_tiff_is_called_what_it_is(
+    tmp_path: Path, samples: int, dtype: type
+) -> None:
+    path = tiff(tmp_path / "bands.tif", samples, dtype)
+    for read in (load_image, image_size):
+        with pytest.raises(ImageError) as caught:
+            read(path)
+        assert str(caught.value) == f"{path} is a TIFF of {samples} samples a pixel, not 1, 3 or 4"
+    assert load_image(tiff(path, 3, np.uint8)).size == (8, 6)
+
+
 def test_tensors_may_have_their_channels_first(rgb: np.ndarray) -> None:
     last = torch.from_numpy(rgb)
     first = last.permute(2, 0, 1)
@@ -339,13 +410,13 @@ def test_tensors_may_have_their_channels_first(rgb: np.ndarray) -> None:
 @pytest.mark.parametrize(
     "array",
     [
-        np.zeros((3, 20, 30), np.uint8),
-        np.zeros((1, 3, 20, 30), np.uint8),
+        np.zeros((5, 20, 30), np.uint8),
+        np.zeros((20, 30, 5), np.uint8),
+        np.zeros((2, 3, 20, 30), np.uint8),
         np.zeros(20, np.uint8),
         np.zeros((20, 0), np.float32),
         np.array([[0, np.inf], [1, 2]]),
         np.zeros((4, 4), complex),
-        None,
         torch.zeros(2, 3, 20, 30),
     ],
     ids=lambda value: f"{type(value).__name__}{getattr(value, 'shape', '')}",
@@ -353,6 +424,35 @@ def test_tensors_may_have_their_channels_first(rgb: np.ndarray) -> None:
 def test_unusable_arrays_name_the_argument(array: object) -> None:
     with pytest.raises(InputError, match="^image1 "):
         load_image(array, "image1")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (None, "image1 is None, as cv2.imread returns it for a file that it cannot read"),
+        (b"\xff\xd8\xff\xe0", "image1 is bytes, not a path, an array or a tensor"),
+        (bytearray(8), "image1 is bytearray, not a path, an array or a tensor"),
+        ("http://a.b/c.jpg", "image1 is a URL, which is not fetched: http://a.b/c.jpg"),
+        ("s3://a/b.png", "image1 is a URL, which is not fetched: s3://a/b.png"),
+    ],
+)
+def test_what_is_neither_a_path_nor_an_array_is_named(source: object, words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_image(source, "image1")  # type: ignore[arg-type]
+    assert str(caught.value) == words
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_arrays_may_have_their_channels_first(rgb: np.ndarray, channels: int) -> None:
+    """But where the last axis may have them too, as of an image three pixels high, it has them."""
+    last = np.dstack([rgb, rgb[:, :, :1] | 1])[:, :, :channels]
+    expected = load_image(last)
+    for array in (np.moveaxis(last, 2, 0), last[None], np.moveaxis(last, 2, 0)[None]):
+        image = load_image(array)
+        np.testing.assert_array_equal(image.pixels, expected.pixels)
+        assert image.pixels.flags.c_contiguous
+    assert load_image(last[:3]).size == (70, 3)
+    assert load_image(torch.from_numpy(last[:3].copy())).size == (channels, 70)
 
 
 def test_an_image_of_8_bit_rgb_is_returned_as_it_is(rgb: np.ndarray) -> None:

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from dgc_pose.errors import ImageError
 from dgc_pose.images.folder import search_images
-from dgc_pose.images.image import read_pixels
+from dgc_pose.images.image import load_image
 from dgc_pose.training.synthesis.render.bank import TextureBank
 
 SIDE = 288  # pixels; photographs are kept as squares, as the network squares its input
@@ -88,11 +88,11 @@ def _decode(paths: list[Path], side: int, lacking: str) -> Photos:
     damaged: list[ImageError] = []  # one in thousands is no reason to stop
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         try:
-            pixels = read_pixels(path, cv2.IMREAD_COLOR)
+            pixels = load_image(path, upright=True).pixels
         except ImageError as error:
             damaged.append(error)
             continue
-        squares.append(resized_planes(pixels, (side, side)).flip(0))  # from BGR
+        squares.append(resized_planes(pixels, (side, side)))
     if damaged:
         _log.warning("%d of %d photographs are left out: %s", len(damaged), len(paths), damaged[0])
     if not squares:
