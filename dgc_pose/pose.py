@@ -238,7 +238,8 @@ def _may_change(
     if step == "match":
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
-        return (pose.probability or 0.0) < _UNLIKELY and pose.status != "rotation_only"
+        still = pose.status in ("rotation_only", "same_picture")
+        return (pose.probability or 0.0) < _UNLIKELY and not still
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 

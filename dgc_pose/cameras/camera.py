@@ -38,6 +38,7 @@ class Camera:
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
         lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
             distortion; 0: the lens is known. The estimation fits it like the focal lengths.
+        aspect_std: Standard deviation of the logarithm of fy / fx; 0: it is exact.
         orientation: EXIF orientation, 1 to 8, of the pixels as stored, if K is of the upright
             image; else 1.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
@@ -54,6 +55,7 @@ class Camera:
     focal_std: float = 0.0
     centre_std: float = 0.0
     lens_std: float = 0.0
+    aspect_std: float = 0.0
     orientation: int = 1
     focal_source: FocalSource = "given"
     identity: str | None = None
@@ -63,7 +65,7 @@ class Camera:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
         if self.size is not None and not (self.size[0] > 0 and self.size[1] > 0):
             raise InputError(f"size must be positive, not {self.size[0]} x {self.size[1]}")
-        for name in ("focal_std", "centre_std", "lens_std"):
+        for name in ("focal_std", "centre_std", "lens_std", "aspect_std"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.geometry.radial import distorted, undistorted
+from dgc_pose.geometry.radial import (
+    Projection,
+    distorted,
+    projected,
+    undistorted,
+    unprojected,
+)
 
 if TYPE_CHECKING:
     import pycolmap
@@ -20,7 +27,14 @@ _MAX_ROUND_TRIP_ERROR = 1e-5
 _MOST_SKEW, _MOST_FOCAL_DIFFERENCE = 1e-5, 1e-6
 # The models without a lens, for which pycolmap need not be imported.
 _PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", "cy"]}
-RADIAL = "RADIAL"  # of two coefficients, computed without pycolmap
+RADIAL, FISHEYE, CYLINDER = "RADIAL", "OPENCV_FISHEYE", "CYLINDER"
+# Computed without pycolmap, if no coefficient but the first two is used; and their coefficients.
+# COLMAP has no cylinder.
+_OWN: Mapping[str, tuple[Projection, int]] = {
+    RADIAL: ("plane", 2),
+    FISHEYE: ("angles", 4),
+    CYLINDER: ("cylinder", 0),
+}
 # A model of one focal length as one of two, and the number of its coefficients.
 _TWO_FOCALS = {
     "SIMPLE_RADIAL": ("OPENCV", 4),
@@ -47,9 +61,8 @@ class Distortion:
     coefficients: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.model == RADIAL and len(self.coefficients) == 2:
-            names, expected = "", 2
-        else:
+        names, expected = "", _OWN.get(self.model, ("", -1))[1]
+        if len(self.coefficients) != expected:
             camera = _model(self.model)
             names, expected = camera.params_info, len(camera.extra_params_idxs())
         if len(self.coefficients) != expected:
@@ -60,22 +73,36 @@ class Distortion:
         if not np.isfinite(self.coefficients).all():
             raise InputError(f"{self.model} has coefficients that are not finite")
 
+    @property
+    def projection(self) -> Projection | None:
+        """The projection of a lens of `geometry.radial`; None of one that pycolmap computes."""
+        known = not any(self.coefficients[2:])
+        return _OWN[self.model][0] if self.model in _OWN and known else None
+
+    @property
+    def radial(self) -> tuple[float, float]:
+        """The coefficients of a lens of `geometry.radial`."""
+        first, second = (*self.coefficients, 0.0, 0.0)[:2]
+        return first, second
+
     def undo(self, points: np.ndarray) -> np.ndarray:
         """Normalised points (N, 2) float64 without their distortion: x / z and y / z.
 
         NaN if the model has no inverse there: for rays at 90 degrees or more from the axis, and for
         points beyond the radius at which the distorted radius stops growing.
         """
-        if self.model == RADIAL:
-            return undistorted(np.asarray(points, np.float64), self.coefficients)
+        if self.projection is not None:
+            points = undistorted(np.asarray(points, np.float64), self.radial)
+            return unprojected(points, self.projection)
         ideal = np.asarray(self._camera().cam_from_img(np.ascontiguousarray(points)))
         undone = np.abs(self.apply(ideal) - points).max(axis=1, initial=0) <= _MAX_ROUND_TRIP_ERROR
         return np.where(undone[:, None], ideal, np.nan)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Normalised points (N, 2) float64, x / z and y / z, with the distortion."""
-        if self.model == RADIAL:
-            return distorted(np.asarray(points, np.float64), self.coefficients)
+        if self.projection is not None:
+            points = projected(np.asarray(points, np.float64), self.projection)
+            return distorted(points, self.radial)
         return np.asarray(
             self._camera().img_from_cam(np.column_stack([points, np.ones(len(points))]))
         )

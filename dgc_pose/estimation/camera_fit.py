@@ -29,7 +29,8 @@ from dgc_pose.estimation.camera_spread import (
     SIZE,
     CameraSpread,
     deviated,
-    deviating,
+    deviated_slopes,
+    deviating_pair,
     error_slopes,
     normaliser,
 )
@@ -48,7 +49,7 @@ from dgc_pose.estimation.robust_fit import (
     run_seeds,
     sample,
 )
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
@@ -58,8 +59,7 @@ _REACH = 2.0  # of the focal lengths that are tried, standard deviations to eith
 _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
 _MAX_STARTS = 3  # that are fitted
-_ROUNDS = 3  # of choosing inliers and fitting
-_FIRST_LIMIT = 3.0  # thresholds that matches of the first round may be off
+_LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
 _CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
@@ -107,18 +107,24 @@ class JointFit:
         return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
 
     def fitted(
-        self, pose: JointPose, rounds: int = _ROUNDS, iterations: int = _ITERATIONS
+        self,
+        pose: JointPose,
+        limits: Sequence[float] = _LIMITS,
+        iterations: int = _ITERATIONS,
     ) -> JointPose:
-        """The pose after fits to its inliers, which are chosen anew before each."""
+        """The pose after fits to its inliers, which are chosen anew before each.
+
+        limits: of the errors of each, thresholds.
+        """
         threshold = self.problem.threshold
-        for turn in range(rounds):
+        for limit in limits:
             error, in_front = self._errors(pose), self._in_front(pose)
             near = error < threshold
             # The errors do not depend on the sign of t.
             if (near & ~in_front).sum() > (near & in_front).sum():
                 pose = replace(pose, t=-pose.t)
                 in_front = self._in_front(pose)
-            chosen = (error < threshold * (_FIRST_LIMIT if turn == 0 else 1.0)) & in_front
+            chosen = (error < threshold * limit) & in_front
             if chosen.sum() <= MINIMAL + len(self.spread):
                 return pose
             scale = error_scale(error[chosen], threshold)
@@ -173,6 +179,24 @@ class JointFit:
         F = A2.T @ essential_from_pose(pose.R, pose.t) @ A1
         return sampson_distance(self.problem.points1, self.problem.points2, F)
 
+    def errors_px(self, pose: JointPose, focals: tuple[float, float]) -> np.ndarray:
+        """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a
+        distortion is not undone. focals: of the cameras that normalised the problem, pixels."""
+        deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
+        points = points1, points2 = self._points(pose)
+        lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
+        squared = np.zeros(len(points1))
+        for number, (seen, lines) in enumerate(
+            ((self.problem.points1, lines1), (self.problem.points2, lines2))
+        ):
+            lens, own = self.problem.lenses[number], deviations[SIZE * number :][:SIZE]
+            by_shift = deviated_slopes(seen, lens, own, points[number])[:, :, 1:3]
+            by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / focals[number]
+            squared += (by_pixel**2).sum(1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.abs((homogeneous(points2) * lines2).sum(1)) / np.sqrt(squared)
+        return np.where(self._in_front(pose) & np.isfinite(error), error, np.inf)
+
     def _in_front(self, pose: JointPose) -> np.ndarray:
         """Whether the points are in front of both cameras, (N,)."""
         points1, points2 = self._points(pose)
@@ -192,23 +216,19 @@ class JointFit:
         return normaliser(deviations[:SIZE]), normaliser(deviations[SIZE:])
 
 
-def cameras_fitted_to(
-    problem: TwoViewProblem, camera1: Camera, camera2: Camera, options: EstimationOptions
-) -> tuple[JointPose, Camera, Camera] | None:
-    """The most probable pose, and the cameras that it is of, with the standard deviations of the
-    prior; None if RANSAC has no essential matrix.
+def joint_pose(
+    problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions
+) -> JointPose | None:
+    """The most probable pose and cameras; None if RANSAC has no essential matrix.
 
-    problem: normalised by the two cameras, whose standard deviations are the prior.
+    problem: normalised by the two cameras of the spread, which is the prior.
     """
-    spread = CameraSpread.of(camera1, camera2)
     joint = JointFit(problem, spread)
     starts = [start for start in _starts(problem, spread, options) if start is not None]
     if not starts:
         return None
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
-    pose = min(in_threads(joint.fitted, best), key=joint.cost)
-    deviations = joint.deviations(pose)
-    return pose, deviating(camera1, deviations[:SIZE]), deviating(camera2, deviations[SIZE:])
+    return min(in_threads(joint.fitted, best), key=joint.cost)
 
 
 def _starts(
@@ -229,10 +249,7 @@ def _starts(
     def run(number: int) -> JointPose | None:
         if number == count:
             return solved_start(problem, spread, options, seeds[number])
-        log_factors = tried[number]
-        drawn = draw(_rescaled(problem, log_factors), seeds[number])
-        E = essential_matrix(drawn, less, seeds[number])
-        return None if E is None else _start(problem, spread, E, log_factors)
+        return start_at(problem, spread, of_focals(tried[number]), less, seeds[number])
 
     return in_threads(run, list(range(count, -1, -1)))  # the longest first
 
@@ -248,26 +265,51 @@ def solved_start(
         result = essential_and_focals(draw(problem, seed), options, seed)
     else:
         return None
-    return None if result is None else _start(problem, spread, result[0], np.log(result[1]))
+    if result is None:
+        return None
+    return _start(problem, spread, result[0], of_focals(np.log(result[1])))
 
 
-def _rescaled(problem: TwoViewProblem, log_factors: np.ndarray) -> TwoViewProblem:
-    """The problem for focal lengths that are larger by factors."""
-    shrink = np.exp(-log_factors)
-    return replace(
-        problem,
-        points1=problem.points1 * shrink[0],
-        points2=problem.points2 * shrink[1],
-        threshold=problem.threshold * float(shrink.mean()),
+def of_focals(log_factors: np.ndarray) -> np.ndarray:
+    """The deviations (2 * SIZE,) of cameras whose focal lengths are larger by factors."""
+    deviations = np.zeros(2 * SIZE)
+    deviations[FOCALS] = log_factors
+    return deviations
+
+
+def start_at(
+    problem: TwoViewProblem,
+    spread: CameraSpread,
+    deviations: np.ndarray,
+    options: EstimationOptions,
+    seed: int,
+) -> JointPose | None:
+    """The pose of one RANSAC run on cameras with deviations (2 * SIZE,); None if it fails."""
+    drawn = draw(_rescaled(problem, deviations), seed)
+    E = essential_matrix(drawn, options, seed)
+    return None if E is None else _start(problem, spread, E, deviations)
+
+
+def _rescaled(problem: TwoViewProblem, deviations: np.ndarray) -> TwoViewProblem:
+    """The problem for cameras with deviations (2 * SIZE,); those of a lens must be 0."""
+    points1, points2 = (
+        deviated(points, lens, part)
+        for points, lens, part in zip(
+            (problem.points1, problem.points2),
+            problem.lenses,
+            (deviations[:SIZE], deviations[SIZE:]),
+            strict=True,
+        )
     )
+    shrink = float(np.exp(-deviations[FOCALS]).mean())
+    moved = replace(problem, points1=points1, points2=points2, threshold=problem.threshold * shrink)
+    return moved.subset(np.isfinite(points1).all(1) & np.isfinite(points2).all(1))
 
 
 def _start(
-    problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, log_factors: np.ndarray
+    problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, deviations: np.ndarray
 ) -> JointPose | None:
-    pose = Hypothesis.of_essential(_rescaled(problem, log_factors), E)
-    deviations = np.zeros(2 * SIZE)
-    deviations[FOCALS] = log_factors
+    pose = Hypothesis.of_essential(_rescaled(problem, deviations), E)
     z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)
 
@@ -307,7 +349,7 @@ def check_focals(
         if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
             pose = joint.fitted(pose)
     deviations = joint.deviations(pose)
-    fitted1, fitted2 = deviating(loose1, deviations[:SIZE]), deviating(loose2, deviations[SIZE:])
+    fitted1, fitted2 = deviating_pair((loose1, loose2), deviations)
     fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
     refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
     covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
@@ -325,7 +367,7 @@ def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
     """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
     shuffled = np.random.default_rng(joint.problem.seed).permutation(len(joint.problem))
     drawn = joint.problem.subset(np.sort(shuffled[:_CHECK_SAMPLED]))
-    return JointFit(drawn, joint.spread).fitted(pose, rounds=1, iterations=_CHECK_ITERATIONS)
+    return JointFit(drawn, joint.spread).fitted(pose, _LIMITS[:1], _CHECK_ITERATIONS)
 
 
 def focal_warnings(

@@ -2,14 +2,13 @@
 coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose and by these.
 
 The deviations of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
-the focal length of K, and what is added to the coefficients (c, d) of its lens (`geometry.radial`),
-which are 0 of a pinhole. Of two exact pinholes but for K, points that K normalised are normalised
+the focal length of K, what is added to the coefficients (c, d) of its lens (`geometry.radial`),
+which are 0 of a pinhole, and what is added to a = ln(fy / fx). Of two exact pinholes but for K, points that K normalised are normalised
 by A of `normaliser` to what the camera makes of them, so that F = A2^T E A1.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,18 +17,24 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
-from dgc_pose.geometry.radial import undistorted, undistorted_slopes
+from dgc_pose.geometry.radial import (
+    undistorted,
+    undistorted_slopes,
+    unprojected,
+    unprojected_slopes,
+)
 
-_BY_LOG_FOCAL = np.diag([-1.0, -1.0, 0.0])  # derivative of A by k, times A^-1
+# Derivatives of A by k and by a, times A^-1.
+_BY_LOG_FOCAL, _BY_ASPECT = np.diag([-1.0, -1.0, 0.0]), np.diag([0.5, -0.5, 0.0])
 _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 
 @dataclass(frozen=True, eq=False)
 class CameraSpread:
-    """The deviations (k1, x1, y1, c1, d1, k2, ..., d2) of two cameras are `basis` times a standard
-    normal vector (M,)."""
+    """The deviations (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras are `basis` times a
+    standard normal vector (M,)."""
 
-    basis: np.ndarray  # (10, M); no columns: both cameras are exact
+    basis: np.ndarray  # (12, M); no columns: both cameras are exact
 
     @classmethod
     def of(cls, camera1: Camera, camera2: Camera) -> CameraSpread:
@@ -42,7 +47,7 @@ class CameraSpread:
         for axis, sides in enumerate(zip(*map(deviation_stds, (camera1, camera2)), strict=True)):
             column = np.zeros((2 * SIZE, 2))
             column[axis, 0], column[SIZE + axis, 1] = sides
-            if same and (axis in (0, 3, 4) or camera1.size == camera2.size):
+            if same and (axis not in (1, 2) or _share_centre(camera1, camera2)):
                 column = column.sum(axis=1, keepdims=True)
             columns.append(column)
         basis = np.hstack(columns)
@@ -59,85 +64,122 @@ class CameraSpread:
 
     def bends(self, problem: TwoViewProblem) -> bool:
         """Whether a lens is there or unknown, so that A of `normaliser` does not suffice."""
-        return any(problem.lenses) or bool(self.basis[[3, 4, 8, 9]].any())
+        return any(problem.lenses) or bool(self.basis[[3, 4, SIZE + 3, SIZE + 4]].any())
 
 
-SIZE = 5  # deviations of a camera
-FOCALS = [0, SIZE]  # the rows of ln f
+SIZE = 6  # deviations of a camera
+FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
 EXACT = CameraSpread(np.zeros((2 * SIZE, 0)))
 _AS_NORMALISED = np.zeros(2 * SIZE)
+_OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
 _SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
+
+
+def _share_centre(camera1: Camera, camera2: Camera) -> bool:
+    """Whether images of one camera have one principal point: not parts of larger images."""
+    parts = [
+        camera.focal_source != "given" and camera.centre_std > _OF_PART * max(camera.size or (0,))
+        for camera in (camera1, camera2)
+    ]
+    return camera1.size == camera2.size and not any(parts)
 
 
 def deviation_stds(camera: Camera) -> tuple[float, ...]:
     """The standard deviations (SIZE,) of a camera's deviations."""
     centre, lens = camera.centre_std / camera.focal, camera.lens_std
-    return camera.focal_std, centre, centre, lens, _SECOND_LENS_STD * lens
+    return camera.focal_std, centre, centre, lens, _SECOND_LENS_STD * lens, camera.aspect_std
+
+
+def _shrinks(deviations: np.ndarray) -> np.ndarray:
+    """By which x and y (2,) of a point grow if a K with deviations normalises it."""
+    k, a = deviations[0], deviations[5]
+    return np.exp([a / 2 - k, -a / 2 - k])
 
 
 def normaliser(deviations: np.ndarray) -> np.ndarray:
-    """A (3, 3) of the deviations (5,) of a camera without a lens."""
-    shrink = math.exp(-deviations[0])
-    x, y = deviations[1:3]
-    return np.array([[shrink, 0, -x * shrink], [0, shrink, -y * shrink], [0, 0, 1]])
+    """A (3, 3) of the deviations (SIZE,) of a camera without a lens."""
+    (by_x, by_y), (x, y) = _shrinks(deviations), deviations[1:3]
+    return np.array([[by_x, 0, -x * by_x], [0, by_y, -y * by_y], [0, 0, 1]])
 
 
 def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
-    """The derivatives (3, 3) of A by the deviations (5,); 0 by that of the lens."""
+    """The derivatives (3, 3) of A by the deviations (SIZE,); 0 by that of the lens."""
     A = normaliser(deviations)
     by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
-    by_x[0, 2] = by_y[1, 2] = -A[0, 0]
-    return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3))]
+    by_x[0, 2], by_y[1, 2] = -A[0, 0], -A[1, 1]
+    return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3)), _BY_ASPECT @ A]
 
 
 def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
-    """Normalised points (N, 2) as a camera with deviations (5,) from its K and lens normalises
+    """Normalised points (N, 2) as a camera with deviations (SIZE,) from its K and lens normalises
     them; NaN where its distortion cannot be undone."""
-    moved = _moved(points, lens, deviations)
-    if lens is None or lens.model == RADIAL:
-        return undistorted(moved, _coefficients(lens) + deviations[3:])
-    return lens.undo(moved)
+    return _undone(_moved(points, lens, deviations), lens, deviations)
 
 
 def deviated_slopes(
     points: np.ndarray, lens: Distortion | None, deviations: np.ndarray, undone: np.ndarray
 ) -> np.ndarray:
-    """The derivatives (N, 2, 5) of `deviated`, whose result is `undone`, by the deviations."""
+    """The derivatives (N, 2, SIZE) of `deviated`, whose result is `undone`, by the deviations."""
     moved = _moved(points, lens, deviations)
-    if lens is None or lens.model == RADIAL:
-        by_seen, by_lens = undistorted_slopes(undone, _coefficients(lens) + deviations[3:])
+    projection = "plane" if lens is None else lens.projection
+    if projection is not None:
+        coefficients = _coefficients(lens) + deviations[3:5]
+        ideal = undistorted(moved, coefficients)
+        by_seen, by_lens = undistorted_slopes(ideal, coefficients)
+        if projection != "plane":
+            by_ideal = unprojected_slopes(ideal, projection)
+            by_seen, by_lens = by_ideal @ by_seen, by_ideal @ by_lens
     else:
         ahead, behind = (
-            [lens.undo(moved + s * a) for a in np.eye(2)] for s in (_SLOPE_STEP, -_SLOPE_STEP)
+            [_undone(moved + s * a, lens, deviations) for a in np.eye(2)]
+            for s in (_SLOPE_STEP, -_SLOPE_STEP)
         )
         by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
         by_lens = np.zeros((len(points), 2, 2))
-    by_centre = -math.exp(-deviations[0]) * by_seen
-    return np.concatenate([-by_seen @ moved[:, :, None], by_centre, by_lens], axis=2)
+    by_centre = -by_seen * _shrinks(deviations)
+    by_both = [by_seen @ (moved * of_axes)[:, :, None] for of_axes in ((-1, -1), (0.5, -0.5))]
+    return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)
 
 
 def _moved(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
     """Normalised points (N, 2) as the lens shows them and the deviating K normalises them."""
     seen = points if lens is None else lens.apply(points)
-    return (seen - deviations[1:3]) * math.exp(-deviations[0])
+    return (seen - deviations[1:3]) * _shrinks(deviations)
+
+
+def _undone(moved: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
+    projection = "plane" if lens is None else lens.projection
+    if projection is None:
+        assert lens is not None
+        return lens.undo(moved)
+    return unprojected(undistorted(moved, _coefficients(lens) + deviations[3:5]), projection)
 
 
 def _coefficients(lens: Distortion | None) -> np.ndarray:
-    return np.zeros(2) if lens is None else np.array(lens.coefficients)
+    return np.zeros(2) if lens is None else np.array(lens.radial)
 
 
 def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
-    """The camera with deviations (5,) from its K and lens; its standard deviations stay."""
+    """The camera with deviations (SIZE,) from its K and lens; its standard deviations stay."""
     if not deviations.any():
         return camera
     lens = camera.distortion
-    if deviations[3:].any():
-        lens = Distortion(RADIAL, tuple((_coefficients(lens) + deviations[3:]).tolist()))
+    if deviations[3:5].any():
+        model, rest = (RADIAL, ()) if lens is None else (lens.model, lens.coefficients[2:])
+        lens = Distortion(model, (*(_coefficients(lens) + deviations[3:5]).tolist(), *rest))
     K = camera.K.copy()
     K[0, 2] += deviations[1] * K[0, 0]
     K[1, 2] += deviations[2] * K[1, 1]
-    K[:2, :2] *= math.exp(deviations[0])
+    K[:2, :2] /= _shrinks(deviations)[:, None]
     return replace(camera, K=K, distortion=lens)
+
+
+def deviating_pair(
+    cameras: tuple[Camera, Camera], deviations: np.ndarray
+) -> tuple[Camera, Camera]:
+    """Two cameras with deviations (2 * SIZE,)."""
+    first, second = cameras
+    return deviating(first, deviations[:SIZE]), deviating(second, deviations[SIZE:])
 
 
 def error_slopes(
@@ -150,7 +192,7 @@ def error_slopes(
     """Signed Sampson errors (N,), their derivatives (N, 5 + M), and a basis (3, 2).
 
     The parameters are a rotation vector w, R becoming exp([w]x) R, two coordinates of t along the
-    columns of the basis, which are perpendicular to t, and those of `spread`. deviations: (10,) of
+    columns of the basis, which are perpendicular to t, and those of `spread`. deviations: (12,) of
     the cameras from those that normalised the problem; the errors are in the problem's unit.
     """
     if len(spread) and spread.bends(problem):

@@ -14,16 +14,19 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import (
     SEARCH_RUNS,
-    cameras_fitted_to,
+    JointFit,
     check_focals,
+    joint_pose,
     focal_warnings,
 )
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
+from dgc_pose.estimation.camera_model import CameraModel, likeliest_model
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating_pair
 from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
 from dgc_pose.estimation.plane import Plane, best_planar, fit_plane, still_camera
 from dgc_pose.estimation.probability import (
     ProbabilityModel,
@@ -66,13 +69,31 @@ def estimate_pose(
     check_type(options, EstimationOptions, "options")
     check_type(camera1, Camera, "camera1")
     check_type(camera2, Camera, "camera2")
-    problem = TwoViewProblem.of(matches, camera1, camera2, options)
+    stay = staying(matches, camera1, camera2)
+    if stay.any():
+        still_cells = np.zeros(0, bool) if map_matches is None else staying(map_matches, camera1, camera2)
+        of_map = None if map_matches is None else map_matches.subset(~still_cells)
+        moving = _estimated(matches.subset(~stay), (camera1, camera2), options, of_map, fit_cameras)
+        if not are_far(moving, camera1):
+            return of_the_moving(moving, stay)
+    return _estimated(matches, (camera1, camera2), options, map_matches, fit_cameras)
+
+
+def _estimated(
+    matches: Matches,
+    stated: tuple[Camera, Camera],
+    options: EstimationOptions,
+    map_matches: Matches | None,
+    fit_cameras: bool,
+) -> RelativePose:
+    """`estimate_pose` of matches of one motion."""
+    problem = TwoViewProblem.of(matches, *stated, options)
+    camera1, camera2 = stated
     warnings = tuple(dict.fromkeys((*camera1.warnings, *camera2.warnings, *problem.warnings)))
     inliers = np.zeros(len(matches), dtype=bool)
     if len(problem) < MIN_MATCHES:
         reason = f"only {len(problem)} matches; a verdict needs {MIN_MATCHES}"
         return RelativePose("too_few_matches", reason, inliers, len(problem), warnings=warnings)
-    stated = camera1, camera2
     assessed = assess(problem, matches, stated, options, map_matches, fit_cameras=fit_cameras)
     if assessed is None:
         reason = f"no essential matrix was found for {len(problem)} matches"
@@ -94,6 +115,7 @@ class Assessment:
     problem: TwoViewProblem  # normalised by the cameras
     cameras: tuple[Camera, Camera]  # with the focal lengths that the matches determine
     fitted: bool  # whether these were fitted
+    model: CameraModel  # of the cameras
     hypotheses: Sequence[Hypothesis]  # the likeliest first
     second: Hypothesis | None  # another motion, of the matches that a plane leaves over
     evidence: Evidence
@@ -121,7 +143,7 @@ def assess(
     """
     fitted = fit_cameras and len(CameraSpread.of(*stated)) > 0
     of_stated = problem
-    problem, cameras, runs = _sample(problem, matches, stated, options, fitted)
+    problem, cameras, runs, model = _sample(problem, matches, stated, options, fitted)
     if not runs:
         return None
     first, plane = _refine(problem, runs[0], options)
@@ -148,6 +170,8 @@ def assess(
         of_inliers = np.isin(of_stated.index, problem.index[best.inliers])
         still = still_camera(of_stated.subset(of_inliers))
     covariance = pose_covariance(problem, best, spread, fitted=fitted)
+    if covariance is not None:
+        covariance = replace(covariance, pose=covariance.pose + model.pose_spread)
     evidence = gather(
         problem,
         best,
@@ -162,7 +186,9 @@ def assess(
     )
     if fitted:
         cameras = _fitted(cameras[0], covariance, 0), _fitted(cameras[1], covariance, 1)
-    return Assessment(problem, cameras, fitted, hypotheses, second, evidence, covariance, logistic)
+    return Assessment(
+        problem, cameras, fitted, model, hypotheses, second, evidence, covariance, logistic
+    )
 
 
 def _sample(
@@ -171,22 +197,29 @@ def _sample(
     stated: tuple[Camera, Camera],
     options: EstimationOptions,
     fitted: bool,
-) -> tuple[TwoViewProblem, tuple[Camera, Camera], list[Hypothesis]]:
+) -> tuple[TwoViewProblem, tuple[Camera, Camera], list[Hypothesis], CameraModel]:
     """RANSAC, if `fitted` with the focal lengths of cameras that are not exact among the unknowns.
 
-    Returns the problem, normalised by the cameras; the cameras; and the hypotheses of the runs,
-    that with most inliers first, none if there is no essential matrix.
+    Returns the problem, normalised by the cameras; the cameras; the hypotheses of the runs,
+    that with most inliers first, none if there is no essential matrix; and the cameras' model.
     """
+    assumed = CameraModel("assumed", stated)
     if not fitted:
-        return problem, stated, sample(problem, options)
-    fit = cameras_fitted_to(problem, *stated, options)
-    if fit is None:
-        return problem, stated, []
-    pose, camera1, camera2 = fit
-    problem = TwoViewProblem.of(matches, camera1, camera2, options)
+        return problem, stated, sample(problem, options), assumed
+    spread = CameraSpread.of(*stated)
+    pose = joint_pose(problem, spread, options)
+    if pose is None:
+        return problem, stated, [], assumed
+    model = likeliest_model(problem, matches, stated, pose, options)
+    if model.name != "assumed" and model.pose is not None:
+        stated, spread = model.cameras, CameraSpread.of(*model.cameras)
+        problem = TwoViewProblem.of(matches, *stated, options)
+        pose = JointFit(problem, spread).fitted(model.pose)
+    cameras = deviating_pair(stated, spread.basis @ pose.z)
+    problem = TwoViewProblem.of(matches, *cameras, options)
     rest = replace(options, runs=max(1, options.runs - SEARCH_RUNS))
     runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *sample(problem, rest)]
-    return problem, (camera1, camera2), sorted(runs, key=lambda run: -run.num_inliers)
+    return problem, cameras, sorted(runs, key=lambda run: -run.num_inliers), model
 
 
 def _refine(
@@ -304,5 +337,5 @@ def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -
     unit = []
     for camera, std in zip(cameras, covariance.focal_stds, strict=True):
         factor = calibrated_focal_std(std) / std if std else 1.0
-        unit += [factor, factor * camera.focal, factor * camera.focal, factor, factor]
+        unit += [factor, factor * camera.focal, factor * camera.focal, factor, factor, factor]
     return covariance.cameras * np.outer(unit, unit)

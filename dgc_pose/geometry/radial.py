@@ -1,9 +1,16 @@
-"""A lens of two radial coefficients c1 and c2, COLMAP's RADIAL: a normalised point u is seen at
-u (1 + c1 |u|^2 + c2 |u|^4)."""
+"""Lenses of two radial coefficients c1 and c2: a point q is seen at q (1 + c1 |q|^2 + c2 |q|^4).
+
+Of COLMAP's RADIAL q is the normalised point itself. Of its OPENCV_FISHEYE, whose other coefficients
+are 0, |q| is the angle to the optical axis. Of a cylinder the x of q is the angle about its axis,
+and the y is the height on it.
+"""
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+Projection = Literal["plane", "angles", "cylinder"]
 _NEWTON_STEPS, _CONVERGED = 20, 1e-12  # five are enough within the view of a photograph
 
 
@@ -51,3 +58,42 @@ def _growth(squared: np.ndarray, coefficients: ArrayLike) -> tuple[np.ndarray, n
         1 + squared * (first + second * squared),
         1 + squared * (3 * first + 5 * second * squared),
     )
+
+
+def projected(points: np.ndarray, projection: Projection) -> np.ndarray:
+    """The q (N, 2) of normalised points (N, 2), x / z and y / z."""
+    if projection == "angles":
+        radius = np.linalg.norm(points, axis=1, keepdims=True)
+        return points * np.arctan(radius) / np.maximum(radius, 1e-300)
+    if projection == "cylinder":
+        x, y = points.T
+        return np.column_stack([np.arctan(x), y / np.hypot(1, x)])
+    return points
+
+
+def unprojected(points: np.ndarray, projection: Projection) -> np.ndarray:
+    """The inverse of `projected`; NaN at 90 degrees from the axis and beyond."""
+    if projection == "plane":
+        return points
+    angle = np.linalg.norm(points, axis=1) if projection == "angles" else np.abs(points[:, 0])
+    angle = np.where(angle < np.pi / 2, angle, np.nan)
+    if projection == "angles":
+        return points * (np.tan(angle) / np.maximum(angle, 1e-300))[:, None]
+    x, y = points.T
+    return np.column_stack([np.sign(x) * np.tan(angle), y / np.cos(angle)])
+
+
+def unprojected_slopes(points: np.ndarray, projection: Projection) -> np.ndarray:
+    """The derivatives (N, 2, 2) of `unprojected` by the points (N, 2)."""
+    if projection == "angles":
+        angle = np.maximum(np.linalg.norm(points, axis=1), 1e-12)[:, None, None]
+        outer = points[:, :, None] * points[:, None] / angle**2
+        return np.eye(2) * np.tan(angle) / angle + outer * (
+            1 / np.cos(angle) ** 2 - np.tan(angle) / angle
+        )
+    slopes = np.tile(np.eye(2), (len(points), 1, 1))
+    if projection == "cylinder":
+        x, y = points.T
+        slopes[:, 0, 0] = 1 / np.cos(x) ** 2
+        slopes[:, 1, 0], slopes[:, 1, 1] = y * np.sin(x) / np.cos(x) ** 2, 1 / np.cos(x)
+    return slopes

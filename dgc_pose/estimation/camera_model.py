@@ -1,0 +1,181 @@
+"""Which camera the matches agree with, where no K states it: the one that is assumed, or another.
+
+Assumed are a pinhole with a lens of two coefficients, square pixels and the principal point near
+the middle, the same in all images of a camera. The fit is repeated on some of the matches with
+other cameras. A cost is minus the logarithm of the likelihood of the errors in the image and of the
+camera by its prior, so that the costs of all models can be compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
+from dgc_pose.estimation.camera_fit import JointFit, JointPose, start_at
+from dgc_pose.estimation.camera_spread import ASPECTS, FOCALS, SIZE, CameraSpread
+from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, error_scale
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.robust_fit import run_seeds
+from dgc_pose.matches import Matches
+from dgc_pose.system.threads import in_threads
+
+ModelName = Literal["assumed", "squeezed", "off_centre", "fisheye", "cylinder"]
+_SAMPLED = 300  # matches
+_ITERATIONS = 250  # of a RANSAC run
+# Of the errors of the two rounds of a fit, thresholds: from a start, and from a fit.
+_OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
+_FIT_ITERATIONS = 12  # of a round
+_LOG_ODDS = -3.0  # of another model before the matches are seen: a picture in twenty
+_MOST_ERROR = 3.0  # thresholds; larger errors count as this
+_WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
+_ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
+_CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
+# Focal lengths over the longer side, and the deviations of their logarithms, without EXIF data.
+_WIDE: dict[str, tuple[float, float]] = {FISHEYE: (0.55, 0.35), CYLINDER: (0.6, 0.4)}
+_STEPS = np.linspace(-1.5, 1.5, 6)  # deviations of ln f that are tried
+
+
+@dataclass(frozen=True, eq=False)
+class CameraModel:
+    """Two cameras by one model."""
+
+    name: ModelName
+    cameras: tuple[Camera, Camera]  # before the fit
+    starts: Sequence[np.ndarray] = ()  # deviations (2 * SIZE,), see `CameraSpread`
+    pose: JointPose | None = None  # where a fit starts as well; then the fit; None if it failed
+    cost: float = math.inf
+    # (6, 6), rad^2: by how much the poses of the other models differ, by their probabilities.
+    pose_spread: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+
+
+def likeliest_model(
+    problem: TwoViewProblem,
+    matches: Matches,
+    stated: tuple[Camera, Camera],
+    pose: JointPose,
+    options: EstimationOptions,
+) -> CameraModel:
+    """The most probable model; where a K or a lens is given, the assumed one.
+
+    problem: of the matches, normalised by the cameras as stated. pose: fitted with these.
+    """
+    assumed = CameraModel("assumed", stated, pose=pose)
+    if any(c.focal_source == "given" or c.distortion is not None for c in stated):
+        return assumed
+    order = np.random.default_rng(options.seed).permutation(len(problem))
+    sample = matches.subset(problem.index[np.sort(order[:_SAMPLED])])
+    pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
+    less = replace(options, iterations=_ITERATIONS)
+
+    def joint_of(model: CameraModel) -> JointFit:
+        of_model = TwoViewProblem.of(sample, *model.cameras, options)
+        return JointFit(of_model, CameraSpread.of(*model.cameras))
+
+    def errors(model: CameraModel, joint: JointFit, pose: JointPose) -> np.ndarray:
+        """Errors in the image of all of the sample, thresholds, cut off."""
+        error = joint.errors_px(pose, (model.cameras[0].focal, model.cameras[1].focal)) / pixels
+        lost = np.full(len(sample) - len(error), np.inf)  # whose distortion cannot be undone
+        return np.minimum(np.concatenate([error, lost]), _MOST_ERROR)
+
+    def cost(model: CameraModel, joint: JointFit, pose: JointPose, scale: float) -> float:
+        loss = np.log1p((errors(model, joint, pose) / scale) ** 2).sum()
+        return float(EFFICIENT**2 * loss / ALIKE + pose.z @ pose.z) / 2
+
+    joint = joint_of(assumed)
+    error = errors(assumed, joint, pose)
+    scale = error_scale(error[error < 1], 1.0) if (error < 1).any() else 1.0
+    rough = cost(assumed, joint, pose, 1.0) + _WORSE
+    assumed = replace(assumed, cost=cost(assumed, joint, pose, scale))
+
+    def fitted(model: CameraModel) -> CameraModel:
+        joint = joint_of(model)
+        seeds = run_seeds(replace(options, runs=max(1, len(model.starts))))
+        starts = [
+            start
+            for at, seed in zip(model.starts, seeds, strict=False)
+            if (start := start_at(joint.problem, joint.spread, at, less, seed)) is not None
+        ]
+        starts = sorted(starts, key=lambda start: cost(model, joint, start, 1.0))[:1]
+        starts = [start for start in starts if cost(model, joint, start, 1.0) < rough]
+        fits = [joint.fitted(start, _OF_START, _FIT_ITERATIONS) for start in starts]
+        if model.pose is not None:
+            deviations = CameraSpread.of(*stated).basis @ model.pose.z
+            z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
+            start = replace(model.pose, z=z)
+            fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
+        costs = [cost(model, joint, fit, scale) for fit in fits]
+        if not fits:
+            return replace(model, pose=None)
+        best = int(np.argmin(costs))
+        return replace(model, pose=fits[best], cost=costs[best])
+
+    models = [assumed, *in_threads(fitted, _others(stated, pose))]
+    if __import__("os").environ.get("DBG"):
+        print({m.name: round(m.cost - assumed.cost, 1) for m in models[1:]})
+    odds = np.array([assumed.cost - model.cost + _LOG_ODDS for model in models])
+    odds[0] = 0.0
+    shares = np.exp(odds - odds.max())
+    shares /= shares.sum()
+    best = models[int(np.argmax(shares))]
+    differences = [np.sqrt(share) * _difference(best, model) for share, model in zip(shares, models)]
+    return replace(best, pose_spread=np.array(differences).T @ np.array(differences))
+
+
+def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:
+    """(w, d) (6,) with which the other's pose is exp([w]x) R and t + d."""
+    if model.pose is None or other.pose is None:
+        return np.zeros(6)
+    rotation = cv2.Rodrigues(other.pose.R @ model.pose.R.T)[0][:, 0]
+    return np.concatenate([rotation, other.pose.t - model.pose.t])
+
+
+def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]:
+    """The other models. pose: fitted with the cameras as stated."""
+    focal = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
+    first, second = stated
+    wide = {
+        model: (_wide(first, model), _wide(second, model)) for model in (FISHEYE, CYLINDER)
+    }
+    return [
+        CameraModel(
+            "squeezed",
+            (replace(first, aspect_std=_ASPECT_STD), replace(second, aspect_std=_ASPECT_STD)),
+            [_deviations(focal, aspect) for aspect in (-0.6, -0.3, 0.3, 0.6)],
+            pose,
+        ),
+        CameraModel("off_centre", (_part(first), _part(second)), (), pose),
+        *(
+            CameraModel(name, wide[model], [_deviations(_WIDE[model][1] * k) for k in _STEPS])
+            for name, model in (("fisheye", FISHEYE), ("cylinder", CYLINDER))
+        ),
+    ]
+
+
+def _part(camera: Camera) -> Camera:
+    """The camera of a part of an image, whose principal point is its own."""
+    most = _CENTRE_STD * max(camera.size or (0,))
+    return replace(camera, centre_std=max(camera.centre_std, most))
+
+
+def _wide(camera: Camera, model: str) -> Camera:
+    """A camera with another projection."""
+    over_side, std = _WIDE[model]
+    if camera.focal_source == "size":
+        camera = camera.with_focal(over_side * max(camera.size or (0,)))
+    if model == CYLINDER:
+        return replace(camera, focal_std=std, distortion=Distortion(model), lens_std=0.0)
+    return replace(camera, focal_std=std, distortion=Distortion(model, (0.0,) * 4))
+
+
+def _deviations(log_focal: np.ndarray | float, aspect: float = 0.0) -> np.ndarray:
+    deviations = np.zeros(2 * SIZE)
+    deviations[FOCALS], deviations[ASPECTS] = log_focal, aspect
+    return deviations
