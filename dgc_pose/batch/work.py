@@ -173,7 +173,7 @@ class Worker:
     def _forget(self, image: Image | str) -> None:
         """Features keep their image in memory, so they go with it."""
         if isinstance(image, Image):
-            self.caches.forget(image)
+            self.matcher.forget(image)
 
     def _read(self, name: str) -> Image | str:
         try:

@@ -84,6 +84,10 @@ class Refiner(Matcher):
     def fingerprint(self) -> str | None:
         return self.matcher.fingerprint
 
+    def forget(self, image: Image) -> None:
+        self.matcher.forget(image)
+        super().forget(image)
+
     def coarse_features(self, image: Image) -> np.ndarray:
         return self.matcher.coarse_features(image)
 
