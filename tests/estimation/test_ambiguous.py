@@ -118,8 +118,21 @@ def test_a_plane_that_may_have_moved_is_ambiguous(seed: int, key_points: bool) -
         for other in pose.alternatives
     ]
     assert min(errors) < 2
-    if not key_points:
-        assert sum(other.probability or 0 for other in pose.alternatives) <= 1
+    for other in pose.alternatives:
+        assert other.inliers.shape == other.in_front.shape == (pose.num_matches,)
+
+
+@pytest.mark.usefixtures("known_models")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_of_a_moved_plane_with_two_poses_the_likeliest_pose_comes_first(seed: int) -> None:
+    """Half of the probability is that of the other motion."""
+    plane = poster_scene(seed=seed, sigma_px=0.1)
+    scene = two_view_scene("general", seed=seed + 9, count=120, outliers=0.0, rotation_deg=25)
+    pose = _pose_of(plane, scene)
+    assert pose.status == "ambiguous" and len(pose.alternatives) == 3, pose
+    likely = [other.probability for other in pose.alternatives]
+    assert likely == sorted(likely, reverse=True) and sum(likely) == pytest.approx(ANY)
+    assert likely[0] == pytest.approx(ANY / 2) and likely[1] < likely[0]
 
 
 @pytest.mark.parametrize("seed", range(3))
