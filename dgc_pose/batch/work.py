@@ -154,6 +154,7 @@ class Worker:
     ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair, by the pose of the matches as they are stored."""
         matches, map_matches = stored.estimable()
+        matches = replace(matches, weights=self.matcher.fingerprint)  # all are of this matcher
         pose = estimate_pose(
             matches,
             cameras[names[0]],

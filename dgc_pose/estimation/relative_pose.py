@@ -28,7 +28,6 @@ from dgc_pose.estimation.plane import Plane, best_planar, fit_plane, still_camer
 from dgc_pose.estimation.probability import (
     ProbabilityModel,
     calibrated_focal_std,
-    match_kind,
     shipped_models,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -131,8 +130,12 @@ def assess(
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, *cameras, map_options)
     of_focal = fitted and any(camera.focal_std for camera in stated)
-    kind = match_kind(key_points=problem.key_points, with_map=bool(map_problem), fitted=of_focal)
-    logistic = shipped_models().by_kind.get(kind)
+    logistic = shipped_models().model(
+        matches.weights,
+        key_points=matches.key_points,
+        with_map=bool(map_problem),
+        fitted=of_focal,
+    )
     others = competitors(problem, first, runs, plane, options)
     hypotheses = compared(problem, first, others, map_problem, options)
     hypotheses = ranked(hypotheses, None if logistic is None else logistic.choice)
