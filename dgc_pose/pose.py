@@ -48,8 +48,11 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
     "thorough": ("match", "mirrored", "more"),
 }
 _MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
-_UNMIRRORED = 0.999  # probability of a pose from which image 2 is not mirrored
-_LIKELY = 0.95  # and of that of its mirror image, at least, that shows that it is
+# Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
+_LIKELY = 0.95
+# It is not if its own is so probable, and the median epipolar error below this share of the
+# threshold: a scene that is nearly its mirror image does not fit as closely.
+_CLOSE = 0.1
 _FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
@@ -240,7 +243,9 @@ def _may_change(
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
         likely = pose.any_probability
-        return likely is not None and likely < _UNMIRRORED and pose.status != "rotation_only"
+        if likely is None or pose.status == "rotation_only":
+            return False
+        return likely < _LIKELY or pose.evidence is None or pose.evidence.residual >= _CLOSE
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 
