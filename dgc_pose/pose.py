@@ -49,7 +49,7 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
 }
 _MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
 # Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
-_LIKELY = 0.95
+_LIKELY = 0.9
 # It is not if its own is so probable, and the median epipolar error below this share of the
 # threshold: a scene that is nearly its mirror image does not fit as closely.
 _CLOSE = 0.1
