@@ -100,7 +100,8 @@ def placed(
     camera = model.cameras[name]
     location = locator.locate(model.root / name, withheld or camera, left_out=out)
     seconds = time.perf_counter() - start
-    common = (name, location.status, location.probability, len(location.references), seconds)
+    likely = np.nan if location.probability is None else location.probability
+    common = (name, location.status, likely, len(location.references), seconds)
     of_pairs = location.seconds["match"]
     if location.R is None or location.centre is None or location.camera is None:
         return LocationScore(*common, of_pairs)

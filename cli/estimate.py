@@ -47,7 +47,9 @@ class Outputs:
     plot_width: float = _number(10.0, "Width of --plot, inches; text keeps its size.", 6, 20)
     plot_dpi: int = _number(200, "Pixels to an inch of --plot.", 50, 600)
     ply: str | None = file_option(
-        "Write the inliers' points in space, coloured; nothing without a pose.", "PATH.ply"
+        "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
+        "without a pose.",
+        "PATH.ply",
     )
 
 

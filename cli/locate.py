@@ -19,7 +19,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.status import percent_text
+from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import image_header
@@ -143,11 +143,9 @@ def location_text(photo: str, location: Location) -> str:
             f"expected error: R within {rotation:.3f} deg, centre within {position:.3g}, nine "
             "times in ten if the location is right"
         )
-        likely = percent_text(location.probability)
-        lines.append(
-            f"probability {likely} that R is within 5 deg and the centre within 5 % of "
-            "the model's extent"
-        )
+        of = "that R is within 5 deg and the centre within 5 % of the model's extent"
+        of = "for such matches" if location.probability is None else of
+        lines.append(f"{probability_text(location.probability)} {of}")
     if location.success and location.camera is not None and not location.camera.exact:
         lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
     used = [reference.name for reference in location.references if reference.agrees]

@@ -8,7 +8,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.status import percent_text
+from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
@@ -39,12 +39,12 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
             f"expected error: R within {pose.rotation_error_90_deg:.3f} deg, t within "
             f"{pose.translation_error_90_deg:.3f} deg, nine times in ten if the pose is right"
         )
-    if pose.t is not None and pose.probability is not None:
-        lines.append(f"probability {percent_text(pose.probability)} that R and t are within 10 deg")
+    if pose.t is not None:
+        of = "for such matches" if pose.probability is None else "that R and t are within 10 deg"
+        lines.append(f"{probability_text(pose.probability)} {of}")
     for number, alternative in enumerate(pose.alternatives, start=1):
-        chance = alternative.probability
-        likely = "" if chance is None else f", probability {percent_text(chance)}"
-        lines.append(f"alternative {number}: {alternative.num_inliers} inliers{likely}")
+        likely = probability_text(alternative.probability)
+        lines.append(f"alternative {number}: {alternative.num_inliers} inliers, {likely}")
         lines += _pose_lines(alternative.R, alternative.t)
     lines += [f"warning: {warning}" for warning in pose.warnings]
     lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))

@@ -1,6 +1,7 @@
 """The process that a command runs in: its signals, standard streams and warnings."""
 
 import logging
+import os
 import signal
 import sys
 import warnings
@@ -50,6 +51,7 @@ def command_process(*, debug: bool) -> Iterator[None]:
         if not debug:
             warnings.simplefilter("ignore")
             matplotlib.setLevel(logging.ERROR)
+            os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # read when OpenCV is imported
         try:
             yield
         finally:

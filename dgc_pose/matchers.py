@@ -9,7 +9,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.images.image import Image
 from dgc_pose.matching.cache import ImageCache, image_cache
 from dgc_pose.matching.dense import load_dense_matcher
 from dgc_pose.matching.flow import FlowMatcher
@@ -42,11 +41,6 @@ class MatcherCaches:
     features: ImageCache = field(default_factory=image_cache)
     native: ImageCache = field(default_factory=image_cache)
     key_points: ImageCache = field(default_factory=image_cache)
-
-    def forget(self, image: Image) -> None:
-        """Drop all that is kept of an image."""
-        for cache in (self.features, self.native, self.key_points):
-            cache.drop(lambda key: key[0] is image)
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ class Matches:
         error_px: Expected error of a good match, pixels of the original images.
         key_points: Whether the matches are independent detections (key points). Errors of a dense
             map's matches are correlated among neighbours.
+        weights: Fingerprint of the weights of the network that made the matches; None if none did.
+            The probability of a pose is fitted on the matches of certain weights.
     """
 
     points1: np.ndarray
@@ -31,6 +33,7 @@ class Matches:
     confidence: np.ndarray
     error_px: float
     key_points: bool = False
+    weights: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("points1", "points2"):
@@ -66,7 +69,8 @@ class Matches:
     def joined(cls, parts: Sequence[Matches]) -> Matches:
         """The matches of all parts, those that are equal to the pixel once.
 
-        The expected error is the largest of the parts'. Raises ValueError without any part.
+        The expected error is the largest of the parts', and all else as of the first. Raises
+        ValueError without any part.
         """
         points1, points2, confidence = (
             np.concatenate([getattr(part, name) for part in parts])
@@ -75,7 +79,9 @@ class Matches:
         pixels = np.round(np.column_stack([points1, points2]))
         _, first = np.unique(pixels, axis=0, return_index=True)
         error = max(part.error_px for part in parts)
-        joined = cls(points1, points2, confidence, error, parts[0].key_points)
+        joined = replace(
+            parts[0], points1=points1, points2=points2, confidence=confidence, error_px=error
+        )
         return joined.subset(np.sort(first))
 
     def __len__(self) -> int:

@@ -48,8 +48,11 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
     "thorough": ("match", "mirrored", "more"),
 }
 _MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
-_UNLIKELY = 0.75  # probability of a pose below which image 2 may be mirrored
-_LIKELY = 0.95  # and of that of its mirror image that shows it
+# Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
+_LIKELY = 0.9
+# It is not if its own is so probable, and the median epipolar error below this share of the
+# threshold: a scene that is nearly its mirror image does not fit as closely.
+_CLOSE = 0.1
 _FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
@@ -167,7 +170,7 @@ def pose_of_pair(
         start = time.perf_counter()
         if step == "mirrored":
             probability = _mirror_image_probability(search, camera1, camera2, options)
-            if probability < _LIKELY or pose is None:
+            if pose is None or probability < max(_LIKELY, pose.any_probability or 0.0):
                 continue
             reason = (
                 f"the mirror image of image 2 has a pose, {percent_text(probability)} probable, "
@@ -209,8 +212,9 @@ def _mirror_image_probability(
 ) -> float:
     """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
     without one."""
-    image2 = search.image2
-    result = search.matcher.search(search.image1, image2.oriented(2)).quick()
+    image2 = search.image2.oriented(2)
+    result = search.matcher.search(search.image1, image2).quick()
+    search.matcher.forget(image2)  # no other pair has it
     if result is None:
         return 0.0
     K = camera2.K.copy()
@@ -238,8 +242,10 @@ def _may_change(
     if step == "match":
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
-        still = pose.status in ("rotation_only", "same_picture")
-        return (pose.probability or 0.0) < _UNLIKELY and not still
+        likely = pose.any_probability
+        if likely is None or pose.status in ("rotation_only", "same_picture"):
+            return False
+        return likely < _LIKELY or pose.evidence is None or pose.evidence.residual >= _CLOSE
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
 

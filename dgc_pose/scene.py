@@ -19,7 +19,7 @@ def pose_scene(trace: Trace) -> dict[str, Any]:
     """What scene.js shows of a pair, as values of JSON. Raises InputError without R and t."""
     if trace.pose.R is None or trace.pose.t is None:
         raise InputError(ArgumentName("trace"), f"has no R and t: {trace.pose.reason}")
-    pose = np.column_stack([trace.pose.R, trace.pose.t])
+    pose = np.column_stack([trace.pose.R, trace.pose.t * (trace.pose.length or 1.0)])
     first = scene_camera("1", trace.camera1.K, trace.image1.size, np.eye(3, 4))
     second = scene_camera("2", trace.camera2.K, trace.image2.size, pose)
     return scene_of([first, second], trace.points3d, trace.colours, _MOST)

@@ -54,8 +54,9 @@ class Trace:
 
     @property
     def points3d(self) -> np.ndarray:
-        """The matches' points (N, 3) float64 in camera 1's frame (OpenCV axes), in units of the
-        distance between the cameras, on the rays of camera 1 where the two rays come nearest.
+        """The matches' points (N, 3) float64 in camera 1's frame (OpenCV axes), in metres if the
+        length of t is known, else in units of the distance between the cameras; on the rays of
+        camera 1 where the two rays come nearest.
 
         NaN where a match is no inlier or its point is not in front of both cameras, and without R
         and t.
@@ -66,7 +67,7 @@ class Trace:
             return points
         x1 = self.camera1.normalise(self.matches.points1[inliers])
         x2 = self.camera2.normalise(self.matches.points2[inliers])
-        depth1, depth2 = depths(x1, x2, R, t)
+        depth1, depth2 = depths(x1, x2, R, t * (self.pose.length or 1.0))
         ahead = (depth1 > 0) & (depth2 > 0) & np.isfinite(depth1)
         points[inliers] = homogeneous(x1) * np.where(ahead, depth1, np.nan)[:, None]
         return points

@@ -3,6 +3,7 @@
 import copy
 import os
 import pickle
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,14 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose import MatcherCaches, load_dense_matcher, load_matcher
+from dgc_pose import Camera, MatcherCaches, estimate_pose, load_dense_matcher, load_matcher
+from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
 from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.refinement import RefinementOptions
+from dgc_pose.refinement import RefinementOptions, Refiner
 from dgc_pose.training.run import save_weights
 
 
@@ -41,6 +43,37 @@ def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image
         for found in (bare.matches, refined.matches)
     ]
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
+
+
+def test_matches_state_the_weights_of_the_network_that_made_them(
+    images: tuple[Image, Image],
+) -> None:
+    """Those of each step, refined or not."""
+    matcher, camera = load_matcher(), Camera(dense_scene.K, dense_scene.SIZE)
+    search = matcher.search(*images)
+    whole = search.whole()
+    poses = estimate_pose(whole.matches, camera, camera).hypotheses
+    views = [TwoViews(camera, camera, pose.R, pose.t) for pose in poses]
+    steps = [whole, search.more(views), search.quick(), search.fine()]
+    steps += [load_matcher(refinement=r).match(*images) for r in (None, RefinementOptions("map"))]
+    assert all(step is not None and step.matches.weights == matcher.fingerprint for step in steps)
+    others = load_matcher("dis"), Refiner(load_matcher("dis")), load_matcher("sift")
+    assert [other.match(*images).matches.weights for other in others] == [None] * 3
+
+
+@pytest.mark.parametrize("weights", ["shipped", None, "0123456789abcdef"])
+def test_only_the_shipped_network_s_matches_have_a_probability(
+    images: tuple[Image, Image], weights: str | None
+) -> None:
+    """It is fitted on them; without, the gates decide."""
+    result, camera = load_matcher().match(*images), Camera(dense_scene.K, dense_scene.SIZE)
+    matches = result.matches if weights == "shipped" else replace(result.matches, weights=weights)
+    for map_matches in (result.map_matches, None):
+        for one in (camera, replace(camera, focal_std=0.1)):
+            pose = estimate_pose(matches, one, one, map_matches=map_matches)
+            assert pose.success and (pose.probability is None) == (weights != "shipped")
+            assert (pose.to_dict()["any_probability"] is None) == (weights != "shipped")
+            assert ("not known" in repr(pose)) == (weights != "shipped")
 
 
 def test_caches_keep_what_is_computed_of_an_image(images: tuple[Image, Image]) -> None:

@@ -1,5 +1,7 @@
 """Matches refuse shapes that do not agree."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,12 +40,12 @@ def _of_rows(rows: list[list[float]], error_px: float, confidence: float) -> Mat
 
 def test_joined_matches_are_there_once_in_order() -> None:
     """Equal to the pixel in both images they are one match, the first of them."""
-    first = _of_rows([[9.2, 1, 2, 3], [1, 1, 1, 1]], 0.5, 0.9)
+    first = replace(_of_rows([[9.2, 1, 2, 3], [1, 1, 1, 1]], 0.5, 0.9), weights="abc")
     second = _of_rows([[9.4, 1.1, 1.9, 3], [9.2, 1, 2, 4], [0, 0, 7, 7]], 2.0, 0.4)
     joined = Matches.joined([first, second])
     assert joined.points1.tolist() == [[9.2, 1], [1, 1], [9.2, 1], [0, 0]]
     assert joined.points2.tolist() == [[2, 3], [1, 1], [2, 4], [7, 7]]
     assert joined.confidence.tolist() == [0.9, 0.9, 0.4, 0.4]
-    assert joined.error_px == 2.0 and not joined.key_points
+    assert joined.error_px == 2.0 and not joined.key_points and joined.weights == "abc"
     with pytest.raises(ValueError):
         Matches.joined([])

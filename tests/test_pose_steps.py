@@ -9,6 +9,7 @@ from typing import Any
 import dense_scene
 import numpy as np
 import pytest
+from good_evidence import GOOD_EVIDENCE
 
 from dgc_pose import (
     Camera,
@@ -18,10 +19,12 @@ from dgc_pose import (
     estimate_pose,
     estimate_relative_pose,
     load_image,
+    load_matcher,
 )
-from dgc_pose.cameras.pair_list import rendered_pair
+from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
+from dgc_pose.matchers import MatcherCaches
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult, PairSearch
 from dgc_pose.pose import pose_of_pair
@@ -91,9 +94,13 @@ def _with(monkeypatch: pytest.MonkeyPatch, *answers: Mapping[str, Any]) -> list[
     return estimated
 
 
+# Inliers that do not agree closely, as of a scene that is nearly its mirror image.
+LOOSELY = {"evidence": replace(GOOD_EVIDENCE, residual=0.2)}
+
+
 def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
     total = None if probability is None else probability + others
-    return {"probability": probability, "any_probability": total}
+    return {"probability": probability, "any_probability": total} | LOOSELY
 
 
 def _of_share(share: float) -> Hypothesis:
@@ -101,7 +108,7 @@ def _of_share(share: float) -> Hypothesis:
     return Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers, in_front, share=share)
 
 
-CERTAIN = _doubt(0.995)
+CERTAIN: dict[str, Any] = {"probability": 0.995, "any_probability": 0.995}
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
 SEARCHED = ["mirrored", "more"]
@@ -111,16 +118,20 @@ SEARCHED = ["mirrored", "more"]
     ("effort", "answers", "steps"),
     [
         ("auto", [CERTAIN], ["quick"]),
+        ("auto", [CERTAIN | LOOSELY], ["quick", "mirrored"]),
+        ("fast", [CERTAIN | _doubt(0.96)], ["quick", "mirrored"]),
+        ("fast", [CERTAIN | {"any_probability": 0.89}], ["quick", "mirrored"]),
+        ("fast", [CERTAIN | {"any_probability": 0.91}], ["quick"]),
         ("auto", [_doubt(0.9), CERTAIN], ["quick", "match"]),
         ("auto", [LOOSE], ["quick", "fine"]),  # certain, but not accurate
         ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["quick", "fine", "match"]),
         ("auto", [LOOSER], ["quick", "fine", *SEARCHED[1:]]),
-        ("auto", [_doubt(None)], ["quick", "match", "mirrored"]),
+        ("auto", [_doubt(None)], ["quick", "match"]),  # nothing to compare the mirror image with
         ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
         ("auto", [_doubt(0.0, 0.9)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
         ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED[1:]]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["quick", "match"]),
-        ("auto", [_doubt(0.8)], ["quick", "match", *SEARCHED[1:]]),
+        ("auto", [_doubt(0.8)], ["quick", "match", *SEARCHED]),
         ("auto", [_doubt(0.5, 0.495)], ["quick", "match", "mirrored"]),
         ("auto", [_doubt(0.001)], ["quick", "match", "mirrored"]),  # hopeless
         ("fast", [_doubt(0.5)], ["quick", "mirrored"]),
@@ -166,12 +177,23 @@ def test_focal_lengths_that_are_not_known_need_all_the_matches(
     assert search.steps == ["match", "mirrored"]
 
 
-@pytest.mark.parametrize(("answer", "status"), [(_doubt(0.96), "mirrored"), (_doubt(0.9), "ok")])
+@pytest.mark.parametrize(
+    ("own", "answer", "status"),
+    [
+        (_doubt(0.5), _doubt(0.91), "mirrored"),
+        (_doubt(0.5), _doubt(0.89), "ok"),
+        (_doubt(0.97), _doubt(0.98), "mirrored"),
+        (_doubt(0.98), _doubt(0.97), "ok"),
+        (_doubt(0.0, 0.98), _doubt(0.97), "ok"),  # two poses, one of which is right
+        (_doubt(0.5), _doubt(None), "ok"),
+    ],
+)
 def test_a_likely_pose_of_the_mirror_image_ends_the_search(
-    monkeypatch: pytest.MonkeyPatch, answer: Mapping[str, Any], status: str
+    monkeypatch: pytest.MonkeyPatch, own: Mapping[str, Any], answer: Mapping[str, Any], status: str
 ) -> None:
+    """If it is more probable than that of the image as it is."""
     monkeypatch.setattr(_Stepwise, "of_mirror_image", True)
-    estimated = _with(monkeypatch, _doubt(0.5), _doubt(0.5), answer)
+    estimated = _with(monkeypatch, own, own, answer)
     search = _Steps().search(*PICTURES)
     pose = pose_of_pair(search, EXACT, EXACT, OPTIONS)
     steps, last = ["quick", "match", "mirrored"], search.last
@@ -191,6 +213,19 @@ def test_a_mirrored_photograph_is_recognised() -> None:
     mirrored = np.ascontiguousarray(second.pixels[:, ::-1])
     pose = estimate_relative_pose(pair.path1, mirrored, pair.camera1, K2)
     assert pose.status == "mirrored", pose
+
+
+def test_a_scene_that_is_nearly_its_mirror_image_has_the_pose_of_the_likelier_of_both() -> None:
+    """The bundled photographs: each way round they have a likely pose. Features are kept of the two
+    images alone."""
+    first, second = map(load_image, bundled_photographs())
+    mirrored = load_image(np.ascontiguousarray(second.pixels[:, ::-1]))
+    caches = MatcherCaches()
+    matcher = load_matcher(caches=caches)
+    assert estimate_relative_pose(first, second, matcher=matcher).success
+    for cache in (caches.features, caches.native):
+        assert len({key[0] for key in cache._kept}) == 2
+    assert estimate_relative_pose(first, mirrored, matcher=matcher).status == "mirrored"
 
 
 @pytest.mark.parametrize("effort", ["fast", "auto"])

@@ -12,6 +12,7 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.scene import pose_scene
 from dgc_pose.trace import Trace
 from two_view import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
@@ -56,6 +57,16 @@ def test_the_points_are_those_that_colmap_triangulates(lens: Distortion | None) 
         expected = pycolmap.triangulate_point(*matrices, *rays)
         # They differ in how they share the noise between the images: a few pixels' worth.
         np.testing.assert_allclose(points[index], expected, rtol=0.02, atol=0.02)
+
+
+def test_the_points_are_in_metres_where_t_has_a_length() -> None:
+    trace = trace_of(two_view_scene(count=100))
+    metric = replace(trace, pose=replace(trace.pose, length=2.5))
+    np.testing.assert_allclose(metric.points3d, 2.5 * trace.points3d)
+    drawn, drawn_metric = (
+        [camera["corners"] for camera in pose_scene(one)["cameras"]] for one in (trace, metric)
+    )
+    np.testing.assert_allclose(drawn_metric, 2.5 * np.array(drawn), atol=0.01)
 
 
 def test_a_point_behind_a_camera_is_none() -> None:

@@ -72,8 +72,10 @@ class WorldScene:
         points2[wrong] = rng.uniform(0, IMAGE, (wrong.sum(), 2))
         return Matches(points1, points2, np.ones(len(points1)), 2 * NOISE_PX)
 
-    def pair_pose(self, number: int, seed: int = 0, probability: float = 0.98) -> RelativePose:
-        """The pose of a pair, which is that probable."""
+    def pair_pose(
+        self, number: int, seed: int = 0, probability: float | None = 0.98
+    ) -> RelativePose:
+        """The pose of a pair, which is that probable; None: not known."""
         pose = estimate_pose(self.matches(number, seed=seed), CAMERA, PHOTO_CAMERA, OPTIONS)
         return replace(pose, probability=probability, any_probability=probability)
 

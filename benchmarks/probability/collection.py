@@ -88,11 +88,12 @@ def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> No
 
 def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Iterator[StoredPair]:
     """All stored pairs of a method, entry by entry."""
+    weights = read_engine(out, method)["fingerprint"]
     for entry in entries:
         for path in sorted((out / "matches" / method / entry.name).glob("*.npz")):
             arrays = read_arrays(path)
             with read_as("a stored pair", path):
-                stored = _stored(f"{entry.name} {path.stem}", entry, arrays)
+                stored = _stored(f"{entry.name} {path.stem}", entry, arrays, weights)
             yield stored
 
 
@@ -118,7 +119,9 @@ def _match(path: Path, scene: str, posed: PosedPair, matcher: Matcher) -> None:
         np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 
-def _stored(name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray]) -> StoredPair:
+def _stored(
+    name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray], weights: str | None
+) -> StoredPair:
     camera1, camera2 = (
         Camera(arrays[f"K{n}"], (int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])))
         for n in (1, 2)
@@ -128,9 +131,9 @@ def _stored(name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray]) -> St
         name,
         str(arrays["scene"]),
         Truth({}, camera1, camera2, arrays.get("R"), arrays.get("t")),
-        _matches("", arrays),
-        _matches("pooled_", arrays) if "pooled_points1" in arrays else None,
-        _matches("map_", arrays) if "map_points1" in arrays else None,
+        _matches("", arrays, weights),
+        _matches("pooled_", arrays, weights) if "pooled_points1" in arrays else None,
+        _matches("map_", arrays, weights) if "map_points1" in arrays else None,
     )
 
 
@@ -141,6 +144,6 @@ def _arrays(prefix: str, matches: Matches) -> dict[str, object]:
     return {prefix + name: value for name, value in values.items()}
 
 
-def _matches(prefix: str, arrays: Mapping[str, np.ndarray]) -> Matches:
+def _matches(prefix: str, arrays: Mapping[str, np.ndarray], weights: str | None) -> Matches:
     points1, points2, confidence, error_px, key_points = (arrays[prefix + n] for n in _FIELDS)
-    return Matches(points1, points2, confidence, float(error_px), bool(key_points))
+    return Matches(points1, points2, confidence, float(error_px), bool(key_points), weights)

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -159,12 +160,14 @@ def fit_all(
     options: of the estimation, as users have them. Returns `probability.json`, the report, and its
     figure. Raises InputError if nothing is stored, or too little.
     """
-    engines = {method: read_engine(out, method) for method in methods}
+    engines: dict[str, Any] = {}
     by_kind: dict[MatchKind, list[Record]] = {}
     for method in methods:
-        of_method = list(records(read_collection(out, method, entries), options))
-        for kind, rows in _by_kind(of_method).items():
-            by_kind.setdefault(kind, rows)  # of several networks the first
+        engine = read_engine(out, method)
+        kinds = _by_kind(list(records(read_collection(out, method, entries), options)))
+        if kinds.keys() - by_kind.keys():  # of several networks the first
+            engines[method] = engine
+        by_kind = {**kinds, **by_kind}
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
     focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])

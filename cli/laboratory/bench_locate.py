@@ -64,7 +64,7 @@ def bench_locate(
         if not names:
             raise InputError(ArgumentName("other"), f"{bench.other} holds no images")
         locations = [locator.locate(bench.other / name) for name in thinned(names, bench.count)]
-        above = sum(location.probability > 0.5 for location in locations)
+        above = sum((location.probability or 0) > 0.5 for location in locations)
         click.echo(f"{above} of {len(locations)} placed above 0.5")
         return
     cases = [*left_out(sorted(model.poses), bench.every, bench.apart)]

@@ -154,6 +154,7 @@ class Worker:
     ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair, by the pose of the matches as they are stored."""
         matches, map_matches = stored.estimable()
+        matches = replace(matches, weights=self.matcher.fingerprint)  # all are of this matcher
         pose = estimate_pose(
             matches,
             cameras[names[0]],
@@ -173,7 +174,7 @@ class Worker:
     def _forget(self, image: Image | str) -> None:
         """Features keep their image in memory, so they go with it."""
         if isinstance(image, Image):
-            self.caches.forget(image)
+            self.matcher.forget(image)
 
     def _read(self, name: str) -> Image | str:
         try:

@@ -20,7 +20,6 @@ from PIL.TiffImagePlugin import IFDRational
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
-from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -273,8 +272,7 @@ def _sensor_width_mm(make: str, model: str) -> float | None:
     with scratch_folder() as folder:
         path = folder / "blank.jpg"
         PIL.Image.new("L", (_BLANK_WIDTH, 8)).save(path, exif=exif)
-        with quiet():
-            camera = pycolmap.infer_camera_from_image(path)
+        camera = pycolmap.infer_camera_from_image(path)
     return _BLANK_WIDTH / camera.focal_length if camera.has_prior_focal_length else None
 
 

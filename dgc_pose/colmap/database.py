@@ -16,7 +16,6 @@ from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.stderr import quiet
 
 # COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
 HALF_PIXEL = 0.5
@@ -47,7 +46,7 @@ def write_database(
         try:
             # Without a transaction of pycolmap, whose end terminates the process when a disk is
             # full. There is nothing to undo: the file has not taken its name.
-            with quiet(), pycolmap.Database.open(temporary) as database:
+            with pycolmap.Database.open(temporary) as database:
                 ids = _write_images(database, names, cameras)
                 for name, points in shared.key_points.items():
                     database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))

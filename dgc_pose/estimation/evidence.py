@@ -147,7 +147,7 @@ def gather(
     """The evidence for and against a hypothesis of the problem's matches.
 
     covariance: of its pose, see `pose_covariance`. still: of unknown focal lengths. second: another
-    motion, of the matches that a plane leaves over. runs: of RANSAC. others:
+    motion, found in the matches that a plane leaves over. runs: of RANSAC. others:
     that explain matches. map_problem: an even sample of the dense map.
     check: of the focal lengths of exact cameras, if it does not agree with them.
     """
@@ -182,7 +182,7 @@ def gather(
         median_triangulation_angle_deg=_median(angles),
         homography_ratio=homography_ratio,
         still_ratio=0.0 if still is None else still.share,
-        num_second_inliers=0 if second is None else second.num_in_front,
+        num_second_inliers=0 if second is None else int(second.inliers_in_front[~is_inlier].sum()),
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=min(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells

@@ -212,6 +212,16 @@ class FittedModels(NamedTuple):
 
     by_kind: Mapping[str, ProbabilityModel]  # a `MatchKind` each
     focal_error: ErrorModel  # of the logarithm of a focal length that was fitted, per cent
+    weights: frozenset[str]  # fingerprints of the networks whose matches they are fitted on
+
+    def model(
+        self, weights: str | None, *, key_points: bool, with_map: bool, fitted: bool
+    ) -> ProbabilityModel | None:
+        """The model of matches, see `match_kind`; None if none is fitted for such matches. weights:
+        of `Matches`. Those of key points are of any detector."""
+        if not key_points and weights not in self.weights:
+            return None
+        return self.by_kind.get(match_kind(key_points=key_points, with_map=with_map, fitted=fitted))
 
 
 @cache
@@ -235,7 +245,8 @@ def parse_models(text: str) -> FittedModels:
         )
         for kind, values in data["models"].items()
     }
-    return FittedModels(models, ErrorModel(**data["focal_error"]))
+    weights = frozenset(e["fingerprint"] for e in data["engine"].values() if e["fingerprint"])
+    return FittedModels(models, ErrorModel(**data["focal_error"]), weights)
 
 
 def calibrated_focal_std(std: float) -> float:

@@ -31,7 +31,6 @@ from dgc_pose.estimation.plane import Plane, best_planar, fit_plane, still_camer
 from dgc_pose.estimation.probability import (
     ProbabilityModel,
     calibrated_focal_std,
-    match_kind,
     shipped_models,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -153,8 +152,12 @@ def assess(
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, *cameras, map_options)
     of_focal = fitted and any(camera.focal_std for camera in stated)
-    kind = match_kind(key_points=problem.key_points, with_map=bool(map_problem), fitted=of_focal)
-    logistic = shipped_models().by_kind.get(kind)
+    logistic = shipped_models().model(
+        matches.weights,
+        key_points=matches.key_points,
+        with_map=bool(map_problem),
+        fitted=of_focal,
+    )
     others = competitors(problem, first, runs, plane, options)
     hypotheses = compared(problem, first, others, map_problem, options)
     hypotheses = ranked(hypotheses, None if logistic is None else logistic.choice)
@@ -239,8 +242,8 @@ def _refine(
 def _second_motion(
     problem: TwoViewProblem, first: Hypothesis, options: EstimationOptions
 ) -> Hypothesis | None:
-    """Another motion, of the matches that a hypothesis leaves over alone; None if it has few
-    inliers, or if unrelated images could have as many."""
+    """Another motion, found in the matches that a hypothesis leaves over; None if it has few
+    inliers among these, or if unrelated images could have as many."""
     left = problem.subset(~first.inliers)
     if len(left) < MIN_MATCHES:
         return None
@@ -250,7 +253,9 @@ def _second_motion(
     second = refine(left, runs[0]) if options.refine else runs[0]
     if second.is_among([first]) or second.num_in_front < _MIN_SECOND_SHARE * first.num_in_front:
         return None
-    return None if by_chance(gather(left, second, 0.0)) else second
+    if by_chance(gather(left, second, 0.0)):
+        return None
+    return Hypothesis.of_pose(problem, second.R, second.t)
 
 
 def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
@@ -326,6 +331,7 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
     if second := assessed.second:  # nothing shows whose motion is the camera's
         explaining = [replace(h, share=h.share / 2) for h in explaining if not second.is_among([h])]
         explaining.append(replace(second, share=0.5))
+        explaining.sort(key=lambda h: -h.share)
     any_right = assessed.probability
     if any_right is None:
         return explaining

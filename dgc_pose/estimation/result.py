@@ -64,10 +64,10 @@ class RelativePose:
             degrees: of a success or an ambiguous pair, the sum of its and its alternatives'. None
             likewise.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
-            well, the likeliest first: of a plane, of repeated structure, of a mirrored depth. With
-            "ambiguous" all poses; with any other failure none.
+            well, the likeliest first: of a plane, of repeated structure, of a mirrored depth, of
+            another motion. With "ambiguous" all poses; with any other failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
-            first.
+            first. Their inliers, and those of the alternatives, are over the `num_matches` used.
         median_triangulation_angle_deg: Of the inliers; None without a hypothesis.
         warnings: Sentences about what makes the pose uncertain, for people.
         seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose.Step`),

@@ -85,7 +85,7 @@ def with_length(
     """The pose with the length of its t; as it is without a pose or a source.
 
     matches: those that the pose is of. maps: of `scale`. A warning states depths that the matches
-    contradict, and of too few. Raises InputError for a point of `distance` with few inliers near.
+    contradict, and too few of them, or too few inliers near a point of `distance`.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
@@ -107,7 +107,10 @@ def with_length(
     inverse, of_match = _inverse_depths(x1, x2, poses, error)
     scatter, warnings = 0.0, pose.warnings
     if distance:
-        length, variance = _by_distance(x1, inverse, of_match, pose.camera1, distance)
+        by_distance = _by_distance(x1, inverse, of_match, pose.camera1, distance)
+        if isinstance(by_distance, str):
+            return replace(pose, warnings=(*warnings, by_distance))
+        length, variance = by_distance
     else:
         of_2 = _inverse_depths(x2, x1, [(R.T, -R.T @ t) for R, t in poses], error)
         seen = zip([_UNKNOWN if of is None else of for of in maps], points, strict=True)
@@ -173,16 +176,17 @@ def _by_depth(
 
 def _by_distance(
     x1: np.ndarray, inverse: np.ndarray, std: np.ndarray, camera1: Camera, distance: Sequence[float]
-) -> tuple[float, float]:
-    """The length and its variance by a distance in the scene, see `ScaleSource`."""
+) -> tuple[float, float] | str:
+    """The length and its variance by a distance in the scene, see `ScaleSource`; a warning if few
+    inliers are near one of its points."""
     rays, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
     at, off = np.ones((2, len(inverse))), np.ones(2)
     for n, away in enumerate(np.linalg.norm(x1 - ray, axis=1) for ray in rays):
         near = [k for k in np.argsort(away)[:_NEAREST] if away[k] < radius]
         if len(near) < _MIN_NEAR:
-            point = f"the point ({distance[2 * n]:g}, {distance[2 * n + 1]:g})"
-            count = f"with {len(near)} inliers within {radius * camera1.focal:.0f} pixels of it"
-            raise InputError(ArgumentName("distance"), f"has {point}, {count}")
+            point = f"({distance[2 * n]:g}, {distance[2 * n + 1]:g})"
+            count = f"{len(near)} inliers are within {radius * camera1.focal:.0f} pixels of {point}"
+            return f"the length of t is not known: {count}"
         at[n] = np.median(inverse[:, near], axis=1)
         spread = np.median(np.abs(inverse[0, near] - at[n, 0]))
         off[n] = DEVIATION * spread + np.median(std[near])

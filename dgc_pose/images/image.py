@@ -18,7 +18,6 @@ from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.files.inputs import open_regular, read_as, read_bytes
 from dgc_pose.geometry.pixels import within
 from dgc_pose.images.header import EXCHANGING, Exif, Header, UnreadableFormatError, read_header
-from dgc_pose.system.stderr import quiet
 
 if TYPE_CHECKING:
     import torch
@@ -230,9 +229,8 @@ def _decoded(path: Path) -> tuple[np.ndarray, Header]:
     if header.format == "HEIF":
         return _decoded_heif(data, path), header
     try:
-        with quiet():
-            # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8
-            array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
+        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
             raise MemoryError from None

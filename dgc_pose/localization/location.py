@@ -25,7 +25,7 @@ class Reference:
     name: str
     matches: Matches  # points1 in the reference; points2 in the photograph as its camera has it
     inliers: np.ndarray  # (N,) bool, the matches that agree with the location
-    probability: float  # that the pose of the pair is right
+    probability: float | None  # that the pose of the pair is right; None: not known
     agrees: bool  # whether the location rests on it
 
 
@@ -46,7 +46,8 @@ class Location:
             true R being exp([w]x) R, and of the centre, world, in the model's unit. Scaled so that
             the expected errors of right locations hold nine times in ten. None unless located.
         probability: Probability that R is within 5 degrees and the centre within 5 % of the
-            largest distance of two cameras of the model; 0 unless located.
+            largest distance of two cameras of the model; 0 unless located, None if those of the
+            pairs are not known.
         camera: The photograph's camera; if it is located, with the focal length that the matches
             determine, if it had a deviation.
         warnings: Sentences for people.
@@ -61,7 +62,7 @@ class Location:
     direction: np.ndarray | None = None
     direction_from: str | None = None
     covariance: np.ndarray | None = None
-    probability: float = 0.0
+    probability: float | None = 0.0
     camera: Camera | None = None
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)

@@ -47,8 +47,9 @@ class Pair:
 
     @property
     def probability(self) -> float:
-        """That one of its hypotheses is right."""
-        return self.pose.any_probability or 0.0
+        """That one of its hypotheses is right; even odds of a pose where that is not known."""
+        known = self.pose.any_probability
+        return 0.5 * self.pose.success if known is None else known
 
 
 class ReferenceSearch:
@@ -184,7 +185,7 @@ class ReferenceSearch:
                 pose.R,
                 pose.centre,
                 covariance=self.covariance[:6, :6],
-                probability=self._probability(),
+                probability=self._probability() if self._is_known() else None,
                 camera=self.fitted,
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
@@ -223,6 +224,9 @@ class ReferenceSearch:
     def _is_claimed(self) -> bool:
         return self._probability() >= (self.options.min_probability or 0)
 
+    def _is_known(self) -> bool:
+        return all(pair.pose.any_probability is not None for pair in self.pairs)
+
     def _probability(self) -> float:
         """That the location is right: the pairs that agree with it are, and the others are not; or
         all of them are wrong, and agree by chance."""
@@ -237,4 +241,5 @@ class ReferenceSearch:
         if sight is not None and self.pose is not None:
             inliers = np.zeros(len(pair.matches), dtype=bool)
             inliers[sight.problem.index] = sight.hypothesis(self.pose).inliers_in_front
-        return Reference(pair.name, pair.matches, inliers, pair.probability, sight is not None)
+        likely = pair.pose.any_probability
+        return Reference(pair.name, pair.matches, inliers, likely, sight is not None)

@@ -61,7 +61,8 @@ class DenseMatcher(Matcher):
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The map at `finest` x `finest` cells, and its matches that pass the options."""
         dense = self.correspondence_map(image1, image2)
-        return MatchResult(select_matches(dense, self.options), dense)
+        matches = select_matches(dense, self.options)
+        return MatchResult(replace(matches, weights=self.fingerprint), dense)
 
     def coarse_map(self, image1: Image, image2: Image) -> CorrespondenceMap | None:
         """As `Matcher`; None for a mask network, which needs the finest map."""

@@ -144,6 +144,11 @@ class Matcher:
         dense map if the matcher makes one: the step `whole` of `search`."""
         return self.search(image1, image2).whole()
 
+    def forget(self, image: Image) -> None:
+        """Drop all that is kept of an image."""
+        if self.cache is not None:
+            self.cache.drop(lambda key: key[0] is image)
+
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.
 

@@ -161,6 +161,7 @@ class FeatureMatches:
             points2[inside],
             cosine[inside].clip(0, 1),
             error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
+            weights=self.engine.fingerprint,
         )
 
 

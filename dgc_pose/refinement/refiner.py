@@ -84,6 +84,10 @@ class Refiner(Matcher):
     def fingerprint(self) -> str | None:
         return self.matcher.fingerprint
 
+    def forget(self, image: Image) -> None:
+        self.matcher.forget(image)
+        super().forget(image)
+
     def coarse_features(self, image: Image) -> np.ndarray:
         return self.matcher.coarse_features(image)
 
@@ -178,12 +182,12 @@ class RefinedSearch(PairSearch):
             corner_radius=corner_radius,
         )
         good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
-        moved = Matches(
-            aligned.points1[good],
-            aligned.points2[good],
-            aligned.zncc[good].clip(0, 1),
-            ALIGNED_ERROR_PX * aligned.pixel,
-            matches.key_points,
+        moved = replace(
+            matches,
+            points1=aligned.points1[good],
+            points2=aligned.points2[good],
+            confidence=aligned.zncc[good].clip(0, 1),
+            error_px=ALIGNED_ERROR_PX * aligned.pixel,
         )
         rows = np.searchsorted(local.index, aligned.index[good])
         points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()

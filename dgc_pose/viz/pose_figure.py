@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import printable, shortened
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.status import percent_text
+from dgc_pose.estimation.status import probability_text
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.refinement.align import spread
@@ -70,8 +70,8 @@ def _headline(pose: RelativePose) -> str:
     if not (pose.success and pose.R is not None):
         return f"no pose: {pose.reason}"
     text = f"rotation {rotation_angle_deg(pose.R):.2f}°, translation {pose.length_text}"
-    if pose.probability is not None:
-        text += f"; probability {percent_text(pose.probability)} that R and t are within 10°"
+    of = "for such matches" if pose.probability is None else "that R and t are within 10°"
+    text += f"; {probability_text(pose.probability)} {of}"
     if pose.rotation_error_90_deg is None or pose.translation_error_90_deg is None:
         return text
     return (

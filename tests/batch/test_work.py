@@ -1,5 +1,6 @@
 """The worker: pairs are matched as one at a time, whatever it keeps of images."""
 
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from batch_runs import view_folder
 from multi_view import SIZE, K
 
 from dgc_pose.batch.rows import row_of
-from dgc_pose.batch.work import FEATURE_BYTES, Job, Match, Matched, Worker
+from dgc_pose.batch.work import FEATURE_BYTES, Estimate, Job, Match, Matched, Worker
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
@@ -57,3 +58,16 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
         for stored in (matched.matches[k], again.matches[k]):
             expected = alone.matches.points1.astype(np.float32)
             np.testing.assert_array_equal(stored.points1, expected)
+
+
+def test_a_pose_that_is_estimated_again_has_its_probability(tmp_path: Path) -> None:
+    """What is stored of a pair does not state the network that matched it, the job does."""
+    view_folder(tmp_path, COUNT)
+    camera = replace(Camera(K, SIZE), focal_std=0.05)
+    job = Job(tmp_path, {n: camera for n in NAMES}, {}, MatcherOptions(), ESTIMATION, 2**30)
+    worker = Worker(job)
+    matched = worker.do(Match((0,), PAIRS[:1]))
+    assert isinstance(matched, Matched)
+    again = worker.do(Estimate(matched, job.cameras, True))
+    assert isinstance(again, Matched) and again.rows == matched.rows
+    assert again.rows[0].success and again.rows[0].probability is not None

@@ -89,14 +89,17 @@ def test_a_plot_has_the_width_and_the_resolution_asked_for(folder, network):
     assert cv2.imread("p.png").shape[1] == 7 * 57
 
 
-def test_the_points_in_space_are_written_with_their_colours(folder, network):
-    result = estimate("--ply", "points.ply", "--matches", "m.npz")
+@pytest.mark.parametrize("metres", [None, 2.5])
+def test_the_points_in_space_are_written_with_their_colours(folder, network, metres):
+    """In metres if t has a length."""
+    scale = () if metres is None else ("--baseline", metres)
+    result = estimate("--ply", "points.ply", "--matches", "m.npz", *scale)
     assert result.exit_code == 0, result.output
     header, data = (folder / "points.ply").read_bytes().split(b"end_header\n")
     kinds = [(axis, "<f4") for axis in "xyz"] + [(colour, "u1") for colour in "rgb"]
     vertices = np.frombuffer(data, kinds)
     assert f"element vertex {len(vertices)}\n".encode() in header
-    points = np.stack([vertices[axis] for axis in "xyz"], axis=1).astype(float)
+    points = np.stack([vertices[axis] for axis in "xyz"], axis=1) / (metres or 1.0)
     colours = np.stack([vertices[colour] for colour in "rgb"], axis=1)
     with np.load("m.npz") as file:
         assert len(points) == file["inliers"].sum()
@@ -157,9 +160,15 @@ def test_a_source_of_the_length_is_refused(folder, network):
     assert_refused(estimate("--baseline", "0"), "--baseline must be")
     assert_refused(estimate("--distance", "1,2,3,4"), "--distance must be")
     assert_refused(estimate("--baseline", 1, "--depth1", "zero.npy"), "--depth1 and --baseline")
-    far = estimate("--distance", "-500,3,200,100,2", "--json", "p.json")
-    assert_refused(far, "--distance has the point (-500, 3), with 0 inliers within 13 pixels")
-    assert not (folder / "p.json").exists()
+
+
+def test_a_pose_is_there_without_the_length_that_the_inliers_do_not_tell(folder, network):
+    result = estimate("--distance", "-500,3,200,100,2", "--json", "p.json")
+    assert result.exit_code == 0
+    few = "the length of t is not known: 0 inliers are within 13 pixels of (-500, 3)"
+    assert f"warning: {few}\n" in result.stdout and "(translation up to scale)" in result.stdout
+    data = json.loads((folder / "p.json").read_text())
+    assert data["success"] and data["length"] is None and data["warnings"] == [few]
 
 
 def test_noise_has_no_pose(folder, network):

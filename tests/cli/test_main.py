@@ -6,6 +6,8 @@ import sys
 import warnings
 
 import click
+import cv2
+import numpy as np
 import pytest
 from click.shell_completion import ShellComplete
 from command_line import assert_refused, run
@@ -27,6 +29,19 @@ def raising(monkeypatch):
         return run("demo", *arguments)
 
     return use
+
+
+def test_opencv_prints_nothing_about_a_file(tmp_path):
+    """In a process of its own, which reads the level of the log when OpenCV is imported."""
+    picture = cv2.imencode(".tiff", np.zeros((60, 80, 3), np.uint8))[1].tobytes()
+    (tmp_path / "cut.tiff").write_bytes(picture[:-40])
+    code = "from dgc_pose.cli.main import main; main()"
+    command = [sys.executable, "-c", code, "match", "cut.tiff", "cut.tiff", "--out", "m.npz"]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    environment.pop("OPENCV_LOG_LEVEL", None)
+    ended = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert ended.returncode == 2, ended.stderr
+    assert ended.stderr.startswith("error: cut.tiff ") and ended.stderr.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import SCENE_KINDS, TwoViewScene, poster_scene, two_view_scene
 
+WEIGHTS = "net"  # fingerprint of a network whose matches the models are of
 SEEDS = (2, 3)  # all points in front of the cameras in both poses
 AS_JACKKNIFED = ErrorModel(0.0, 0.0)
 ANY = 1 / (1 + np.exp(-3.0))  # probability that a right pose is among the hypotheses
@@ -21,13 +22,14 @@ def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Models of the probability with weights that no fit changes: 95 % for any evidence, and the
     choice by the likelihood."""
     model = ProbabilityModel({}, 3.0, {}, AS_JACKKNIFED, AS_JACKKNIFED, {"likelihood": 1.0})
-    models = FittedModels({"matches": model, "network": model}, AS_JACKKNIFED)
+    models = FittedModels({"matches": model, "network": model}, AS_JACKKNIFED, frozenset({WEIGHTS}))
     monkeypatch.setattr(relative_pose, "shipped_models", lambda: models)
 
 
 def _estimate(scene, matches=None, min_probability=0.5):
     options = EstimationOptions(runs=3, iterations=300, min_probability=min_probability)
-    return estimate_pose(scene.matches if matches is None else matches, *scene.cameras, options)
+    matches = scene.matches if matches is None else matches
+    return estimate_pose(dataclasses.replace(matches, weights=WEIGHTS), *scene.cameras, options)
 
 
 def _off(pose, scene) -> float:
@@ -78,6 +80,7 @@ def test_key_points_have_no_probability_and_their_poses_keep_the_order_of_inlier
     assert all(np.isnan(hypothesis.share) for hypothesis in pose.hypotheses)
 
 
+@pytest.mark.usefixtures("known_models")
 @pytest.mark.parametrize("kind", [*SCENE_KINDS, "poster"])
 def test_the_probabilities_of_one_pair_add_up_to_one_at_most(kind) -> None:
     scene = poster_scene() if kind == "poster" else two_view_scene(kind, count=300)
@@ -102,7 +105,7 @@ def _pose_of(*scenes: TwoViewScene, key_points: bool = False) -> RelativePose:
         np.concatenate([getattr(scene, name) for scene in scenes])
         for name in ("points1", "points2")
     )
-    matches = Matches(points1, points2, np.ones(len(points1)), 0.5, key_points)
+    matches = Matches(points1, points2, np.ones(len(points1)), 0.5, key_points, WEIGHTS)
     return estimate_pose(matches, *scenes[0].cameras)
 
 
@@ -118,8 +121,21 @@ def test_a_plane_that_may_have_moved_is_ambiguous(seed: int, key_points: bool) -
         for other in pose.alternatives
     ]
     assert min(errors) < 2
-    if not key_points:
-        assert sum(other.probability or 0 for other in pose.alternatives) <= 1
+    for other in pose.alternatives:
+        assert other.inliers.shape == other.in_front.shape == (pose.num_matches,)
+
+
+@pytest.mark.usefixtures("known_models")
+@pytest.mark.parametrize("seed", SEEDS)
+def test_of_a_moved_plane_with_two_poses_the_likeliest_pose_comes_first(seed: int) -> None:
+    """Half of the probability is that of the other motion."""
+    plane = poster_scene(seed=seed, sigma_px=0.1)
+    scene = two_view_scene("general", seed=seed + 9, count=120, outliers=0.0, rotation_deg=25)
+    pose = _pose_of(plane, scene)
+    assert pose.status == "ambiguous" and len(pose.alternatives) == 3, pose
+    likely = [other.probability for other in pose.alternatives]
+    assert likely == sorted(likely, reverse=True) and sum(likely) == pytest.approx(ANY)
+    assert likely[0] == pytest.approx(ANY / 2) and likely[1] < likely[0]
 
 
 @pytest.mark.parametrize("seed", range(3))

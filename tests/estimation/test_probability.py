@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
+from dgc_pose import load_dense_matcher
 from dgc_pose.estimation.competition import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
@@ -42,7 +43,9 @@ MODEL = {
 
 
 def _text(**changes: object) -> str:
-    return json.dumps({"focal_error": ERROR, "models": {"network": MODEL | changes}})
+    models = {"network": MODEL | changes, "key_points": MODEL}
+    engines = {"net": {"fingerprint": "abc"}, "sift": {"fingerprint": None}}
+    return json.dumps({"engine": engines, "focal_error": ERROR, "models": models})
 
 
 def _model():
@@ -153,7 +156,20 @@ def test_the_kind_of_matches_chooses_the_model(kind, facts) -> None:
     assert match_kind(**nothing | facts) == kind
 
 
+@pytest.mark.parametrize(
+    ("weights", "key_points", "kind"),
+    [("abc", False, "network"), ("def", False, None), (None, False, None)]
+    + [(weights, True, "key_points") for weights in ("abc", "def", None)],
+)
+def test_a_model_is_of_the_networks_that_it_is_fitted_on(weights, key_points, kind) -> None:
+    """And one of key points of any detector."""
+    models = parse_models(_text())
+    found = models.model(weights, key_points=key_points, with_map=True, fitted=False)
+    assert found is (kind and models.by_kind[kind])
+
+
 def test_the_package_s_own_file_can_be_read() -> None:
+    assert shipped_models().weights == {load_dense_matcher().fingerprint}
     for model in shipped_models().by_kind.values():
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
         assert set(model.choice) <= set(CHOICE_FEATURES)

@@ -82,6 +82,17 @@ def test_too_few_depths_tell_nothing() -> None:
     assert result.warnings[-1] == "the length of t is not known: 5 inliers have a depth"
 
 
+def test_too_few_inliers_near_a_point_tell_nothing() -> None:
+    scene, _, pose = scene_and_pose(0)
+    source = ScaleSource(distance=(-900.0, 3.0, 100.0, 100.0, 2.0))
+    result = with_length(pose, scene.matches, source, [None, None])
+    assert result.length is None and result.length_std is None and result.R is pose.R
+    *before, few = result.warnings
+    assert tuple(before) == pose.warnings
+    assert few.startswith("the length of t is not known: 0 inliers are within ")
+    assert few.endswith(" pixels of (-900, 3)")
+
+
 def test_a_focal_length_that_is_uncertain_widens_the_deviation() -> None:
     scene, _, pose = scene_and_pose(0)
     assert pose.camera1 is not None

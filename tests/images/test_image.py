@@ -2,6 +2,8 @@
 
 import os
 import struct
+import threading
+import time
 from pathlib import Path
 
 import cv2
@@ -477,3 +479,22 @@ def test_resize_follows_the_half_pixel_rule() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (960, 960, 3), dtype=np.uint8)
     averages = noise.reshape(240, 4, 240, 4, 3).mean((1, 3))
     assert np.abs(resize(noise, (240, 240)) - averages).max() <= 1
+
+
+def test_what_other_threads_print_meanwhile_arrives(
+    tmp_path: Path, rgb: np.ndarray, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path, done = save(tmp_path / "a.png", rgb), threading.Event()
+
+    def read() -> None:
+        while not done.is_set():
+            load_image(path)
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for number in range(300):
+        os.write(2, f"line {number}\n".encode())
+        time.sleep(1e-4)
+    done.set()
+    reader.join()
+    assert capfd.readouterr().err.splitlines() == [f"line {number}" for number in range(300)]

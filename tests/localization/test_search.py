@@ -15,7 +15,7 @@ NO_POINTS = np.zeros((0, 3)), np.zeros((0, 2))
 NO_POSE = RelativePose("too_few_matches", "few", np.zeros(0, bool), 0)
 
 
-def _searched(scene: WorldScene, **pair: float) -> tuple[Location, list[str]]:
+def _searched(scene: WorldScene, **pair: float | None) -> tuple[Location, list[str]]:
     """The location, and the references in the order in which they were asked for."""
     search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
     asked = []
@@ -97,6 +97,15 @@ def test_pairs_that_contradict_each_other_are_nowhere() -> None:
     pose = other.pair_pose(1)
     search.add("r1.jpg", pose, other.matches(1), *NO_POINTS)
     assert search.location().status == "nowhere"
+
+
+def test_poses_whose_probability_is_not_known_place_a_photograph_if_they_agree() -> None:
+    scene = world_scene()
+    location, _ = _searched(scene, probability=None)
+    assert location.success and location.R is not None and location.centre is not None
+    assert rotation_error_deg(location.R, scene.R) < 0.1
+    assert location.probability is None and location.to_dict()["probability"] is None
+    assert {reference.probability for reference in location.references} == {None}
 
 
 @pytest.mark.parametrize(("probability", "status"), [(0.05, "nowhere"), (0.9, "located")])

@@ -8,7 +8,6 @@ from ambiguous_pose import ambiguous_pose
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image
 from dgc_pose.pose import estimate_relative_pose
 from dgc_pose.viz.figure import save_figure
@@ -43,7 +42,10 @@ def test_all_panels_are_there():
     assert "matchability" in title(matchability)
     assert "warped" in title(warp)
     headline = figure.texts[0].get_text()
-    assert f"probability {percent_text(pose.probability)} that R and t are within 10°" in headline
+    assert "probability not known for such matches" in headline
+    likely = replace(trace, pose=replace(pose, probability=0.97))
+    text = plot_pose(likely).texts[0].get_text()
+    assert "probability 97 % that R and t are within 10°" in text
     assert headline.startswith("rotation ") and headline.endswith("ten if the pose is right")
 
 

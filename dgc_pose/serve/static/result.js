@@ -91,8 +91,8 @@ function alternatives(others) {
   at("alternatives").querySelector("summary").textContent = `${poses} the matches about as well`;
   at("alternatives").querySelector("ol").replaceChildren(...others.map((other) => {
     const t = other.t.map((value) => value.toFixed(4)).join(", ");
-    const likely = other.probability == null ? "" : `, probability ${likelihood(other.probability)}`;
-    return element("li", `rotation angle ${angle(other.R)}, t (${t}), ${other.num_inliers} inliers${likely}`);
+    const likely = `probability ${likelihood(other.probability)}`;
+    return element("li", `rotation angle ${angle(other.R)}, t (${t}), ${other.num_inliers} inliers, ${likely}`);
   }));
 }
 
@@ -100,9 +100,7 @@ function alternatives(others) {
 export function facts(pose) {
   const lines = [];
   if (pose.R) lines.push(["rotation angle", angle(pose.R)]);
-  if (pose.t && pose.probability != null) {
-    lines.push(["probability", likelihood(pose.probability), ", that R and t are within 10°"]);
-  }
+  if (pose.t) lines.push(["probability", likelihood(pose.probability), ", that R and t are within 10°"]);
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
     lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°`, ", nine times in ten if the pose is right"]);
@@ -119,6 +117,7 @@ export function facts(pose) {
 }
 
 function likelihood(probability) {
+  if (probability == null) return "not known";
   if (probability > 0.995) return "over 99 %";
   return probability < 0.005 ? "below 1 %" : `${(100 * probability).toFixed(0)} %`;
 }

@@ -125,6 +125,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
     source = PlanEntry("one", "fit", "list")
     truth = Truth({}, camera, camera, dense_scene.R, dense_scene.T)
     made = PlannedPair(source, 0, "one", lambda: PosedPair(truth, *images))
+    require_engine(tmp_path, "net", matcher)
     collect(made, {"net": matcher}, tmp_path)
     (pair,) = read_collection(tmp_path, "net", [source])
     assert pair.map_matches is not None and 100 < len(pair.map_matches) <= 1600
@@ -197,9 +198,9 @@ def replace_errors(pose: PoseRecord, error: float) -> PoseRecord:
 
 
 def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
-    data = _records(1000, 0, "fit")
-    models = {"network": fit_model(data, "network")}
-    fitted = parse_models(json.dumps({"focal_error": FOCAL_ERROR, "models": models}))
+    models = {"network": fit_model(_records(1000, 0, "fit"), "network")}
+    data = {"engine": {}, "focal_error": FOCAL_ERROR, "models": models}
+    fitted = parse_models(json.dumps(data))
     model = fitted.by_kind["network"]
     fresh = [judged(one, model) for one in _records(1500, 2, "report")]
     probability = np.array([one.probability for one in fresh])
