@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -19,14 +19,15 @@ from dgc_pose.geometry.pixels import rescale
 from dgc_pose.system.options import check_type
 
 FocalSource = Literal["given", "exif", "size", "matches"]
+_LENSES_THAT_DEVIATE = (RADIAL,)  # the models that the estimation fits
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A calibrated camera.
 
-    Raises InputError unless K is finite and upper triangular with positive focal
-    lengths and a last row of 0 0 1.
+    Raises InputError unless K is finite and upper triangular with positive focal lengths and a last
+    row of 0 0 1; and for a `lens_std` of a lens that is not RADIAL.
 
     Attributes:
         K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,) it is made.
@@ -64,6 +65,10 @@ class Camera:
         for name in ("focal_std", "centre_std", "lens_std"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
+        model = self.distortion.model if self.distortion else RADIAL
+        if self.lens_std and model not in _LENSES_THAT_DEVIATE:
+            known = ", ".join(_LENSES_THAT_DEVIATE)
+            raise InputError(f"lens_std must be 0 with the lens {model}: it is for {known}")
 
     @property
     def exact(self) -> bool:

@@ -221,15 +221,20 @@ def _second_motion(
 
 
 def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
-    """A fitted camera with the standard deviations that are left; an exact one as it is."""
+    """A fitted camera with the standard deviations that are left: those of the covariance,
+    calibrated as that of the focal length is, and at most those that the camera had. One that is
+    known stays as it is."""
     if camera.focal_std:
         camera = replace(camera, focal_source="matches")
-    if camera.exact or covariance is None:
+    if covariance is None or not any((camera.focal_std, camera.centre_std, camera.lens_std)):
         return camera
+    focal, centre, lens = _stds(covariance, number)
+    factor = calibrated_focal_std(focal) / focal if focal else 1.0
     return replace(
         camera,
-        focal_std=min(calibrated_focal_std(covariance.focal_stds[number]), camera.focal_std),
-        lens_std=float(covariance.cameras.diagonal()[SIZE * number + 3]) ** 0.5,
+        focal_std=min(factor * focal, camera.focal_std),
+        centre_std=min(factor * centre * camera.focal, camera.centre_std),
+        lens_std=min(factor * lens, camera.lens_std),
     )
 
 
@@ -300,9 +305,19 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
 
 
 def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -> np.ndarray:
-    """The calibrated covariance (10, 10) of fitted cameras, see `RelativePose`."""
+    """The covariance (10, 10) of fitted cameras, of their standard deviations, see
+    `RelativePose`."""
     unit = []
-    for camera, std in zip(cameras, covariance.focal_stds, strict=True):
-        factor = calibrated_focal_std(std) / std if std else 1.0
-        unit += [factor, factor * camera.focal, factor * camera.focal, factor, factor]
+    for number, camera in enumerate(cameras):
+        stated = camera.focal_std, camera.centre_std, camera.lens_std
+        raw = _stds(covariance, number)
+        focal, centre, lens = (a / b if b else 0.0 for a, b in zip(stated, raw, strict=True))
+        unit += [focal, centre, centre, lens, lens]
     return covariance.cameras * np.outer(unit, unit)
+
+
+def _stds(covariance: Covariance, number: int) -> tuple[float, float, float]:
+    """The standard deviations of ln f, of a coordinate of the principal point over the focal
+    length, and of the first radial coefficient, of camera 0 or 1."""
+    focal, x, y, lens, _ = covariance.cameras.diagonal()[SIZE * number :][:SIZE].tolist()
+    return focal**0.5, ((x + y) / 2) ** 0.5, lens**0.5

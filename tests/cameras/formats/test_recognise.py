@@ -188,6 +188,10 @@ def test_nerfs_lenses(tmp_path: Path) -> None:
         ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
         ({"K": K.tolist(), "centre_std_px": -1}, "centre_std must be finite and at least 0"),
+        (
+            {"K": K.tolist(), "model": "OPENCV", "coefficients": [0.1, 0, 0, 0], "lens_std": 0.02},
+            "lens_std must be 0 with the lens OPENCV: it is for RADIAL",
+        ),
         ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
         ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
         ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
