@@ -151,14 +151,19 @@ def _text_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
 
 
 def read_database(path: Path) -> PairList:
-    """The images, cameras with a known focal length and matched pairs of a COLMAP database.
+    """The images, cameras with a known focal length and matched pairs of a COLMAP database, of one
+    that is being written those that SQLite's log beside it has too. The file stays as it is.
 
     Raises InputError, with the path, if it is none that can be read.
     """
     require_regular(path)
-    uri = f"{path.absolute().as_uri()}?immutable=1"
+    path, what, mode = path.resolve(), "a COLMAP database", "immutable=1"
+    for log in (path.with_name(f"{path.name}{end}") for end in ("-wal", "-journal")):
+        if log.is_file() and log.stat().st_size:  # without it the database is not whole
+            what, mode = f"a COLMAP database with {log.name}", "mode=ro"
+    uri = f"{path.as_uri()}?{mode}"
     with (
-        read_as("a COLMAP database", path),
+        read_as(what, path),
         closing(sqlite3.connect(uri, uri=True)) as database,
     ):
         try:
