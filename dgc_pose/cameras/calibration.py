@@ -66,18 +66,24 @@ class Calibration:
     details: KDetails = KDetails()
 
     def camera(
-        self, root: Path, name: str, image: Image | Header, part: str | None = None
+        self,
+        root: Path,
+        name: str,
+        image: Image | Header,
+        part: str | None = None,
+        other: tuple[int, int] | None = None,
     ) -> Camera:
         """The camera of an image or its header, checked against its size.
 
-        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
+        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2". other: the size
+        of the pair's other image.
 
         Raises InputError if there is none, or if it is for another size.
         """
         camera = self.stated(root, name, part)
         if camera is not None:
             label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
-            return _fitted(camera, self.details, image.size, label)
+            return _fitted(camera, self.details, image.size, label, part, other)
         if self.auto is not None:
             return auto_camera(image, self.auto)
         if self.parts or self.by_name:
@@ -159,13 +165,21 @@ class Calibration:
         return replace(self.common, warnings=(*self.common.warnings, warning))
 
 
-def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str) -> Camera:
+def _fitted(
+    camera: Camera,
+    details: KDetails,
+    size: tuple[int, int],
+    name: str,
+    part: str | None = None,
+    other: tuple[int, int] | None = None,
+) -> Camera:
     """The camera of an image of `size`: checked, scaled from the size of `details`, and with its
     deviations.
 
     Raises InputError if K states another size, if the image is a crop, and as `checked_camera`.
     """
     of_K = details.size or size
+    image = f"image {part.removeprefix('K')}" if part and details.size is None else "the image"
     if details.size is not None:
         if camera.size not in (None, of_K):
             raise InputError(
@@ -176,7 +190,7 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
                 f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
                 "aspect ratio: K cannot be scaled to it"
             )
-    camera = checked_camera(camera, of_K, name)
+    camera = checked_camera(camera, of_K, name, image, other)
     if details.size is not None:
         camera = replace(camera, size=of_K).resized(size)
     return replace(
@@ -219,8 +233,8 @@ def pair_cameras(
         _require_K(details, names[0])
         first, second = auto_cameras(*headers, sharings[0])
     else:
-        first = image_camera(values[0], image1, names[0], details, "K1")
-        return first, image_camera(values[1], image2, names[1], details, "K2")
+        first = image_camera(values[0], image1, names[0], details, "K1", headers[1].size)
+        return first, image_camera(values[1], image2, names[1], details, "K2", headers[0].size)
     first = replace(first, orientation=image1.orientation)
     return first, replace(second, orientation=image2.orientation)
 
@@ -231,8 +245,10 @@ def image_camera(
     name: str = "K",
     details: KDetails = KDetails(),
     part: str | None = None,
+    other: tuple[int, int] | None = None,
 ) -> Camera:
-    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2".
+    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2". other: the
+    size of its other image.
 
     Raises InputError, naming the argument `name`, likewise.
     """
@@ -241,9 +257,9 @@ def image_camera(
     calibration = _calibration(value, name, KDetails() if is_auto and part else details)
     stated = calibration.stated(Path(), image.name, part)
     if stated is None or is_of_upright(stated, details.size, image):
-        camera = calibration.camera(Path(), image.name, upright_header(image), part)
+        camera = calibration.camera(Path(), image.name, upright_header(image), part, other)
         return replace(camera, orientation=image.orientation)
-    return with_orientation(calibration.camera(Path(), image.name, image, part), image)
+    return with_orientation(calibration.camera(Path(), image.name, image, part, other), image)
 
 
 def _calibration(value: Camera | Any, name: str, details: KDetails) -> Calibration:

@@ -246,7 +246,7 @@ def test_a_usual_K_passes(camera: Camera) -> None:
         (
             "1100,1100,639.5,479.5",
             "--K1 has its principal point at (639.5, 479.5), the middle of an image of about "
-            "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
+            "1280x960, and the image has 1600x1200",
         ),
         ("1400,1400,300,599.5", "at (300, 599.5), far from the middle of the image of 1600x1200"),
         ("PINHOLE,1600,1200,700,700,400,300", "at (399.5, 299.5), far from the middle"),
@@ -293,5 +293,35 @@ def test_every_scale_of_a_right_K_is_recognised() -> None:
             (text,) = checked_camera(Camera(K), LARGE, "--K").warnings
         except InputError as error:
             text = str(error)
-        width, height = map(int, text.split("--K-size ")[1].split()[0].split("x"))
-        np.testing.assert_allclose((width, height), size, rtol=0.02)
+        about = text.split("image of about ")[1].split(",")[0]
+        np.testing.assert_allclose([*map(int, about.split("x"))], size, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("size", "other", "offered"),
+    [
+        ((768, 512), None, "1536x1024"),  # half of it
+        ((512, 341), None, "1536x1023"),
+        ((900, 600), (1536, 1024), "1536x1024"),
+        ((900, 600), (1350, 900), None),
+        ((900, 600), None, None),
+    ],
+)
+def test_a_size_that_is_not_known_is_not_offered(
+    size: tuple[int, int], other: tuple[int, int] | None, offered: str | None
+) -> None:
+    """K of fountain-P11, whose principal point is 1 and 1.7 % from the middle of 1536x1024, with
+    pairs of its images of other sizes; the message names the image that K does not fit."""
+    K, option = "1379,1379,760,503", f": --K-size {offered} scales it"
+    with pytest.raises(InputError) as caught:
+        checked_camera(parse_camera(K), size, "--K", other=other)
+    end = str(caught.value).partition(f"has {size[0]}x{size[1]}")[2]
+    assert end == (option if offered else "")
+    images = [Image(np.zeros((s[1], s[0], 3), np.uint8)) for s in (other or (1536, 1024), size)]
+    if images[0].size == (1536, 1024):
+        with pytest.raises(
+            InputError, match=r"^--K has .* and image 2 has \d+x\d+: --K-size 1536x"
+        ):
+            pair_cameras(K, K, *images, ("--K", "--K"))
+        with pytest.raises(InputError, match=r"^K1 has .* and image 2 has \d+x\d+$"):
+            pair_cameras(K, K, *images, ("K1", "K1"))
