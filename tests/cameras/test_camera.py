@@ -5,6 +5,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 import torch
 
@@ -39,7 +40,12 @@ def test_normalise_inverts_K_with_its_skew() -> None:
 
 
 @pytest.mark.parametrize(
-    "value", [K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K)], ids=type
+    "value",
+    [
+        *(K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K), torch.tensor(K[None])),
+        np.block([[K, np.zeros((3, 1))], [0, 0, 0, 1]]),
+    ],
+    ids=lambda value: f"{type(value).__name__} {np.shape(value)}",
 )
 def test_a_pair_takes_what_callers_have(value: object) -> None:
     image = Image(np.zeros((480, 640, 3), np.uint8))
@@ -48,6 +54,20 @@ def test_a_pair_takes_what_callers_have(value: object) -> None:
         camera.K[0, 0] = 1
     np.testing.assert_array_equal(camera.K, K)
     assert camera.focal == 800
+
+
+def test_a_pair_takes_pycolmaps_cameras() -> None:
+    """Against a ray that pycolmap itself computes, half a pixel aside."""
+    image = Image(np.zeros((480, 640, 3), np.uint8))
+    parameters = [500, 510, 320, 240, -0.2, 0.05, 0.002, -0.001]
+    theirs = pycolmap.Camera(model="OPENCV", width=640, height=480, params=parameters)
+    camera, _ = pair_cameras(theirs, K, image, image)
+    assert camera.size == (640, 480)
+    expected = theirs.cam_from_img(points() + 0.5)
+    np.testing.assert_allclose(camera.normalise(points()), expected, atol=1e-8)
+    for wrong, message in ((pycolmap.Camera(), "'INVALID' is not"), (theirs, "image 2 has 64")):
+        with pytest.raises(InputError, match=f"^K2.*{message}"):
+            pair_cameras(K, wrong, image, Image(np.zeros((48, 64, 3), np.uint8)))
 
 
 @pytest.mark.parametrize("kind", [list, tuple, np.array, torch.tensor])
@@ -80,6 +100,8 @@ def test_a_field_of_view_is_that_of_the_upright_image() -> None:
     ("value", "message"),
     [
         (K[:2], "shape"),
+        (np.array([K, K]), "shape"),
+        (np.block([[K, np.ones((3, 1))], [0, 0, 0, 1]]), "shape"),
         ([["a"] * 3] * 3, "not an array"),
         (np.where(K == 810, np.inf, K), "not finite"),
         (K.T, "last row"),

@@ -305,14 +305,15 @@ def numbers(value: Any) -> list[float] | None:
 
 
 def numbers_camera(values: Any, name: str = "K") -> Camera:
-    """The camera of fx fy cx cy, or of the nine numbers of a matrix.
+    """The camera of fx fy cx cy, or of the nine or sixteen numbers of a matrix.
 
     Raises InputError, naming `name`.
     """
     array = np.asarray(values, dtype=np.float64).ravel()
-    if array.size not in (4, 9):
+    shape = {4: (4,), 9: (3, 3), 16: (4, 4)}.get(array.size)
+    if shape is None:
         raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
-    return matrix_camera(array.reshape(3, 3) if array.size == 9 else array, name)
+    return matrix_camera(array.reshape(shape), name)
 
 
 def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:
