@@ -24,12 +24,13 @@ from dgc_pose.geometry.rotation import rotation_of_quaternion
 
 Size = tuple[int, int]  # (width, height), pixels
 
-# Names of the matrix and the size as OpenCV's programs and ROS write them. The `camera_matrix` of
-# ROS is that of the raw image, which its distortion belongs to.
-_MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k")
+# Names of the matrix and the size as OpenCV's programs, ROS, Open3D and Record3D write them. The
+# `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
+_MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "intrinsic_matrix")
 _SIZES = (
     *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
+    ("w", "h"),
 )
 _FOUR = ("fx", "fy", "cx", "cy")
 _POSE = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
@@ -149,15 +150,11 @@ def camchain(data: Mapping[str, Any], path: Path) -> FileCameras | None:
     path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
     Raises InputError as `require_read` does.
     """
-    listed = (
-        {"cam0": data}
-        if "intrinsics" in data
-        else {
-            str(name): values
-            for name, values in data.items()
-            if isinstance(values, Mapping) and "intrinsics" in values
-        }
-    )
+    listed = {
+        str(name): values
+        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
+        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
+    }
     if not listed:
         return None
     cameras: dict[str, Camera] = {}
@@ -313,7 +310,10 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     shape = {4: (4,), 9: (3, 3), 16: (4, 4)}.get(array.size)
     if shape is None:
         raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
-    return matrix_camera(array.reshape(shape), name)
+    array = array.reshape(shape)
+    if array.size == 9 and array[2, :2].any() and not array[:2, 2].any():
+        array = array.T  # column by column, as Open3D and Record3D write it
+    return matrix_camera(array, name)
 
 
 def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:
