@@ -22,6 +22,7 @@ from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
 from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
+from dgc_pose.estimation.extent import odd_extent
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.plane import Plane, best_planar, fit_plane, still_camera
@@ -60,14 +61,15 @@ def estimate_pose(
     the probability. fit_cameras: whether the focal lengths of cameras that are not exact are
     fitted; without, their deviations only widen the errors. The warnings of the cameras are among
     those of the pose. The same seed gives the same answer to the bit. Raises InputError, naming the
-    argument, for one of another type.
+    argument, for one of another type, and for points outside their camera's size.
     """
     check_type(matches, Matches, "matches")
     check_type(options, EstimationOptions, "options")
     check_type(camera1, Camera, "camera1")
     check_type(camera2, Camera, "camera2")
+    odd = odd_extent(matches.points1, camera1, 1) + odd_extent(matches.points2, camera2, 2)
     problem = TwoViewProblem.of(matches, camera1, camera2, options)
-    warnings = tuple(dict.fromkeys((*camera1.warnings, *camera2.warnings, *problem.warnings)))
+    warnings = tuple(dict.fromkeys((*camera1.warnings, *camera2.warnings, *problem.warnings, *odd)))
     inliers = np.zeros(len(matches), dtype=bool)
     if len(problem) < MIN_MATCHES:
         reason = f"only {len(problem)} matches; a verdict needs {MIN_MATCHES}"
@@ -221,9 +223,8 @@ def _second_motion(
 
 
 def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
-    """A fitted camera with the standard deviations that are left: those of the covariance,
-    calibrated as that of the focal length is, and at most those that the camera had. One that is
-    known stays as it is."""
+    """A fitted camera with the standard deviations that are left, calibrated as that of the focal
+    length is, and at most those that it had; an exact one as it is."""
     if camera.focal_std:
         camera = replace(camera, focal_source="matches")
     if covariance is None or not any((camera.focal_std, camera.centre_std, camera.lens_std)):
@@ -305,19 +306,17 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
 
 
 def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -> np.ndarray:
-    """The covariance (10, 10) of fitted cameras, of their standard deviations, see
-    `RelativePose`."""
+    """The covariance (10, 10) of fitted cameras, with their deviations, see `RelativePose`."""
     unit = []
     for number, camera in enumerate(cameras):
-        stated = camera.focal_std, camera.centre_std, camera.lens_std
-        raw = _stds(covariance, number)
-        focal, centre, lens = (a / b if b else 0.0 for a, b in zip(stated, raw, strict=True))
+        of_camera = camera.focal_std, camera.centre_std, camera.lens_std
+        ratios = zip(of_camera, _stds(covariance, number), strict=True)
+        focal, centre, lens = (std / raw if raw else 0.0 for std, raw in ratios)
         unit += [focal, centre, centre, lens, lens]
     return covariance.cameras * np.outer(unit, unit)
 
 
 def _stds(covariance: Covariance, number: int) -> tuple[float, float, float]:
-    """The standard deviations of ln f, of a coordinate of the principal point over the focal
-    length, and of the first radial coefficient, of camera 0 or 1."""
+    """The standard deviations of camera 0's or 1's ln f, principal point over f, and lens."""
     focal, x, y, lens, _ = covariance.cameras.diagonal()[SIZE * number :][:SIZE].tolist()
     return focal**0.5, ((x + y) / 2) ** 0.5, lens**0.5
