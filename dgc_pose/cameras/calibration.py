@@ -45,12 +45,14 @@ _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is 
 
 @dataclass(frozen=True)
 class KDetails:
-    """The size that a K refers to, and its deviations."""
+    """The size that a K refers to, its deviations, and the image that it is checked against."""
 
     size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
     focal_std: float = 0.0  # relative, of the focal lengths
     centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
     lens_std: float = 0.0  # of the radial coefficient of a camera without a lens, see `Camera`
+    image: str = "the image"  # as messages call it
+    other: tuple[int, int] | None = None  # (width, height) of the pair's other image
 
 
 @dataclass(frozen=True)
@@ -66,24 +68,18 @@ class Calibration:
     details: KDetails = KDetails()
 
     def camera(
-        self,
-        root: Path,
-        name: str,
-        image: Image | Header,
-        part: str | None = None,
-        other: tuple[int, int] | None = None,
+        self, root: Path, name: str, image: Image | Header, part: str | None = None
     ) -> Camera:
         """The camera of an image or its header, checked against its size.
 
-        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2". other: the size
-        of the pair's other image.
+        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
 
         Raises InputError if there is none, or if it is for another size.
         """
         camera = self.stated(root, name, part)
         if camera is not None:
             label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
-            return _fitted(camera, self.details, image.size, label, part, other)
+            return _fitted(camera, self.details, image.size, label)
         if self.auto is not None:
             return auto_camera(image, self.auto)
         if self.parts or self.by_name:
@@ -165,21 +161,13 @@ class Calibration:
         return replace(self.common, warnings=(*self.common.warnings, warning))
 
 
-def _fitted(
-    camera: Camera,
-    details: KDetails,
-    size: tuple[int, int],
-    name: str,
-    part: str | None = None,
-    other: tuple[int, int] | None = None,
-) -> Camera:
+def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str) -> Camera:
     """The camera of an image of `size`: checked, scaled from the size of `details`, and with its
     deviations.
 
     Raises InputError if K states another size, if the image is a crop, and as `checked_camera`.
     """
     of_K = details.size or size
-    image = f"image {part.removeprefix('K')}" if part and details.size is None else "the image"
     if details.size is not None:
         if camera.size not in (None, of_K):
             raise InputError(
@@ -190,7 +178,8 @@ def _fitted(
                 f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
                 "aspect ratio: K cannot be scaled to it"
             )
-    camera = checked_camera(camera, of_K, name, image, other)
+    image = details.image if details.size is None else "the image"
+    camera = checked_camera(camera, of_K, name, image, details.other)
     if details.size is not None:
         camera = replace(camera, size=of_K).resized(size)
     return replace(
@@ -233,8 +222,10 @@ def pair_cameras(
         _require_K(details, names[0])
         first, second = auto_cameras(*headers, sharings[0])
     else:
-        first = image_camera(values[0], image1, names[0], details, "K1", headers[1].size)
-        return first, image_camera(values[1], image2, names[1], details, "K2", headers[0].size)
+        of1 = replace(details, image="image 1", other=headers[1].size)
+        of2 = replace(details, image="image 2", other=headers[0].size)
+        first = image_camera(values[0], image1, names[0], of1, "K1")
+        return first, image_camera(values[1], image2, names[1], of2, "K2")
     first = replace(first, orientation=image1.orientation)
     return first, replace(second, orientation=image2.orientation)
 
@@ -245,10 +236,8 @@ def image_camera(
     name: str = "K",
     details: KDetails = KDetails(),
     part: str | None = None,
-    other: tuple[int, int] | None = None,
 ) -> Camera:
-    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2". other: the
-    size of its other image.
+    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2".
 
     Raises InputError, naming the argument `name`, likewise.
     """
@@ -257,9 +246,9 @@ def image_camera(
     calibration = _calibration(value, name, KDetails() if is_auto and part else details)
     stated = calibration.stated(Path(), image.name, part)
     if stated is None or is_of_upright(stated, details.size, image):
-        camera = calibration.camera(Path(), image.name, upright_header(image), part, other)
+        camera = calibration.camera(Path(), image.name, upright_header(image), part)
         return replace(camera, orientation=image.orientation)
-    return with_orientation(calibration.camera(Path(), image.name, image, part, other), image)
+    return with_orientation(calibration.camera(Path(), image.name, image, part), image)
 
 
 def _calibration(value: Camera | Any, name: str, details: KDetails) -> Calibration:

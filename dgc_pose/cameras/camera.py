@@ -31,8 +31,7 @@ class Camera:
     row of 0 0 1; and for a `lens_std` of a lens that is not RADIAL.
 
     Attributes:
-        K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,), of (1, 3, 3), and of the
-            corner of a (4, 4) that is else the identity, it is made.
+        K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,), (1, 3, 3) or (4, 4).
         size: (width, height) of the image K refers to; None if unknown.
         distortion: Distortion of the lens; None for a pinhole.
         warnings: Sentences about the origin of K, for the user.
@@ -67,10 +66,9 @@ class Camera:
         for name in ("focal_std", "centre_std", "lens_std"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
-        model = self.distortion.model if self.distortion else RADIAL
-        if self.lens_std and model not in _LENSES_THAT_DEVIATE:
-            known = ", ".join(_LENSES_THAT_DEVIATE)
-            raise InputError(f"lens_std must be 0 with the lens {model}: it is for {known}")
+        lens, known = self.distortion, ", ".join(_LENSES_THAT_DEVIATE)
+        if self.lens_std and lens and lens.model not in _LENSES_THAT_DEVIATE:
+            raise InputError(f"lens_std must be 0 with the lens {lens.model}: it is for {known}")
 
     @property
     def exact(self) -> bool:
@@ -138,8 +136,8 @@ class TwoViews:
 def matrix_camera(K: Any, name: str = "K") -> Camera:
     """The camera of a matrix (3, 3), also as (1, 3, 3) or in (4, 4), of fx, fy, cx, cy (4,), or of
     a `pycolmap.Camera`. Raises InputError, naming `name`."""
-    # Who has a camera of pycolmap has imported it.
-    if not isinstance(K, getattr(sys.modules.get("pycolmap"), "Camera", ())):
+    theirs: Any = getattr(sys.modules.get("pycolmap"), "Camera", ())  # who has one has imported it
+    if not isinstance(K, theirs):
         return Camera(_checked_matrix(K, name))
     try:
         matrix, lens = intrinsics(K.model.name, K.params.tolist())

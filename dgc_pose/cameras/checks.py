@@ -78,24 +78,15 @@ def _relation(of_K: Size, size: Size) -> Literal["same", "scaled", "turned", "ot
 
 
 def _hint(of_K: Size, size: Size, name: str, other: Size | None) -> str:
-    """The option that scales K, where it is that of an option and the size is known; or that K is
-    turned."""
+    """The option that scales K, where it is that of an option, with the size of the other image or
+    this one's by a usual factor: a principal point does not tell it. Or that K is turned."""
     relation = _relation(of_K, size)
-    if relation in ("same", "scaled"):
-        known = _known_size(of_K, size, other)
-        return f": --K-size {times(known)} scales it" if known and name.startswith("--") else ""
+    if relation in ("same", "scaled") and name.startswith("--"):
+        scaled = [(round(size[0] * factor), round(size[1] * factor)) for factor in _FACTORS]
+        for known in [*([other] if other else []), *scaled]:
+            if all(_alike(known[axis], of_K[axis], _MAX_SIZE_DIFFERENCE) for axis in (0, 1)):
+                return f": --K-size {times(known)} scales it"
     return ": K is of the image turned by 90 degrees" if relation == "turned" else ""
-
-
-def _known_size(about: Size, size: Size, other: Size | None) -> Size | None:
-    """The size near `about` that K is for: the other image's, or the image's by a usual factor.
-    None if it is neither: a principal point is not exact enough to tell it."""
-    scaled = [(round(size[0] * factor), round(size[1] * factor)) for factor in _FACTORS]
-    for known in ([] if other is None else [other]) + scaled:
-        sides = zip(known, about, strict=True)
-        if all(_alike(side, near, _MAX_SIZE_DIFFERENCE) for side, near in sides):
-            return known
-    return None
 
 
 def _alike(first: float, second: float, tolerance: float) -> bool:

@@ -8,7 +8,7 @@ import os
 import stat
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -92,9 +92,7 @@ def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -
     Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
     almost any other file has, or is no regular file; OSError if it cannot be read.
     """
-    try:
+    with suppress(UnicodeDecodeError):
         if b"\0" not in read_start(path, _START_BYTES):
             return read_bytes(path, limit).decode("utf-8-sig")
-    except UnicodeDecodeError:
-        pass
     raise InputError(f"{path}: {what} is text, and this is not")

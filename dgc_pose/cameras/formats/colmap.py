@@ -157,13 +157,12 @@ def read_database(path: Path) -> PairList:
     Raises InputError, with the path, if it is none that can be read.
     """
     require_regular(path)
-    path, what, mode = path.resolve(), "a COLMAP database", "immutable=1"
-    for log in (path.with_name(f"{path.name}{end}") for end in ("-wal", "-journal")):
-        if log.is_file() and log.stat().st_size:  # without it the database is not whole
-            what, mode = f"a COLMAP database with {log.name}", "mode=ro"
-    uri = f"{path.as_uri()}?{mode}"
+    file = path.resolve()
+    logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
+    names = [log.name for log in logs if log.stat().st_size]  # without these it is not whole
+    uri = f"{file.as_uri()}?{'mode=ro' if names else 'immutable=1'}"
     with (
-        read_as(what, path),
+        read_as(" with ".join(["a COLMAP database", *names]), path),
         closing(sqlite3.connect(uri, uri=True)) as database,
     ):
         try:

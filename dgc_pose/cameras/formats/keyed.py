@@ -87,10 +87,13 @@ def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
         require_read(data, *present)
         parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
         return FileCameras(parts=parts)
-    parts = {}
+    data = dict(data)
+    frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
+    common, parts = keyed_camera(data), {}
+    by_name = {str(n): replace(common, K=numbers_camera(values).K) for n, values in frames}
     with suppress(InputError):  # of other coefficients than four
         parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
-    return FileCameras(parts=parts, common=keyed_camera(data))
+    return FileCameras(by_name, parts, common)
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
@@ -307,10 +310,9 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     Raises InputError, naming `name`.
     """
     array = np.asarray(values, dtype=np.float64).ravel()
-    shape = {4: (4,), 9: (3, 3), 16: (4, 4)}.get(array.size)
-    if shape is None:
+    if array.size not in (4, 9, 16):
         raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
-    array = array.reshape(shape)
+    array = array.reshape(4 if array.size == 4 else (-1, round(array.size**0.5)))
     if array.size == 9 and array[2, :2].any() and not array[:2, 2].any():
         array = array.T  # column by column, as Open3D and Record3D write it
     return matrix_camera(array, name)

@@ -45,9 +45,7 @@ _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTI
 _INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
 # Where a frame has one key of a group, the file's values for that group do not hold for it.
 _GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
-
 _NOT_READ = "is not read: give a cameras.txt of COLMAP's, or fx,fy,cx,cy"
-_OF_FRAMES = "perFrameIntrinsicCoeffs"  # Record3D's
 
 
 def read_file(path: Path) -> FileCameras:
@@ -103,8 +101,7 @@ def _read_file(path: Path) -> FileCameras:
 def _of_mapping(data: Any, path: Path) -> FileCameras:
     """The cameras of what JSON, YAML or XML holds."""
     if isinstance(data, list) and data and isinstance(data[0], dict):
-        keys = shortened(", ".join(map(str, data[0])))
-        raise InputError(f"a list, as COLMAP's rig_config.json, of {keys}, {_NOT_READ}")
+        raise InputError(f"a list of objects, as COLMAP's rig_config.json, {_NOT_READ}")
     if not isinstance(data, dict):
         return FileCameras(common=numbers_camera(data))
     if data.keys() >= {"views", "intrinsics"}:
@@ -113,8 +110,6 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
         return rig
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
         return _nerf_cameras(_with_size(data, path.parent), str(path))
-    if _OF_FRAMES in data:
-        return _record3d_cameras(data)
     return keyed.keyed_cameras(data)
 
 
@@ -132,26 +127,15 @@ def _kitti_cameras(text: str, path: Path) -> FileCameras:
     return keyed.rig(parts, path, {})
 
 
-def _record3d_cameras(data: Mapping[str, Any]) -> FileCameras:
-    """The cameras of Record3D's metadata: fx, fy, cx, cy of each of the images 0.jpg, 1.jpg, ..."""
-    common = keyed.keyed_camera({key: data[key] for key in data if key != _OF_FRAMES})
-    cameras = [replace(common, K=numbers_camera(values).K) for values in data[_OF_FRAMES]]
-    return FileCameras(
-        {str(number): camera for number, camera in enumerate(cameras)}, common=common
-    )
-
-
 def _with_size(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     """The data of a transforms.json with w and h: without them, as in NeRF's synthetic scenes, of
     the first image, if it lies in the file's folder or below it."""
     if {"w", "h", "cx"} & data.keys() or not {"fl_x", "camera_angle_x"} & data.keys():
         return data
-    for frame in data.get("frames", ())[:1]:
-        for ending in ("", ".png"):
-            image = (folder / f"{frame['file_path']}{ending}").resolve()
-            if image.is_relative_to(folder.resolve()) and image.is_file():
-                width, height = image_header(image).size
-                return {**data, "w": width, "h": height}
+    names = [str(frame["file_path"]) for frame in data.get("frames", ())[:1]]
+    for image in ((folder / f"{name}{end}").resolve() for name in names for end in ("", ".png")):
+        if image.is_relative_to(folder.resolve()) and image.is_file():
+            return {**data, **dict(zip("wh", image_header(image).size, strict=True))}
     return data
 
 

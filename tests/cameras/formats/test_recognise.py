@@ -199,7 +199,7 @@ def test_nerfs_lenses(tmp_path: Path) -> None:
         ),
         (
             [{"cameras": [{"image_prefix": "left/"}]}],
-            "COLMAP's rig_config.json, of cameras, is",
+            "COLMAP's rig_config.json, is not read",
         ),
         ({"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intrinsics"),
         ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
