@@ -31,8 +31,8 @@ _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell; words of a Liter
 class RunStore(Generic[Score]):
     """The records of one run, in order. A context: the tables are open within it.
 
-    Raises InputError if there is a run already and `resume` is not asked for, if that run had other
-    settings, or if its files are not as this class writes them.
+    Raises InputError if another run is writing there, if there is a run already and `resume` is not
+    asked for, if that run had other settings, or if its files are not as this class writes them.
     """
 
     def __init__(
@@ -61,11 +61,13 @@ class RunStore(Generic[Score]):
         self._tables: dict[str, TextIO] = {}
         if out is None:
             return
-        if overwrite and not resume:
-            for name in (*kind.tables, SETTINGS):  # a run without tables begins anew
-                (out / name).unlink(missing_ok=True)
-        _begin(out, settings, resume)
-        tables = [_read_rows(out / name, kind) for name in kind.tables]
+        out.mkdir(parents=True, exist_ok=True)
+        with only_writer(out):
+            if overwrite and not resume:
+                for name in (*kind.tables, SETTINGS):  # a run without tables begins anew
+                    (out / name).unlink(missing_ok=True)
+            _begin(out, settings, resume)
+            tables = [_read_rows(out / name, kind) for name in kind.tables]
         rows = [kind(**dict(ChainMap(*parts))) for parts in zip(*tables, strict=False)]
         self.done = len(rows) // methods
         self.scores = rows[: self.done * methods]
@@ -115,7 +117,6 @@ def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:
     if not path.is_file():
         if (out / RESULTS).exists():
             raise InputError(f"{out / RESULTS} is there already, and of no run of this command")
-        out.mkdir(parents=True, exist_ok=True)
         write_json(path, settings)
         return
     if not resume:

@@ -14,7 +14,8 @@ from dgc_pose.errors import InputError
 class Matches:
     """Point matches between two images, in pixels of the original images.
 
-    Raises InputError if the shapes do not agree or `error_px` is not positive. Coordinates may be
+    Points of OpenCV's shape (N, 1, 2), or of a batch of one, (1, N, 2), become (N, 2). Raises
+    InputError if the shapes do not agree or `error_px` is not positive. Coordinates may be
     non-finite: the estimation drops and counts such matches.
 
     Attributes:
@@ -38,6 +39,8 @@ class Matches:
     def __post_init__(self) -> None:
         for name in ("points1", "points2"):
             points = np.asarray(getattr(self, name), dtype=np.float64)
+            if points.ndim == 3 and 1 in points.shape[:2]:
+                points = points.reshape(-1, points.shape[2])
             if points.ndim != 2 or points.shape[1] != 2:
                 raise InputError(f"{name} must have shape (N, 2), not {points.shape}")
             object.__setattr__(self, name, points)

@@ -45,12 +45,14 @@ _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is 
 
 @dataclass(frozen=True)
 class KDetails:
-    """The size that a K refers to, and its deviations."""
+    """The size that a K refers to, its deviations, and the image that it is checked against."""
 
     size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
     focal_std: float = 0.0  # relative, of the focal lengths
     centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
     lens_std: float = 0.0  # of the radial coefficient of a camera without a lens, see `Camera`
+    image: str = "the image"  # as messages call it
+    other: tuple[int, int] | None = None  # (width, height) of the pair's other image
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,8 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
                 f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
                 "aspect ratio: K cannot be scaled to it"
             )
-    camera = checked_camera(camera, of_K, name)
+    image = details.image if details.size is None else "the image"
+    camera = checked_camera(camera, of_K, name, image, details.other)
     if details.size is not None:
         camera = replace(camera, size=of_K).resized(size)
     return replace(
@@ -219,8 +222,10 @@ def pair_cameras(
         _require_K(details, names[0])
         first, second = auto_cameras(*headers, sharings[0])
     else:
-        first = image_camera(values[0], image1, names[0], details, "K1")
-        return first, image_camera(values[1], image2, names[1], details, "K2")
+        of1 = replace(details, image="image 1", other=headers[1].size)
+        of2 = replace(details, image="image 2", other=headers[0].size)
+        first = image_camera(values[0], image1, names[0], of1, "K1")
+        return first, image_camera(values[1], image2, names[1], of2, "K2")
     first = replace(first, orientation=image1.orientation)
     return first, replace(second, orientation=image2.orientation)
 
@@ -348,6 +353,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "focal_std": camera.focal_std,
         "centre_std_px": camera.centre_std,
         "lens_std": camera.lens_std,
+        "aspect_std": camera.aspect_std,
         "orientation": camera.orientation,
         "focal_source": camera.focal_source,
         "identity": camera.identity,

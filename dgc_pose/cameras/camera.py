@@ -6,12 +6,13 @@ Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) th
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -25,11 +26,11 @@ FocalSource = Literal["given", "exif", "size", "matches"]
 class Camera:
     """A calibrated camera.
 
-    Raises InputError unless K is finite and upper triangular with positive focal
-    lengths and a last row of 0 0 1.
+    Raises InputError unless K is finite and upper triangular with positive focal lengths and a last
+    row of 0 0 1; and for a `lens_std` of a lens of other coefficients.
 
     Attributes:
-        K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,) it is made.
+        K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,), (1, 3, 3) or (4, 4).
         size: (width, height) of the image K refers to; None if unknown.
         distortion: Distortion of the lens; None for a pinhole.
         warnings: Sentences about the origin of K, for the user.
@@ -68,6 +69,12 @@ class Camera:
         for name in ("focal_std", "centre_std", "lens_std", "aspect_std"):
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
+        lens = self.distortion
+        if self.lens_std and lens is not None and lens.projection is None:
+            raise InputError(
+                f"lens_std must be 0 with the lens {lens.model}: it is for RADIAL, and for "
+                "OPENCV_FISHEYE of two coefficients"
+            )
 
     @property
     def exact(self) -> bool:
@@ -133,8 +140,16 @@ class TwoViews:
 
 
 def matrix_camera(K: Any, name: str = "K") -> Camera:
-    """The camera of a matrix (3, 3) or fx, fy, cx, cy (4,). Raises as `Camera`, naming `name`."""
-    return Camera(_checked_matrix(K, name))
+    """The camera of a matrix (3, 3), also as (1, 3, 3) or in (4, 4), of fx, fy, cx, cy (4,), or of
+    a `pycolmap.Camera`. Raises InputError, naming `name`."""
+    theirs: Any = getattr(sys.modules.get("pycolmap"), "Camera", ())  # who has one has imported it
+    if not isinstance(K, theirs):
+        return Camera(_checked_matrix(K, name))
+    try:
+        matrix, lens = intrinsics(K.model.name, K.params.tolist())
+        return Camera(matrix, (K.width, K.height), lens)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
 
 
 def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:
@@ -153,6 +168,10 @@ def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:
 def _checked_matrix(value: Any, name: str) -> np.ndarray:
     """A read-only copy (3, 3) float64 of an intrinsic matrix, or the matrix of fx, fy, cx, cy."""
     K = np.array(as_numpy(value, name), dtype=np.float64)
+    if K.ndim == 3 and len(K) == 1:
+        K = K[0]
+    if K.shape == (4, 4) and np.array_equal(K[3], (0, 0, 0, 1)) and not K[:3, 3].any():
+        K = K[:3, :3]
     if K.shape == (4,):
         K = np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
     if K.shape != (3, 3):

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -20,6 +19,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.estimation.camera_fit import JointFit, JointPose, start_at
 from dgc_pose.estimation.camera_spread import ASPECTS, FOCALS, SIZE, CameraSpread
+from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -27,13 +27,16 @@ from dgc_pose.estimation.robust_fit import run_seeds
 from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
-ModelName = Literal["assumed", "squeezed", "off_centre", "fisheye", "cylinder"]
 _SAMPLED = 300  # matches
 _ITERATIONS = 250  # of a RANSAC run
 # Of the errors of the two rounds of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round
-_LOG_ODDS = -3.0  # of another model before the matches are seen: a picture in twenty
+# Of another model before the matches are seen: of a picture of a sensor's shape, and of another one,
+# which was cut, squeezed or joined.
+_LOG_ODDS, _LOG_ODDS_OF_SHAPE = -3.0, -1.0
+_SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
+_SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _MOST_ERROR = 3.0  # thresholds; larger errors count as this
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
@@ -120,13 +123,20 @@ def likeliest_model(
     models = [assumed, *in_threads(fitted, _others(stated, pose))]
     if __import__("os").environ.get("DBG"):
         print({m.name: round(m.cost - assumed.cost, 1) for m in models[1:]})
-    odds = np.array([assumed.cost - model.cost + _LOG_ODDS for model in models])
+    usual = all(map(_has_sensor_shape, stated))
+    before = _LOG_ODDS if usual else _LOG_ODDS_OF_SHAPE
+    odds = np.array([assumed.cost - model.cost + before for model in models])
     odds[0] = 0.0
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
     best = models[int(np.argmax(shares))]
     differences = [np.sqrt(share) * _difference(best, model) for share, model in zip(shares, models)]
     return replace(best, pose_spread=np.array(differences).T @ np.array(differences))
+
+
+def _has_sensor_shape(camera: Camera) -> bool:
+    shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
+    return any(abs(shape - math.log(usual)) < _SAME_SHAPE for usual in _SHAPES)
 
 
 def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:

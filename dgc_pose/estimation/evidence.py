@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,6 +20,7 @@ from dgc_pose.geometry.triangulation import (
     triangulation_angles_deg,
     unit_rays,
 )
+from dgc_pose.metrics import rotation_error_deg
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold
 _ROTATION_ROUNDS = 10
@@ -28,6 +29,9 @@ _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
+
+
+ModelName = Literal["assumed", "squeezed", "off_centre", "fisheye", "cylinder"]
 
 
 class FocalCheck(NamedTuple):
@@ -79,8 +83,10 @@ class Evidence:
         map_chance: The same of those cells paired wrongly; None likewise.
         still_ratio: Share of a plane's inliers that a camera explains which did not move, where the
             focal lengths are not known (`still_camera`); 0 if they are.
-        num_second_inliers: Of a plane: inliers of another motion among the matches that it leaves
-            over, which chance does not explain; 0 without.
+        num_second_inliers: Inliers of another motion among the matches left over, which chance does
+            not explain; 0 without. It is asked of a plane, and where the cameras are fitted.
+        second_rotation_deg: Angle between the rotation of that motion and `rotation`.
+        camera_model: The camera that the matches agree with, see `camera_model`.
     """
 
     num_inliers: int
@@ -114,6 +120,8 @@ class Evidence:
     map_chance: float | None = None
     still_ratio: float = 0.0
     num_second_inliers: int = 0
+    second_rotation_deg: float = 0.0
+    camera_model: ModelName = "assumed"
 
     @property
     def over_chance(self) -> float:
@@ -143,6 +151,7 @@ def gather(
     others: Sequence[Hypothesis] = (),
     map_problem: TwoViewProblem | None = None,
     check: FocalCheck | None = None,
+    camera_model: ModelName = "assumed",
 ) -> Evidence:
     """The evidence for and against a hypothesis of the problem's matches.
 
@@ -162,6 +171,7 @@ def gather(
     explained = motion < _ROTATION_LIMIT * threshold
     # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
     strict_rotation_share = float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count)
+    explaining = still.R if still and still.share > strict_rotation_share else rotation
     rotated = problem.subset(explained)
     across = epipolar_angles(rotated.points1, rotated.points2, pose.E)
     angles = triangulation_angles_deg(inliers.points1, inliers.points2, pose.R)
@@ -174,7 +184,7 @@ def gather(
         chance_ratio=chance,
         log10_false_alarms=log10_false_alarms(len(problem), pose.num_inliers, chance),
         cheirality_ratio=_mean(pose.in_front[is_inlier]),
-        rotation=still.R if still and still.share > strict_rotation_share else rotation,
+        rotation=explaining,
         num_rotation_inliers=len(rotated),
         rotation_share=len(rotated) / count,
         strict_rotation_share=strict_rotation_share,
@@ -183,6 +193,8 @@ def gather(
         homography_ratio=homography_ratio,
         still_ratio=0.0 if still is None else still.share,
         num_second_inliers=0 if second is None else int(second.inliers_in_front[~is_inlier].sum()),
+        second_rotation_deg=0.0 if second is None else rotation_error_deg(second.R, explaining),
+        camera_model=camera_model,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=min(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells

@@ -94,9 +94,10 @@ class TwoViewProblem:
 
 
 def cell_side(camera: Camera) -> float:
-    """The side of a grid cell, normalised.
+    """The side of a grid cell, normalised."""
+    return float(max(image_size(camera))) / _GRID / camera.focal
 
-    A camera without an image size counts as one whose principal point is the middle of the image.
-    """
-    longer = max(camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1))
-    return float(longer) / _GRID / camera.focal
+
+def image_size(camera: Camera) -> tuple[float, float]:
+    """(width, height) of the image; without a size that whose middle the principal point is."""
+    return camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1)

@@ -20,10 +20,16 @@ from dgc_pose.estimation.camera_fit import (
     focal_warnings,
 )
 from dgc_pose.estimation.camera_model import CameraModel, likeliest_model
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating_pair
+from dgc_pose.estimation.camera_spread import (
+    SIZE,
+    CameraSpread,
+    deviating_pair,
+    deviation_stds,
+)
 from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
+from dgc_pose.estimation.extent import odd_extent
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
@@ -42,7 +48,9 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
-_MIN_SECOND_SHARE = 0.1  # of a plane's inliers, that another motion needs; see docs/experiments.md
+# Of the inliers, that another motion needs: of a plane's, see docs/experiments.md; and of others',
+# where the cameras are fitted.
+_MIN_SECOND_SHARE, _MIN_SECOND_SHARE_FITTED = 0.1, 0.3
 _OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches are evidence of K
 
 
@@ -62,7 +70,7 @@ def estimate_pose(
     the probability. fit_cameras: whether the focal lengths of cameras that are not exact are
     fitted; without, their deviations only widen the errors. The warnings of the cameras are among
     those of the pose. The same seed gives the same answer to the bit. Raises InputError, naming the
-    argument, for one of another type.
+    argument, for one of another type, and for points outside their camera's size.
     """
     check_type(matches, Matches, "matches")
     check_type(options, EstimationOptions, "options")
@@ -86,10 +94,15 @@ def _estimated(
     fit_cameras: bool,
 ) -> RelativePose:
     """`estimate_pose` of matches of one motion."""
-    problem = TwoViewProblem.of(matches, *stated, options)
     camera1, camera2 = stated
-    warnings = tuple(dict.fromkeys((*camera1.warnings, *camera2.warnings, *problem.warnings)))
+    odd = odd_extent(matches.points1, camera1, 1) + odd_extent(matches.points2, camera2, 2)
+    problem = TwoViewProblem.of(matches, camera1, camera2, options)
+    warnings = tuple(dict.fromkeys((*camera1.warnings, *camera2.warnings, *problem.warnings, *odd)))
     inliers = np.zeros(len(matches), dtype=bool)
+    for number, camera in enumerate(stated, start=1):
+        if camera.projection:
+            reason = f"image {number} is {camera.projection}, by its XMP data"
+            return RelativePose("panorama", reason, inliers, len(problem), warnings=warnings)
     if len(problem) < MIN_MATCHES:
         reason = f"only {len(problem)} matches; a verdict needs {MIN_MATCHES}"
         return RelativePose("too_few_matches", reason, inliers, len(problem), warnings=warnings)
@@ -167,9 +180,10 @@ def assess(
     spread, check, still, second = CameraSpread.of(*cameras), None, None, None
     if not len(spread):
         check = check_focals(problem, best, matches, cameras, options, is_plane=plane.is_plane)
-    if plane.is_plane:
-        second = _second_motion(problem, best, options)
-    if plane.is_plane and fitted:
+    if plane.is_plane or fitted:
+        least = _MIN_SECOND_SHARE if plane.is_plane else _MIN_SECOND_SHARE_FITTED
+        second = _second_motion(problem, best, options, least * best.num_in_front)
+    if fitted:
         of_inliers = np.isin(of_stated.index, problem.index[best.inliers])
         still = still_camera(of_stated.subset(of_inliers))
     covariance = pose_covariance(problem, best, spread, fitted=fitted)
@@ -186,6 +200,7 @@ def assess(
         others=hypotheses[1:],
         map_problem=map_problem,
         check=check,
+        camera_model=model.name,
     )
     if fitted:
         cameras = _fitted(cameras[0], covariance, 0), _fitted(cameras[1], covariance, 1)
@@ -240,18 +255,18 @@ def _refine(
 
 
 def _second_motion(
-    problem: TwoViewProblem, first: Hypothesis, options: EstimationOptions
+    problem: TwoViewProblem, first: Hypothesis, options: EstimationOptions, least: float
 ) -> Hypothesis | None:
-    """Another motion, found in the matches that a hypothesis leaves over; None if it has few
-    inliers among these, or if unrelated images could have as many."""
+    """Another motion, found in the matches that a hypothesis leaves over; None if it has fewer
+    inliers than `least` among these, or if unrelated images could have as many."""
     left = problem.subset(~first.inliers)
-    if len(left) < MIN_MATCHES:
+    if len(left) < max(MIN_MATCHES, least):
         return None
     runs = sample(left, replace(options, runs=1))
     if not runs:
         return None
     second = refine(left, runs[0]) if options.refine else runs[0]
-    if second.is_among([first]) or second.num_in_front < _MIN_SECOND_SHARE * first.num_in_front:
+    if second.is_among([first]) or second.num_in_front < least:
         return None
     if by_chance(gather(left, second, 0.0)):
         return None
@@ -259,15 +274,20 @@ def _second_motion(
 
 
 def _fitted(camera: Camera, covariance: Covariance | None, number: int) -> Camera:
-    """A fitted camera with the standard deviations that are left; an exact one as it is."""
+    """A fitted camera with the standard deviations that are left, calibrated as that of the focal
+    length is, and at most those that it had; an exact one as it is."""
     if camera.focal_std:
         camera = replace(camera, focal_source="matches")
-    if camera.exact or covariance is None:
+    if covariance is None or not any(deviation_stds(camera)):
         return camera
+    focal, centre, lens, aspect = _stds(covariance, number)
+    factor = calibrated_focal_std(focal) / focal if focal else 1.0
     return replace(
         camera,
-        focal_std=min(calibrated_focal_std(covariance.focal_stds[number]), camera.focal_std),
-        lens_std=float(covariance.cameras.diagonal()[SIZE * number + 3]) ** 0.5,
+        focal_std=min(factor * focal, camera.focal_std),
+        centre_std=min(factor * centre * camera.focal, camera.centre_std),
+        lens_std=min(factor * lens, camera.lens_std),
+        aspect_std=min(factor * aspect, camera.aspect_std),
     )
 
 
@@ -339,9 +359,19 @@ def _explaining(assessed: Assessment) -> list[Hypothesis]:
 
 
 def _camera_covariance(covariance: Covariance, cameras: tuple[Camera, Camera]) -> np.ndarray:
-    """The calibrated covariance (10, 10) of fitted cameras, see `RelativePose`."""
+    """The covariance (12, 12) of fitted cameras, with their deviations, see `RelativePose`."""
     unit = []
-    for camera, std in zip(cameras, covariance.focal_stds, strict=True):
-        factor = calibrated_focal_std(std) / std if std else 1.0
-        unit += [factor, factor * camera.focal, factor * camera.focal, factor, factor, factor]
+    for number, camera in enumerate(cameras):
+        of_camera = camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std
+        ratios = zip(of_camera, _stds(covariance, number), strict=True)
+        focal, centre, lens, aspect = (std / raw if raw else 0.0 for std, raw in ratios)
+        unit += [focal, centre, centre, lens, lens, aspect]
     return covariance.cameras * np.outer(unit, unit)
+
+
+def _stds(covariance: Covariance, number: int) -> tuple[float, float, float, float]:
+    """The standard deviations of camera 0's or 1's ln f, principal point over f, lens, and ln fy /
+    fx."""
+    variances = covariance.cameras.diagonal()[SIZE * number :][:SIZE].tolist()
+    focal, x, y, lens, _, aspect = variances
+    return focal**0.5, ((x + y) / 2) ** 0.5, lens**0.5, aspect**0.5

@@ -41,6 +41,7 @@ _FITTED_ODDS = 4.0
 # sure, and the matches only seem to be.
 _MAX_FOCAL_PERCENT = 4.0
 _NOTHING_BUT_PLANE = 0.95  # homography ratio: with more, the data fitted on have no right pose
+_SAME_ROTATION_DEG = 3.0  # between the rotations of two motions that do not contradict each other
 _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
 
 
@@ -76,9 +77,11 @@ def judge(
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
         # Chance before all: few inliers are no evidence of a rotation either.
-        failed = by_chance(evidence) or undetermined or _implausible(evidence)
+        failed = by_chance(evidence) or _unusable(evidence) or undetermined or _implausible(evidence)
         return failed or _moved_plane(evidence) or _pose(evidence)
-    impossible = _random(evidence) or undetermined or _behind(evidence)
+    impossible = (
+        _random(evidence) or _unusable(evidence) or undetermined or _behind(evidence)
+    )
     if impossible is not None:
         return by_chance(evidence) or impossible
     if probability >= min_probability and (moved := _moved_plane(evidence)):
@@ -143,15 +146,38 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
             f"a rotation alone explains {evidence.num_rotation_inliers} matches, as many as the "
             f"essential matrix does: the images do not determine the translation"
         )
-        return Verdict("rotation_only", reason)
+        return _contradicted(evidence, reason) or Verdict("rotation_only", reason)
     if evidence.still_ratio >= _STRICT_ROTATION_SHARE:
         reason = (
             f"a camera that only turned, zoomed or cropped explains "
             f"{100 * evidence.still_ratio:.0f} % of the inliers: the images do not determine the "
             "translation"
         )
-        return Verdict("rotation_only", reason)
+        return _contradicted(evidence, reason) or Verdict("rotation_only", reason)
     return None
+
+
+def _contradicted(evidence: Evidence, rotation: str) -> Verdict | None:
+    """Whether another motion contradicts a rotation. rotation: what speaks for it."""
+    if not evidence.num_second_inliers or evidence.second_rotation_deg < _SAME_ROTATION_DEG:
+        return None
+    reason = (
+        f"{rotation}; {evidence.num_second_inliers} of the other matches agree on a motion that "
+        f"turns by {evidence.second_rotation_deg:.1f} deg more: which of both is the camera's does "
+        "not show"
+    )
+    return Verdict("ambiguous", reason)
+
+
+def _unusable(evidence: Evidence) -> Verdict | None:
+    """Whether the images are of no camera that a pose can be of."""
+    if evidence.camera_model != "cylinder":
+        return None
+    reason = (
+        f"{evidence.num_inliers} matches agree on images on a cylinder, as panoramas are, and on no "
+        "camera with a lens"
+    )
+    return Verdict("panorama", reason)
 
 
 def _behind(evidence: Evidence) -> Verdict | None:
@@ -177,11 +203,14 @@ def _implausible(evidence: Evidence) -> Verdict | None:
 
 
 def _moved_plane(evidence: Evidence) -> Verdict | None:
-    """Whether the plane that the matches lie on may have moved, and not the camera."""
+    """Whether the plane that the matches lie on may have moved, and not the camera; or no camera
+    explains the motions of both."""
     if not evidence.num_second_inliers:
         return None
+    plane = evidence.homography_ratio >= PLANAR_SHARE
+    lie = "lie on a plane" if plane else "agree on a motion"
     reason = (
-        f"the {evidence.num_inliers} inliers lie on a plane, and {evidence.num_second_inliers} of "
+        f"the {evidence.num_inliers} inliers {lie}, and {evidence.num_second_inliers} of "
         "the other matches agree on another motion: which of both is the camera's does not show"
     )
     return Verdict("ambiguous", reason)

@@ -8,7 +8,7 @@ import os
 import stat
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,6 +16,7 @@ from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files.outputs import writing
 
 TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
+_START_BYTES = 4096  # that tell a text from another file, which may be far larger than a text
 _KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
 
 
@@ -88,11 +89,10 @@ def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError)
 def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -> str:
     """A text in UTF-8, without a byte order mark.
 
-    Raises InputError, with the path, if it is no such text or no regular file; OSError if it cannot
-    be read.
+    Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
+    almost any other file has, or is no regular file; OSError if it cannot be read.
     """
-    data = read_bytes(path, limit)
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: {what} is text, and this is not") from None
+    with suppress(UnicodeDecodeError):
+        if b"\0" not in read_start(path, _START_BYTES):
+            return read_bytes(path, limit).decode("utf-8-sig")
+    raise InputError(f"{path}: {what} is text, and this is not")

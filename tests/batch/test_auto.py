@@ -47,7 +47,7 @@ def test_a_folder_has_one_camera(whole: Path) -> None:
     (camera,) = batch.summary["cameras"]
     assert (camera["images"], camera["pairs"]) == (COUNT, PAIRS)
     assert camera["focal_px"] == pytest.approx(FOCAL, rel=0.01)
-    assert 0.002 < camera["focal_std"] < 0.02 and camera["focal_source"] == "matches"
+    assert 0.002 < camera["focal_std"] < 0.025 and camera["focal_source"] == "matches"
     for name, final in batch.plan.final_cameras.items():
         assert final.focal == camera["focal_px"] and final.focal_std == camera["focal_std"]
         assert batch.plan.cameras[name].focal == pytest.approx(1.1 * 240)

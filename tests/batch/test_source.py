@@ -69,3 +69,9 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | N
         "b.png",
         "c.png",
     )
+
+
+def test_a_video_is_no_list_of_pairs(tmp_path: Path) -> None:
+    (tmp_path / "x.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
+    with pytest.raises(InputError, match=r"x\.mp4: a list of pairs is text, and this is not$"):
+        open_source(tmp_path / "x.mp4")

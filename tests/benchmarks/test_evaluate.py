@@ -60,12 +60,13 @@ def test_the_epipolar_error_is_that_of_the_map(tmp_path) -> None:
         assert scored[2].epipolar_confident_px < 1e-3
 
 
-def test_all_takes_what_the_mask_leaves_out(tmp_path) -> None:
+def test_all_takes_what_the_mask_leaves_out(tmp_path, monkeypatch) -> None:
     """The cells whose place lies outside image 1 never become matches; matchability aside."""
+    # The map is that of dense_scene whatever the protocol.
+    monkeypatch.setattr("dgc_pose.benchmarks.dtu.dtu_pairs.PAPER_SIZE", dense_scene.SIZE)
     unlimited = posed_pairs(tmp_path, 1, "paper")
     masked, everywhere, some = (s.num_matches for s in _rows(unlimited)[0])
     found = dense_scene.true_map(error_px=0.1)
-    # The map is that of dense_scene whatever the protocol: its own size decides what is inside.
     inside = (found.map >= -0.5).all(-1) & (found.map <= np.array(dense_scene.SIZE) - 0.5).all(-1)
     (pair,) = unlimited.read()
     structured = texture(pair.image1).at(found.map.reshape(-1, 2))

@@ -79,6 +79,18 @@ def test_any_cut_is_mended(rows, finished, open_store) -> None:
             assert (folder / "timings.csv").read_bytes() == timings
 
 
+def test_a_run_that_another_one_writes_is_left_as_it_is(finished, open_store, tmp_path) -> None:
+    """It is neither overwritten nor read."""
+    folder, whole = finished
+    with open_store(resume=True):
+        for options in ({"overwrite": True}, {"resume": True}):
+            with pytest.raises(InputError, match="another run is writing there"):
+                RunStore(folder, DtuScore, len(METHODS), SETTINGS, **options)
+        assert (folder / "results.csv").read_bytes() == whole
+    with RunStore(folder, DtuScore, len(METHODS), SETTINGS, overwrite=True) as store:
+        assert store.done == 0
+
+
 def test_what_is_there_is_not_replaced(finished, open_store) -> None:
     folder, whole = finished
     with pytest.raises(InputError, match=": resume goes on"):

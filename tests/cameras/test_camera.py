@@ -5,6 +5,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 import torch
 
@@ -39,7 +40,12 @@ def test_normalise_inverts_K_with_its_skew() -> None:
 
 
 @pytest.mark.parametrize(
-    "value", [K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K)], ids=type
+    "value",
+    [
+        *(K, K.tolist(), K.astype(np.float32), torch.tensor(K), Camera(K), torch.tensor(K[None])),
+        np.block([[K, np.zeros((3, 1))], [0, 0, 0, 1]]),
+    ],
+    ids=lambda value: f"{type(value).__name__} {np.shape(value)}",
 )
 def test_a_pair_takes_what_callers_have(value: object) -> None:
     image = Image(np.zeros((480, 640, 3), np.uint8))
@@ -48,6 +54,20 @@ def test_a_pair_takes_what_callers_have(value: object) -> None:
         camera.K[0, 0] = 1
     np.testing.assert_array_equal(camera.K, K)
     assert camera.focal == 800
+
+
+def test_a_pair_takes_pycolmaps_cameras() -> None:
+    """Against a ray that pycolmap itself computes, half a pixel aside."""
+    image = Image(np.zeros((480, 640, 3), np.uint8))
+    parameters = [500, 510, 320, 240, -0.2, 0.05, 0.002, -0.001]
+    theirs = pycolmap.Camera(model="OPENCV", width=640, height=480, params=parameters)
+    camera, _ = pair_cameras(theirs, K, image, image)
+    assert camera.size == (640, 480)
+    expected = theirs.cam_from_img(points() + 0.5)
+    np.testing.assert_allclose(camera.normalise(points()), expected, atol=1e-8)
+    for wrong, message in ((pycolmap.Camera(), "'INVALID' is not"), (theirs, "image 2 has 64")):
+        with pytest.raises(InputError, match=f"^K2.*{message}"):
+            pair_cameras(K, wrong, image, Image(np.zeros((48, 64, 3), np.uint8)))
 
 
 @pytest.mark.parametrize("kind", [list, tuple, np.array, torch.tensor])
@@ -80,6 +100,8 @@ def test_a_field_of_view_is_that_of_the_upright_image() -> None:
     ("value", "message"),
     [
         (K[:2], "shape"),
+        (np.array([K, K]), "shape"),
+        (np.block([[K, np.ones((3, 1))], [0, 0, 0, 1]]), "shape"),
         ([["a"] * 3] * 3, "not an array"),
         (np.where(K == 810, np.inf, K), "not finite"),
         (K.T, "last row"),
@@ -246,7 +268,7 @@ def test_a_usual_K_passes(camera: Camera) -> None:
         (
             "1100,1100,639.5,479.5",
             "--K1 has its principal point at (639.5, 479.5), the middle of an image of about "
-            "1280x960, and the image has 1600x1200: --K-size 1280x960 scales it",
+            "1280x960, and the image has 1600x1200",
         ),
         ("1400,1400,300,599.5", "at (300, 599.5), far from the middle of the image of 1600x1200"),
         ("PINHOLE,1600,1200,700,700,400,300", "at (399.5, 299.5), far from the middle"),
@@ -293,5 +315,35 @@ def test_every_scale_of_a_right_K_is_recognised() -> None:
             (text,) = checked_camera(Camera(K), LARGE, "--K").warnings
         except InputError as error:
             text = str(error)
-        width, height = map(int, text.split("--K-size ")[1].split()[0].split("x"))
-        np.testing.assert_allclose((width, height), size, rtol=0.02)
+        about = text.split("image of about ")[1].split(",")[0]
+        np.testing.assert_allclose([*map(int, about.split("x"))], size, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("size", "other", "offered"),
+    [
+        ((768, 512), None, "1536x1024"),  # half of it
+        ((512, 341), None, "1536x1023"),
+        ((900, 600), (1536, 1024), "1536x1024"),
+        ((900, 600), (1350, 900), None),
+        ((900, 600), None, None),
+    ],
+)
+def test_a_size_that_is_not_known_is_not_offered(
+    size: tuple[int, int], other: tuple[int, int] | None, offered: str | None
+) -> None:
+    """K of fountain-P11, whose principal point is 1 and 1.7 % from the middle of 1536x1024, with
+    pairs of its images of other sizes; the message names the image that K does not fit."""
+    K, option = "1379,1379,760,503", f": --K-size {offered} scales it"
+    with pytest.raises(InputError) as caught:
+        checked_camera(parse_camera(K), size, "--K", other=other)
+    end = str(caught.value).partition(f"has {size[0]}x{size[1]}")[2]
+    assert end == (option if offered else "")
+    images = [Image(np.zeros((s[1], s[0], 3), np.uint8)) for s in (other or (1536, 1024), size)]
+    if images[0].size == (1536, 1024):
+        with pytest.raises(
+            InputError, match=r"^--K has .* and image 2 has \d+x\d+: --K-size 1536x"
+        ):
+            pair_cameras(K, K, *images, ("--K", "--K"))
+        with pytest.raises(InputError, match=r"^K1 has .* and image 2 has \d+x\d+$"):
+            pair_cameras(K, K, *images, ("K1", "K1"))

@@ -85,6 +85,22 @@ def test_a_lens_that_is_not_known_is_fitted(known_focal):
     assert 0 < pose.camera1.lens_std < 0.1
 
 
+@pytest.mark.parametrize("focal_std", [0.0, 0.02, 0.4])
+def test_the_deviations_of_a_fitted_camera_are_the_roots_of_the_covariance(focal_std):
+    """And none is wider than it was stated; the wider focal length is calibrated by a factor."""
+    scene = two_view_scene("skew", same_camera=True, count=1500)
+    stated = (replace(_unknown(c, "a", 1.1), lens_std=0.1) for c in scene.cameras)
+    stated = [replace(c, focal_std=focal_std) for c in stated]
+    pose = estimate_pose(scene.matches, *stated)
+    roots = np.sqrt(np.diag(pose.camera_covariance)).reshape(2, 5)
+    for root, camera, before in zip(roots, (pose.camera1, pose.camera2), stated, strict=True):
+        stds = camera.focal_std, camera.centre_std, camera.lens_std
+        expected = root[0], np.sqrt((root[1:3] ** 2).mean()), root[3]
+        np.testing.assert_allclose(stds, expected, rtol=1e-9)
+        assert (np.array(stds) <= (before.focal_std, before.centre_std, before.lens_std)).all()
+        assert 0 < camera.lens_std < before.lens_std and camera.centre_std > 0
+
+
 def test_where_the_axes_meet_the_focal_length_is_uncertain():
     scene = two_view_scene("orbit", same_camera=True, count=1500, outliers=0.1)
     pose = estimate_pose(scene.matches, *(_unknown(camera, "a") for camera in scene.cameras))

@@ -151,14 +151,18 @@ def _text_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
 
 
 def read_database(path: Path) -> PairList:
-    """The images, cameras with a known focal length and matched pairs of a COLMAP database.
+    """The images, cameras with a known focal length and matched pairs of a COLMAP database, of one
+    that is being written those that SQLite's log beside it has too. The file stays as it is.
 
     Raises InputError, with the path, if it is none that can be read.
     """
     require_regular(path)
-    uri = f"{path.absolute().as_uri()}?immutable=1"
+    file = path.resolve()
+    logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
+    names = [log.name for log in logs if log.stat().st_size]  # without these it is not whole
+    uri = f"{file.as_uri()}?{'mode=ro' if names else 'immutable=1'}"
     with (
-        read_as("a COLMAP database", path),
+        read_as(" with ".join(["a COLMAP database", *names]), path),
         closing(sqlite3.connect(uri, uri=True)) as database,
     ):
         try:

@@ -24,12 +24,13 @@ from dgc_pose.geometry.rotation import rotation_of_quaternion
 
 Size = tuple[int, int]  # (width, height), pixels
 
-# Names of the matrix and the size as OpenCV's programs and ROS write them. The `camera_matrix` of
-# ROS is that of the raw image, which its distortion belongs to.
-_MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k")
+# Names of the matrix and the size as OpenCV's programs, ROS, Open3D and Record3D write them. The
+# `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
+_MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "intrinsic_matrix")
 _SIZES = (
     *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
+    ("w", "h"),
 )
 _FOUR = ("fx", "fy", "cx", "cy")
 _POSE = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
@@ -86,10 +87,13 @@ def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
         require_read(data, *present)
         parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
         return FileCameras(parts=parts)
-    parts = {}
+    data = dict(data)
+    frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
+    common, parts = keyed_camera(data), {}
+    by_name = {str(n): replace(common, K=numbers_camera(values).K) for n, values in frames}
     with suppress(InputError):  # of other coefficients than four
         parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
-    return FileCameras(parts=parts, common=keyed_camera(data))
+    return FileCameras(by_name, parts, common)
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
@@ -119,6 +123,7 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         lens_std=float(data.get("lens_std") or 0),
+        aspect_std=float(data.get("aspect_std") or 0),
         identity=None if identity is None else str(identity),
     )
 
@@ -149,15 +154,11 @@ def camchain(data: Mapping[str, Any], path: Path) -> FileCameras | None:
     path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
     Raises InputError as `require_read` does.
     """
-    listed = (
-        {"cam0": data}
-        if "intrinsics" in data
-        else {
-            str(name): values
-            for name, values in data.items()
-            if isinstance(values, Mapping) and "intrinsics" in values
-        }
-    )
+    listed = {
+        str(name): values
+        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
+        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
+    }
     if not listed:
         return None
     cameras: dict[str, Camera] = {}
@@ -305,14 +306,17 @@ def numbers(value: Any) -> list[float] | None:
 
 
 def numbers_camera(values: Any, name: str = "K") -> Camera:
-    """The camera of fx fy cx cy, or of the nine numbers of a matrix.
+    """The camera of fx fy cx cy, or of the nine or sixteen numbers of a matrix.
 
     Raises InputError, naming `name`.
     """
     array = np.asarray(values, dtype=np.float64).ravel()
-    if array.size not in (4, 9):
+    if array.size not in (4, 9, 16):
         raise InputError(f"{name} has {array.size} numbers, not fx fy cx cy and no 3x3 matrix")
-    return matrix_camera(array.reshape(3, 3) if array.size == 9 else array, name)
+    array = array.reshape(4 if array.size == 4 else (-1, round(array.size**0.5)))
+    if array.size == 9 and array[2, :2].any() and not array[:2, 2].any():
+        array = array.T  # column by column, as Open3D and Record3D write it
+    return matrix_camera(array, name)
 
 
 def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pytest
 
 from dgc_pose.cameras.calibration import camera_data, pair_cameras, parse_camera, read_calibration
@@ -188,6 +189,19 @@ def test_nerfs_lenses(tmp_path: Path) -> None:
         ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
         ({"K": K.tolist(), "centre_std_px": -1}, "centre_std must be finite and at least 0"),
+        (
+            {"K": K.tolist(), "model": "OPENCV", "coefficients": [0.1, 0, 0, 0], "lens_std": 0.02},
+            "lens_std must be 0 with the lens OPENCV: it is for RADIAL",
+        ),
+        (
+            {"views": [], "intrinsics": [{"key": 0}]},
+            "a scene of openMVG or Meshroom is not read",
+        ),
+        (
+            [{"cameras": [{"image_prefix": "left/"}]}],
+            "COLMAP's rig_config.json, is not read",
+        ),
+        ({"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intrinsics"),
         ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
         ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
         ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
@@ -200,8 +214,75 @@ def test_nerfs_lenses(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_json_that_has_no_camera(tmp_path: Path, data: dict[str, object], error: str) -> None:
+def test_json_that_has_no_camera(tmp_path: Path, data: object, error: str) -> None:
     path = tmp_path / "K.json"
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match=f"K.json.*{error}"):
         parse_camera(str(path))
+
+
+@pytest.mark.parametrize("ending", ["", ".png", ".jpg"])
+def test_the_size_of_a_transforms_json_without_w_is_that_of_its_first_image(
+    tmp_path: Path, ending: str
+) -> None:
+    """NeRF's synthetic scenes: the field of view alone, and names without an ending."""
+    image = Image(np.zeros((480, 640, 3), np.uint8), name="train/r_0.png")
+    (tmp_path / "scene/train").mkdir(parents=True)
+    for name in ("scene/train/r_0.png", "r_0.png"):
+        PIL.Image.fromarray(image.pixels).save(tmp_path / name)
+    path = tmp_path / "scene/transforms_train.json"
+    frames = [{"file_path": f"./train/r_0{ending}", "transform_matrix": np.eye(4).tolist()}]
+    path.write_text(json.dumps({"camera_angle_x": math.radians(60), "frames": frames}))
+    if ending == ".jpg":
+        with pytest.raises(InputError, match="no camera_angle_x with w or an image of that name"):
+            read_calibration(str(path))
+        return
+    camera = read_calibration(str(path)).camera(path.parent, "train/r_0.png", image)
+    left, right = camera.normalise(np.array([[-0.5, 239.5], [639.5, 239.5]]))
+    np.testing.assert_allclose((left, right), [[-(3**-0.5), 0], [3**-0.5, 0]], atol=1e-12)
+    frames[0]["file_path"] = "../r_0"  # what lies above the folder is not asked
+    path.write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
+    with pytest.raises(InputError, match="no camera_angle_x with w or an image of that name"):
+        read_calibration(str(path))
+
+
+BY_COLUMNS = K.T.ravel().tolist()
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        {"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMNS},
+        {"w": 640, "h": 480, "K": BY_COLUMNS, "fps": 60, "dw": 192, "dh": 256, "poses": [[0, 0]]},
+        {"size": SIZE, "K": [*K[0], 0, *K[1], 0, *K[2], 0, 0, 0, 0, 1]},
+    ],
+    ids=["Open3D", "Record3D", "4x4"],
+)
+def test_matrices_of_scanners(tmp_path: Path, data: dict[str, object]) -> None:
+    camera = _read(tmp_path, data)
+    np.testing.assert_array_equal(camera.K, K)
+    assert camera.size == SIZE
+
+
+def test_each_frame_of_record3d_has_its_camera(tmp_path: Path) -> None:
+    frames = [[500 + number, 510, 320, 240] for number in range(3)]
+    path = tmp_path / "metadata.json"
+    data = {"w": 640, "h": 480, "K": BY_COLUMNS, "perFrameIntrinsicCoeffs": frames}
+    path.write_text(json.dumps(data))
+    calibration = read_calibration(str(path))
+    for name, fx in (("rgbd/0.jpg", 500), ("rgbd/2.jpg", 502), ("rgbd/3.jpg", 500.0)):
+        camera = calibration.stated(tmp_path, name)
+        assert camera is not None and (camera.K[0, 0], camera.size) == (fx, SIZE)
+    other = calibration.stated(tmp_path, "a.jpg")
+    assert other is not None and other.K[0, 2] == 320.25
+
+
+def test_a_4x4_matrix_as_text(tmp_path: Path) -> None:
+    """ScanNet's intrinsic_color.txt."""
+    rows = np.block([[K, np.zeros((3, 1))], [0, 0, 0, 1]])
+    np.savetxt(tmp_path / "K.txt", rows)
+    np.testing.assert_allclose(parse_camera(str(tmp_path / "K.txt")).K, K)
+    rows[0, 3] = 1
+    np.savetxt(tmp_path / "K.txt", rows)
+    with pytest.raises(InputError, match=r"K\.txt: K must have shape .*, not \(4, 4\)"):
+        parse_camera(str(tmp_path / "K.txt"))
