@@ -23,9 +23,8 @@ _MAX_SIZE_DIFFERENCE = 0.03  # of the logarithms of a side that K may be for and
 def checked_camera(
     camera: Camera, size: Size, name: str, image: str = "the image", other: Size | None = None
 ) -> Camera:
-    """The camera of an image of `size` (width, height), with warnings.
-
-    image: what it is called. other: the size of another image that K may be for.
+    """The camera of an image of `size` (width, height), called `image`, with warnings; `other` is
+    the size of another image that K may be for.
 
     Raises InputError, naming the argument `name`, if the camera's size differs; if its principal
     point lies outside the image, or, of a camera without a size, in the middle of the image turned
