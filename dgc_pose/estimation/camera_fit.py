@@ -36,7 +36,7 @@ from dgc_pose.estimation.camera_spread import (
 )
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
+from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -60,6 +60,7 @@ _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
 _MAX_STARTS = 3  # that are fitted
 _LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
+_MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
 _CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
@@ -101,6 +102,14 @@ class JointFit:
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
         return float(EFFICIENT**2 * squares.sum() / ALIKE + pose.z @ pose.z) / 2
+
+    def log_likelihood(self, pose: JointPose, scale: float) -> float:
+        """The logarithm of the likelihood of the errors, of a Cauchy distribution, cut off, and of
+        the deviations, up to a constant. scale: of the distribution, the problem's unit."""
+        largest = _MOST_ERROR * self.problem.threshold
+        error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
+        squares = np.log1p((error / scale) ** 2).sum()
+        return -float(EFFICIENT**2 * squares / ALIKE + pose.z @ pose.z) / 2
 
     def inliers_in_front(self, pose: JointPose) -> np.ndarray:
         """(N,) bool, matches below the threshold and in front of both cameras."""
@@ -348,6 +357,9 @@ def check_focals(
         pose = _of_sample(joint, pose)
         if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
             pose = joint.fitted(pose)
+    stated = JointPose(first.R, first.t, np.zeros(len(spread)))
+    scale = pose_error_scale(problem.subset(first.inliers), first.R, first.t)
+    log_odds = joint.log_likelihood(pose, scale) - joint.log_likelihood(stated, scale)
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating_pair((loose1, loose2), deviations)
     fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
@@ -360,6 +372,7 @@ def check_focals(
         _CHECK_CALIBRATION * covariance.focal_stds[0],
         first.angle_to(pose.R, pose.t),
         max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
+        log_odds,
     )
 
 
@@ -381,12 +394,12 @@ def focal_warnings(
     contradicted: dict[str, None] = {}
     sources = {"given": "K", "exif": "EXIF"}
     for before, after in zip(stated, fitted, strict=True):
-        f, std, allowed = after.focal, after.focal_std, before.focal_std
+        f, std, allowed, log_odds = after.focal, after.focal_std, before.focal_std, 0.0
         if check is not None:
-            f, std = check.factor * before.focal, check.std
+            f, std, log_odds = check.factor * before.focal, check.std, check.log_odds
             allowed = std
         source = sources.get(before.focal_source)
-        if source and is_contradicted(f / before.focal, allowed):
+        if source and is_contradicted(f / before.focal, allowed, log_odds):
             text = f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"
             contradicted[text] = None
     if contradicted:

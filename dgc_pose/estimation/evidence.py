@@ -41,6 +41,7 @@ class FocalCheck(NamedTuple):
     std: float  # of its logarithm, calibrated
     angle_deg: float  # between the pose with these and the pose with K, the larger of R and t
     error_90_deg: float  # nine times in ten the former is off by less, by the jackknife
+    log_odds: float = 0.0  # by which the matches are likelier with these than with K
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ FORMAT = 3  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
 _CONTRADICTED_STDS = 3.0  # standard deviations that a focal length may be off
+_CONTRADICTED_LOG_ODDS = 3.0  # or by which other focal lengths are likelier
 _MIN_FOCAL_ERROR = 0.08  # of its logarithm, that is worth a warning
 _MIN_DEVIATION_DEG = 1.0  # of a pose
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
@@ -254,10 +255,12 @@ def calibrated_focal_std(std: float) -> float:
     return std * shipped_models().focal_error.factor(100 * NORMAL_90 * std)
 
 
-def is_contradicted(ratio: float, std: float) -> bool:
+def is_contradicted(ratio: float, std: float, log_odds: float = 0.0) -> bool:
     """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
-    the standard deviation `std`, calibrated."""
-    return abs(math.log(ratio)) >= max(_MIN_FOCAL_ERROR, _CONTRADICTED_STDS * std)
+    the standard deviation `std`, calibrated; or they hardly tell it, and are much likelier with any
+    other. log_odds: by which they are."""
+    least = _CONTRADICTED_STDS * std if log_odds < _CONTRADICTED_LOG_ODDS else 0.0
+    return abs(math.log(ratio)) >= max(_MIN_FOCAL_ERROR, least)
 
 
 def of_right(error_90_deg: float) -> float:
@@ -277,7 +280,7 @@ def _nearness(evidence: Evidence) -> float:
     """The probability that a pose with a K that is contradicted is within 10 degrees, if that of
     the focal lengths suggested is; 1 if K is not contradicted."""
     check = evidence.focal_check
-    if check is None or not is_contradicted(check.factor, check.std):
+    if check is None or not is_contradicted(check.factor, check.std, check.log_odds):
         return 1.0
     deviation = max(check.error_90_deg / NORMAL_90, _MIN_DEVIATION_DEG)
     return 0.5 * math.erfc((check.angle_deg - RIGHT_DEG) / deviation / math.sqrt(2))
