@@ -38,7 +38,7 @@ from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.probability import is_contradicted
+from dgc_pose.estimation.probability import CONTRADICTED_LOG_ODDS, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
@@ -351,8 +351,6 @@ def check_focals(
         other = solved_start(problem, spread, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
         pose = joint.fitted(other)
-    elif is_plane:
-        return None
     else:
         pose = _of_sample(joint, pose)
         if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
@@ -360,6 +358,8 @@ def check_focals(
     stated = JointPose(first.R, first.t, np.zeros(len(spread)))
     scale = pose_error_scale(problem.subset(first.inliers), first.R, first.t)
     log_odds = joint.log_likelihood(pose, scale) - joint.log_likelihood(stated, scale)
+    if is_plane and log_odds < CONTRADICTED_LOG_ODDS:
+        return None
     deviations = joint.deviations(pose)
     fitted1, fitted2 = deviating_pair((loose1, loose2), deviations)
     fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)

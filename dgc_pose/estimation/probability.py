@@ -23,7 +23,7 @@ FORMAT = 3  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
 _CONTRADICTED_STDS = 3.0  # standard deviations that a focal length may be off
-_CONTRADICTED_LOG_ODDS = 3.0  # or by which other focal lengths are likelier
+CONTRADICTED_LOG_ODDS = 10.0  # or by which other focal lengths are likelier
 _MIN_FOCAL_ERROR = 0.08  # of its logarithm, that is worth a warning
 _MIN_DEVIATION_DEG = 1.0  # of a pose
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
@@ -259,7 +259,7 @@ def is_contradicted(ratio: float, std: float, log_odds: float = 0.0) -> bool:
     """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
     the standard deviation `std`, calibrated; or they hardly tell it, and are much likelier with any
     other. log_odds: by which they are."""
-    least = _CONTRADICTED_STDS * std if log_odds < _CONTRADICTED_LOG_ODDS else 0.0
+    least = _CONTRADICTED_STDS * std if log_odds < CONTRADICTED_LOG_ODDS else 0.0
     return abs(math.log(ratio)) >= max(_MIN_FOCAL_ERROR, least)
 
 
