@@ -105,7 +105,7 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     text += f"; principal point ({x:.1f}, {y:.1f})"
     text += f" +- {camera.centre_std:.1f}" if camera.centre_std else ""
     if camera.lens_std and camera.distortion is not None:
-        first, second = camera.distortion.coefficients
+        first, second = camera.distortion.radial
         text += f"; lens k1 {first:.3f} +- {camera.lens_std:.3f}, k2 {second:.3f}"
     return text
 

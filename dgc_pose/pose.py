@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.camera_fit import AGREEING_LOG_FOCAL
+from dgc_pose.estimation.focal_check import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text

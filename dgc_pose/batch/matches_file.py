@@ -33,9 +33,9 @@ class PoseInputs:
     error_px: float  # expected error of a good match, pixels of the originals
     key_points: bool  # whether the matches are independent detections
     map_matches: Matches | None  # even sample of the map, float32; None without a map
-    # (2, 6, 5) float64, the fit of both cameras to this pair alone, once it is estimated: ln f, the
-    # principal point, pixels, two radial coefficients, and below their covariance. None without a
-    # pose.
+    # (2, 7, 6) float64, the fit of both cameras to this pair alone, once it is estimated: ln f, the
+    # principal point, pixels, two radial coefficients, ln fy / fx, and below their covariance. None
+    # without a pose.
     camera_fits: np.ndarray | None = None
 
 

@@ -57,8 +57,10 @@ class CameraFit:
 
 
 def camera_fits(pose: RelativePose) -> np.ndarray | None:
-    """(2, 6, 5), see `PoseInputs.camera_fits`."""
+    """(2, 7, 6), see `PoseInputs.camera_fits`; None of cameras of another model."""
     if pose.camera_covariance is None or pose.camera1 is None or pose.camera2 is None:
+        return None
+    if pose.evidence is not None and pose.evidence.camera_model != "assumed":
         return None
     fits = np.empty((2, 1 + SIZE, SIZE))
     for side, camera in enumerate((pose.camera1, pose.camera2)):
@@ -87,7 +89,7 @@ def pool(
     pooled, listed = dict(cameras), []
     for key, names in groups.items():
         first = cameras[names[0]]
-        prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1])
+        prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
         if len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted
@@ -167,7 +169,7 @@ def pooled_fit(
 def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
     """The camera with pooled differences (SIZE,) from it, and their deviations, 0 of what is not
     fitted."""
-    deviations = value / [1, camera.focal, camera.focal, 1, 1]
+    deviations = value / [1, camera.focal, camera.focal, 1, 1, 1]
     moved = deviating(camera, deviations)
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches")
@@ -176,10 +178,13 @@ def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> 
 
 
 def _parameters(camera: Camera) -> np.ndarray:
-    """(SIZE,): ln f, the principal point, pixels, and the radial coefficients, 0 without them."""
+    """(SIZE,): ln f, the principal point, pixels, the radial coefficients, 0 without them, and
+    ln fy / fx."""
     lens = camera.distortion
     radial = (0.0, 0.0) if lens is None or lens.model != RADIAL else lens.coefficients
-    return np.array([np.log(camera.focal), *camera.K[:2, 2], *radial])
+    return np.array(
+        [np.log(camera.focal), *camera.K[:2, 2], *radial, np.log(camera.K[1, 1] / camera.K[0, 0])]
+    )
 
 
 def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:

@@ -79,7 +79,7 @@ class Camera:
     @property
     def exact(self) -> bool:
         """Whether the focal lengths and the lens are known exactly."""
-        return not (self.focal_std or self.lens_std)
+        return not (self.focal_std or self.lens_std or self.aspect_std)
 
     @property
     def focal(self) -> float:

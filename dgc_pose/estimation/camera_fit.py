@@ -1,5 +1,4 @@
-"""The focal lengths that the matches determine, of cameras that are not exact, and whether the
-matches contradict those of exact ones.
+"""The focal lengths that the matches determine, of cameras that are not exact.
 
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
 unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
@@ -8,10 +7,6 @@ of the deviations over their standard deviations, so that the least is the most 
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
-
-The check of exact cameras fits their pose and a factor of both focal lengths together. Where the
-matches determine the focal length at all, the fit leads from a wrong one to the right one; where it
-does not, the six-point solver has a better start.
 """
 
 from __future__ import annotations
@@ -23,22 +18,22 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_spread import (
     FOCALS,
     SIZE,
     CameraSpread,
     deviated,
     deviated_slopes,
-    deviating_pair,
     error_slopes,
     normaliser,
 )
-from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
-from dgc_pose.estimation.evidence import FocalCheck
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale, pose_error_scale
+from dgc_pose.estimation.hypothesis import (
+    ALIKE,
+    EFFICIENT,
+    Hypothesis,
+    error_scale,
+)
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.probability import CONTRADICTED_LOG_ODDS, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
@@ -51,7 +46,6 @@ from dgc_pose.estimation.robust_fit import (
 )
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
-from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
@@ -59,21 +53,11 @@ _REACH = 2.0  # of the focal lengths that are tried, standard deviations to eith
 _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
 _MAX_STARTS = 3  # that are fitted
-_LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
+LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
 _MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
 _CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
-
-_CHECK_STD = 0.5  # of ln f where K is checked: a focal length that is hardly known
-_CHECK_CALIBRATION = 1.5  # of the factor's deviation over the jackknife's: docs/experiments.md
-_CHECK_CENTRE_STD = 0.005  # of the principal point, over the focal length
-_UNCERTAIN_STD = 0.1  # standard deviation of ln f, beyond which there is a warning
-_EXPLAINED_SHARE = 0.8  # share of inliers beyond which no other focal length explains many more
-_MORE = 1.2  # of the inliers that another focal length must have to be a start
-_CHECK_SAMPLED = 400  # matches that are fitted first
-_CHECK_ITERATIONS = 30  # of their fit
-AGREEING_LOG_FOCAL = 0.05  # of ln f: if these suggest no more, no others are fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +102,7 @@ class JointFit:
     def fitted(
         self,
         pose: JointPose,
-        limits: Sequence[float] = _LIMITS,
+        limits: Sequence[float] = LIMITS,
         iterations: int = _ITERATIONS,
     ) -> JointPose:
         """The pose after fits to its inliers, which are chosen anew before each.
@@ -321,92 +305,3 @@ def _start(
     pose = Hypothesis.of_essential(_rescaled(problem, deviations), E)
     z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)
-
-
-def check_focals(
-    problem: TwoViewProblem,
-    first: Hypothesis,
-    matches: Matches,
-    cameras: tuple[Camera, Camera],
-    options: EstimationOptions,
-    *,
-    is_plane: bool = False,
-) -> FocalCheck | None:
-    """The factor of the focal lengths that the matches suggest; None if they do not determine any.
-
-    problem: of the matches, normalised by the cameras. first: the pose that these give. is_plane:
-    whether its inliers lie on a plane, which poses of any focal length explain: then only other
-    matches show that K is wrong.
-    """
-    loose1, loose2 = (
-        replace(c, focal_std=_CHECK_STD, centre_std=_CHECK_CENTRE_STD * c.focal, identity="both")
-        for c in cameras
-    )
-    spread = CameraSpread.of(loose1, loose2)
-    joint = JointFit(problem, spread)
-    pose = JointPose(first.R, first.t, np.zeros(len(spread)))
-    other = None
-    if first.num_in_front < _EXPLAINED_SHARE * len(problem):
-        # The pose of a wrong K may be a local minimum.
-        other = solved_start(problem, spread, options, options.seed)
-    if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
-        pose = joint.fitted(other)
-    else:
-        pose = _of_sample(joint, pose)
-        if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
-            pose = joint.fitted(pose)
-    stated = JointPose(first.R, first.t, np.zeros(len(spread)))
-    scale = pose_error_scale(problem.subset(first.inliers), first.R, first.t)
-    log_odds = joint.log_likelihood(pose, scale) - joint.log_likelihood(stated, scale)
-    if is_plane and log_odds < CONTRADICTED_LOG_ODDS:
-        return None
-    deviations = joint.deviations(pose)
-    fitted1, fitted2 = deviating_pair((loose1, loose2), deviations)
-    fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
-    refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
-    covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
-    if covariance is None:
-        return None
-    return FocalCheck(
-        math.exp(deviations[0]),
-        _CHECK_CALIBRATION * covariance.focal_stds[0],
-        first.angle_to(pose.R, pose.t),
-        max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
-        log_odds,
-    )
-
-
-def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
-    """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
-    shuffled = np.random.default_rng(joint.problem.seed).permutation(len(joint.problem))
-    drawn = joint.problem.subset(np.sort(shuffled[:_CHECK_SAMPLED]))
-    return JointFit(drawn, joint.spread).fitted(pose, _LIMITS[:1], _CHECK_ITERATIONS)
-
-
-def focal_warnings(
-    stated: Sequence[Camera], fitted: Sequence[Camera], check: FocalCheck | None
-) -> tuple[str, ...]:
-    """Warnings about the focal lengths, each a line.
-
-    stated: the cameras before the estimation; fitted: those of the pose, with the standard
-    deviations that are left; check: of exact cameras.
-    """
-    contradicted: dict[str, None] = {}
-    sources = {"given": "K", "exif": "EXIF"}
-    for before, after in zip(stated, fitted, strict=True):
-        f, std, allowed, log_odds = after.focal, after.focal_std, before.focal_std, 0.0
-        if check is not None:
-            f, std, log_odds = check.factor * before.focal, check.std, check.log_odds
-            allowed = std
-        source = sources.get(before.focal_source)
-        if source and is_contradicted(f / before.focal, allowed, log_odds):
-            text = f"f = {f:.0f} +- {std * f:.0f} px, and {source} says {before.focal:.0f}"
-            contradicted[text] = None
-    if contradicted:
-        return (f"the matches suggest {'; '.join(contradicted)}",)
-    loose = dict.fromkeys(
-        f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
-        for camera in fitted
-        if camera.focal_std > _UNCERTAIN_STD
-    )
-    return (f"the matches hardly tell the focal length: {'; '.join(loose)}",) if loose else ()

@@ -9,7 +9,7 @@ camera by its prior, so that the costs of all models can be compared.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -17,6 +17,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
+from dgc_pose.cameras.prior import SIZE_STD
 from dgc_pose.estimation.camera_fit import JointFit, JointPose, start_at
 from dgc_pose.estimation.camera_spread import ASPECTS, FOCALS, SIZE, CameraSpread
 from dgc_pose.estimation.evidence import ModelName
@@ -32,8 +33,8 @@ _ITERATIONS = 250  # of a RANSAC run
 # Of the errors of the two rounds of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round
-# Of another model before the matches are seen: of a picture of a sensor's shape, and of another one,
-# which was cut, squeezed or joined.
+# Of another model before the matches are seen: of a picture of a sensor's shape, and of others,
+# which were cut, squeezed or joined.
 _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -3.0, -1.0
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
@@ -43,7 +44,7 @@ _ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
 _CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
 # Focal lengths over the longer side, and the deviations of their logarithms, without EXIF data.
 _WIDE: dict[str, tuple[float, float]] = {FISHEYE: (0.55, 0.35), CYLINDER: (0.6, 0.4)}
-_STEPS = np.linspace(-1.5, 1.5, 6)  # deviations of ln f that are tried
+_STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f, or of ln fy / fx, that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +67,12 @@ def likeliest_model(
     pose: JointPose,
     options: EstimationOptions,
 ) -> CameraModel:
-    """The most probable model; where a K or a lens is given, the assumed one.
+    """The most probable model; of cameras that are stated, the assumed one.
 
     problem: of the matches, normalised by the cameras as stated. pose: fitted with these.
     """
     assumed = CameraModel("assumed", stated, pose=pose)
-    if any(c.focal_source == "given" or c.distortion is not None for c in stated):
+    if not any(map(_is_open, stated)):
         return assumed
     order = np.random.default_rng(options.seed).permutation(len(problem))
     sample = matches.subset(problem.index[np.sort(order[:_SAMPLED])])
@@ -121,8 +122,6 @@ def likeliest_model(
         return replace(model, pose=fits[best], cost=costs[best])
 
     models = [assumed, *in_threads(fitted, _others(stated, pose))]
-    if __import__("os").environ.get("DBG"):
-        print({m.name: round(m.cost - assumed.cost, 1) for m in models[1:]})
     usual = all(map(_has_sensor_shape, stated))
     before = _LOG_ODDS if usual else _LOG_ODDS_OF_SHAPE
     odds = np.array([assumed.cost - model.cost + before for model in models])
@@ -130,8 +129,29 @@ def likeliest_model(
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
     best = models[int(np.argmax(shares))]
-    differences = [np.sqrt(share) * _difference(best, model) for share, model in zip(shares, models)]
+    differences = [
+        np.sqrt(share) * _difference(best, model)
+        for share, model in zip(shares, models, strict=True)
+    ]
     return replace(best, pose_spread=np.array(differences).T @ np.array(differences))
+
+
+def model_warnings(name: ModelName, cameras: tuple[Camera, Camera]) -> tuple[str, ...]:
+    """What is unusual about fitted cameras, a line each."""
+    lines = []
+    for camera in cameras:
+        fx, fy, (x, y) = camera.K[0, 0], camera.K[1, 1], camera.K[:2, 2]
+        if name == "squeezed":
+            std = camera.aspect_std
+            lines.append(f"pixels that are not square, fy / fx = {fy / fx:.3f} +- {std:.3f}")
+        elif name == "off_centre":
+            std = camera.centre_std
+            lines.append(
+                f"a part of a larger picture, its middle at ({x:.0f}, {y:.0f}) +- {std:.0f} px"
+            )
+        elif name == "fisheye":
+            lines.append(f"a fisheye, f = {camera.focal:.0f} px")
+    return tuple(f"the matches agree with {line}" for line in dict.fromkeys(lines))
 
 
 def _has_sensor_shape(camera: Camera) -> bool:
@@ -149,24 +169,35 @@ def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:
 
 def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]:
     """The other models. pose: fitted with the cameras as stated."""
-    focal = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
-    first, second = stated
-    wide = {
-        model: (_wide(first, model), _wide(second, model)) for model in (FISHEYE, CYLINDER)
-    }
-    return [
-        CameraModel(
-            "squeezed",
-            (replace(first, aspect_std=_ASPECT_STD), replace(second, aspect_std=_ASPECT_STD)),
-            [_deviations(focal, aspect) for aspect in (-0.6, -0.3, 0.3, 0.6)],
-            pose,
-        ),
-        CameraModel("off_centre", (_part(first), _part(second)), (), pose),
-        *(
-            CameraModel(name, wide[model], [_deviations(_WIDE[model][1] * k) for k in _STEPS])
-            for name, model in (("fisheye", FISHEYE), ("cylinder", CYLINDER))
-        ),
+
+    def changed(change: Callable[[Camera], Camera]) -> tuple[Camera, Camera]:
+        first, second = (change(camera) if _is_open(camera) else camera for camera in stated)
+        return first, second
+
+    def wide(name: ModelName, model: str) -> CameraModel:
+        cameras = changed(lambda camera: _wide(camera, model))
+        stds = np.array([camera.focal_std for camera in cameras])
+        return CameraModel(name, cameras, [_deviations(k * stds) for k in _STEPS])
+
+    focals = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
+    squeezed = changed(lambda camera: replace(camera, aspect_std=_ASPECT_STD))
+    aspects = np.array([camera.aspect_std for camera in squeezed])
+    others = [
+        CameraModel("squeezed", squeezed, [_deviations(focals, k * aspects) for k in _STEPS], pose),
+        CameraModel("off_centre", changed(_part), (), pose),
+        wide("fisheye", FISHEYE),
+        wide("cylinder", CYLINDER),
     ]
+    if any(camera.focal_source == "exif" for camera in stated):
+        # A zoom or a crop, of which EXIF data say nothing.
+        zoomed = changed(lambda c: replace(c, focal_std=max(c.focal_std, SIZE_STD)))
+        others.append(CameraModel("zoomed", zoomed, (), pose))
+    return others
+
+
+def _is_open(camera: Camera) -> bool:
+    """Whether nobody stated the camera."""
+    return camera.focal_source != "given" and camera.distortion is None
 
 
 def _part(camera: Camera) -> Camera:
@@ -177,15 +208,15 @@ def _part(camera: Camera) -> Camera:
 
 def _wide(camera: Camera, model: str) -> Camera:
     """A camera with another projection."""
-    over_side, std = _WIDE[model]
     if camera.focal_source == "size":
-        camera = camera.with_focal(over_side * max(camera.size or (0,)))
+        over_side, std = _WIDE[model]
+        camera = replace(camera.with_focal(over_side * max(camera.size or (0,))), focal_std=std)
     if model == CYLINDER:
-        return replace(camera, focal_std=std, distortion=Distortion(model), lens_std=0.0)
-    return replace(camera, focal_std=std, distortion=Distortion(model, (0.0,) * 4))
+        return replace(camera, distortion=Distortion(model), lens_std=0.0)
+    return replace(camera, distortion=Distortion(model, (0.0,) * 4))
 
 
-def _deviations(log_focal: np.ndarray | float, aspect: float = 0.0) -> np.ndarray:
+def _deviations(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
     deviations = np.zeros(2 * SIZE)
-    deviations[FOCALS], deviations[ASPECTS] = log_focal, aspect
+    deviations[FOCALS], deviations[ASPECTS] = log_focals, aspects
     return deviations

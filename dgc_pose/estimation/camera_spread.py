@@ -3,8 +3,9 @@ coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose a
 
 The deviations of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
 the focal length of K, what is added to the coefficients (c, d) of its lens (`geometry.radial`),
-which are 0 of a pinhole, and what is added to a = ln(fy / fx). Of two exact pinholes but for K, points that K normalised are normalised
-by A of `normaliser` to what the camera makes of them, so that F = A2^T E A1.
+which are 0 of a pinhole, and what is added to a = ln(fy / fx). Of two exact pinholes but for K,
+points that K normalised are normalised by A of `normaliser` to what the camera makes of them, so
+that F = A2^T E A1.
 """
 
 from __future__ import annotations
@@ -174,9 +175,7 @@ def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
     return replace(camera, K=K, distortion=lens)
 
 
-def deviating_pair(
-    cameras: tuple[Camera, Camera], deviations: np.ndarray
-) -> tuple[Camera, Camera]:
+def deviating_pair(cameras: tuple[Camera, Camera], deviations: np.ndarray) -> tuple[Camera, Camera]:
     """Two cameras with deviations (2 * SIZE,)."""
     first, second = cameras
     return deviating(first, deviations[:SIZE]), deviating(second, deviations[SIZE:])

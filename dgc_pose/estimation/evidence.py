@@ -31,7 +31,7 @@ _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there ar
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
-ModelName = Literal["assumed", "squeezed", "off_centre", "fisheye", "cylinder"]
+ModelName = Literal["assumed", "squeezed", "off_centre", "zoomed", "fisheye", "cylinder"]
 
 
 class FocalCheck(NamedTuple):

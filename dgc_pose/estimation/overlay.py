@@ -1,5 +1,5 @@
-"""Matches that stay at the same pixels while others move: an overlay (a watermark, a hood, a frame),
-or a background before which an object turned.
+"""Matches that stay at the same pixels while others move: an overlay (a watermark, a hood), or a
+background before which an object turned.
 
 They agree on a camera that stood still, which says nothing of the scene that moves.
 """

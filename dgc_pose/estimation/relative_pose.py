@@ -15,11 +15,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import (
     SEARCH_RUNS,
     JointFit,
-    check_focals,
     joint_pose,
-    focal_warnings,
 )
-from dgc_pose.estimation.camera_model import CameraModel, likeliest_model
+from dgc_pose.estimation.camera_model import CameraModel, likeliest_model, model_warnings
 from dgc_pose.estimation.camera_spread import (
     SIZE,
     CameraSpread,
@@ -30,6 +28,7 @@ from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.covariance import Covariance, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, gather
 from dgc_pose.estimation.extent import odd_extent
+from dgc_pose.estimation.focal_check import check_focals, focal_warnings
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
@@ -78,8 +77,7 @@ def estimate_pose(
     check_type(camera2, Camera, "camera2")
     stay = staying(matches, camera1, camera2)
     if stay.any():
-        still_cells = np.zeros(0, bool) if map_matches is None else staying(map_matches, camera1, camera2)
-        of_map = None if map_matches is None else map_matches.subset(~still_cells)
+        of_map = map_matches and map_matches.subset(~staying(map_matches, camera1, camera2))
         moving = _estimated(matches.subset(~stay), (camera1, camera2), options, of_map, fit_cameras)
         if not are_far(moving, camera1):
             return of_the_moving(moving, stay)
@@ -127,7 +125,6 @@ class Assessment:
     problem: TwoViewProblem  # normalised by the cameras
     cameras: tuple[Camera, Camera]  # with the focal lengths that the matches determine
     fitted: bool  # whether these were fitted
-    model: CameraModel  # of the cameras
     hypotheses: Sequence[Hypothesis]  # the likeliest first
     second: Hypothesis | None  # another motion, of the matches that a plane leaves over
     evidence: Evidence
@@ -182,7 +179,7 @@ def assess(
         check = check_focals(problem, best, matches, cameras, options, is_plane=plane.is_plane)
     if plane.is_plane or fitted:
         least = _MIN_SECOND_SHARE if plane.is_plane else _MIN_SECOND_SHARE_FITTED
-        second = _second_motion(problem, best, options, least * best.num_in_front)
+        second = _second_motion(problem, best, options, least * best.num_inliers)
     if fitted:
         of_inliers = np.isin(of_stated.index, problem.index[best.inliers])
         still = still_camera(of_stated.subset(of_inliers))
@@ -204,9 +201,7 @@ def assess(
     )
     if fitted:
         cameras = _fitted(cameras[0], covariance, 0), _fitted(cameras[1], covariance, 1)
-    return Assessment(
-        problem, cameras, fitted, model, hypotheses, second, evidence, covariance, logistic
-    )
+    return Assessment(problem, cameras, fitted, hypotheses, second, evidence, covariance, logistic)
 
 
 def _sample(
@@ -319,6 +314,7 @@ def _result(
     warnings += verdict.warnings
     if verdict.status in _OF_CAMERAS:
         warnings += focal_warnings(stated, cameras, evidence.focal_check)
+        warnings += model_warnings(evidence.camera_model, cameras)
     if alternatives and not ambiguous:
         count = len(alternatives)
         others = "1 other pose explains" if count == 1 else f"{count} other poses explain"

@@ -54,8 +54,8 @@ class RelativePose:
             that the matches determine, if the stated one had a deviation. None without a pose.
         camera2: Camera of image 2, likewise.
         camera_covariance: Covariance (12, 12) of ln f, the principal point, pixels, two radial
-            coefficients, and ln fy / fx, of camera 1 and then of camera 2, by the matches; None for cameras that
-            were not fitted.
+            coefficients, and ln fy / fx, of camera 1 and then of camera 2, by the matches; None for
+            cameras that were not fitted.
         evidence: The measurements that the verdict rests on; None without a hypothesis.
         probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
             hypothesis, with "rotation_only" and with "ambiguous". None if no model of it is fitted
@@ -216,7 +216,9 @@ class RelativePose:
             covariance=covariance,
             camera1=self.camera2,
             camera2=self.camera1,
-            camera_covariance=None if of_cameras is None else np.roll(of_cameras, len(of_cameras) // 2, (0, 1)),
+            camera_covariance=None
+            if of_cameras is None
+            else np.roll(of_cameras, len(of_cameras) // 2, (0, 1)),
             evidence=None,
             alternatives=tuple(other.inverse() for other in self.alternatives),
             hypotheses=tuple(other.inverse() for other in self.hypotheses),

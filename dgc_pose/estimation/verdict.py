@@ -77,11 +77,11 @@ def judge(
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
         # Chance before all: few inliers are no evidence of a rotation either.
-        failed = by_chance(evidence) or _unusable(evidence) or undetermined or _implausible(evidence)
+        failed = (
+            by_chance(evidence) or _unusable(evidence) or undetermined or _implausible(evidence)
+        )
         return failed or _moved_plane(evidence) or _pose(evidence)
-    impossible = (
-        _random(evidence) or _unusable(evidence) or undetermined or _behind(evidence)
-    )
+    impossible = _random(evidence) or _unusable(evidence) or undetermined or _behind(evidence)
     if impossible is not None:
         return by_chance(evidence) or impossible
     if probability >= min_probability and (moved := _moved_plane(evidence)):
@@ -174,8 +174,8 @@ def _unusable(evidence: Evidence) -> Verdict | None:
     if evidence.camera_model != "cylinder":
         return None
     reason = (
-        f"{evidence.num_inliers} matches agree on images on a cylinder, as panoramas are, and on no "
-        "camera with a lens"
+        f"{evidence.num_inliers} matches agree on images on a cylinder, as a panorama is, and not "
+        "on those of a lens"
     )
     return Verdict("panorama", reason)
 

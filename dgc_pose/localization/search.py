@@ -107,6 +107,7 @@ class ReferenceSearch:
                 focal_std=float(stds[0]),
                 centre_std=float(stds[1:3].mean()) * self.fitted.focal,
                 lens_std=float(stds[3]),
+                aspect_std=float(stds[5]),
                 focal_source="matches",
             )
 
@@ -120,7 +121,7 @@ class ReferenceSearch:
         """The camera of the photograph for the next pair: exact as soon as it is known well."""
         if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
             return self.fitted
-        return replace(self.fitted, focal_std=0.0, centre_std=0.0, lens_std=0.0)
+        return replace(self.fitted, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
 
     def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
         """The camera that the problems are normalised by: that of the pair that is likeliest."""
