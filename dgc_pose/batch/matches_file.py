@@ -180,7 +180,7 @@ def _read_pose_inputs(group: Any) -> PoseInputs:
             raise ValueError("numbers that are not finite")
         sample = Matches(points1, points2, scores, float(group.attrs["map_error_px"]))
     cameras = _array(group, "cameras") if "cameras" in group else None
-    if cameras is not None and not (cameras.shape == (2, 6, 5) and np.isfinite(cameras).all()):
+    if cameras is not None and not (cameras.shape == (2, 7, 6) and np.isfinite(cameras).all()):
         raise ValueError("no cameras of a pair")
     error_px = float(group.attrs["error_px"])
     if not error_px > 0:
