@@ -39,6 +39,7 @@ _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -3.0, -1.0
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _MOST_ERROR = 3.0  # thresholds; larger errors count as this
+_AS_WELL = 1.0  # of the cost, that the inliers of the assumed cameras may cost more
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
 _CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
@@ -83,43 +84,48 @@ def likeliest_model(
         of_model = TwoViewProblem.of(sample, *model.cameras, options)
         return JointFit(of_model, CameraSpread.of(*model.cameras))
 
-    def errors(model: CameraModel, joint: JointFit, pose: JointPose) -> np.ndarray:
-        """Errors in the image of all of the sample, thresholds, cut off."""
-        error = joint.errors_px(pose, (model.cameras[0].focal, model.cameras[1].focal)) / pixels
-        lost = np.full(len(sample) - len(error), np.inf)  # whose distortion cannot be undone
-        return np.minimum(np.concatenate([error, lost]), _MOST_ERROR)
-
-    def cost(model: CameraModel, joint: JointFit, pose: JointPose, scale: float) -> float:
-        loss = np.log1p((errors(model, joint, pose) / scale) ** 2).sum()
-        return float(EFFICIENT**2 * loss / ALIKE + pose.z @ pose.z) / 2
+    def losses(joint: JointFit, pose: JointPose, model: CameraModel, scale: float) -> np.ndarray:
+        """The Cauchy loss of the errors in the image of all of the sample, cut off."""
+        error = np.full(len(sample), _MOST_ERROR)  # also where a distortion cannot be undone
+        focals = model.cameras[0].focal, model.cameras[1].focal
+        error[joint.problem.index] = joint.errors_px(pose, focals) / pixels
+        squared = (np.minimum(error, _MOST_ERROR) / scale) ** 2
+        return EFFICIENT**2 / ALIKE / 2 * np.log1p(squared)
 
     joint = joint_of(assumed)
-    error = errors(assumed, joint, pose)
-    scale = error_scale(error[error < 1], 1.0) if (error < 1).any() else 1.0
-    rough = cost(assumed, joint, pose, 1.0) + _WORSE
-    assumed = replace(assumed, cost=cost(assumed, joint, pose, scale))
+    rough = losses(joint, pose, assumed, 1.0)
+    near = rough < EFFICIENT**2 / ALIKE / 2 * math.log(2)  # below the threshold
+    error = joint.errors_px(pose, (stated[0].focal, stated[1].focal)) / pixels
+    scale = error_scale(error[error < 1], 1.0) if near.any() else 1.0
+    loss = losses(joint, pose, assumed, scale)
+    assumed = replace(assumed, cost=float(loss.sum() + pose.z @ pose.z / 2))
 
     def fitted(model: CameraModel) -> CameraModel:
         joint = joint_of(model)
         seeds = run_seeds(replace(options, runs=max(1, len(model.starts))))
-        starts = [
-            start
+        runs = [
+            start_at(joint.problem, joint.spread, at, less, seed)
             for at, seed in zip(model.starts, seeds, strict=False)
-            if (start := start_at(joint.problem, joint.spread, at, less, seed)) is not None
         ]
-        starts = sorted(starts, key=lambda start: cost(model, joint, start, 1.0))[:1]
-        starts = [start for start in starts if cost(model, joint, start, 1.0) < rough]
-        fits = [joint.fitted(start, _OF_START, _FIT_ITERATIONS) for start in starts]
+        roughly = {
+            float(losses(joint, run, model, 1.0).sum()): run for run in runs if run is not None
+        }
+        fits = []
+        if roughly and min(roughly) < rough.sum() + _WORSE:
+            fits = [joint.fitted(roughly[min(roughly)], _OF_START, _FIT_ITERATIONS)]
         if model.pose is not None:
             deviations = CameraSpread.of(*stated).basis @ model.pose.z
             z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
             start = replace(model.pose, z=z)
             fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
-        costs = [cost(model, joint, fit, scale) for fit in fits]
-        if not fits:
-            return replace(model, pose=None)
-        best = int(np.argmin(costs))
-        return replace(model, pose=fits[best], cost=costs[best])
+        best = replace(model, pose=None)
+        for fit in fits:
+            of_fit = losses(joint, fit, model, scale)
+            cost = float(of_fit.sum() + fit.z @ fit.z / 2)
+            # What is likelier explains the inliers of the assumed cameras as well.
+            if cost < best.cost and of_fit[near].sum() < loss[near].sum() + _AS_WELL:
+                best = replace(model, pose=fit, cost=cost)
+        return best
 
     models = [assumed, *in_threads(fitted, _others(stated, pose))]
     usual = all(map(_has_sensor_shape, stated))
