@@ -36,6 +36,7 @@ _FIT_ITERATIONS = 12  # of a round
 # Of another model before the matches are seen: of a picture of a sensor's shape, and of others,
 # which were cut, squeezed or joined.
 _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -3.0, -1.0
+_MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kept
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _MOST_ERROR = 3.0  # thresholds; larger errors count as this
@@ -134,7 +135,7 @@ def likeliest_model(
     odds[0] = 0.0
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
-    best = models[int(np.argmax(shares))]
+    best = assumed if shares[0] > _MIN_SHARE else models[int(np.argmax(shares))]
     differences = [
         np.sqrt(share) * _difference(best, model)
         for share, model in zip(shares, models, strict=True)
