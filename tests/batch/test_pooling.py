@@ -85,9 +85,9 @@ def _pair(
     name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01
 ) -> tuple[PairRow, PairMatches]:
     """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
-    fit = np.zeros((2, 6, 5))
-    fit[:, 0] = [(np.log(focal), 51.5, 39.5, 0.05, -0.1) for focal in (focal1, focal2)]
-    fit[:, 1:] = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4])
+    fit = np.zeros((2, 7, 6))
+    fit[:, 0] = [(np.log(focal), 51.5, 39.5, 0.05, -0.1, 0.0) for focal in (focal1, focal2)]
+    fit[:, 1:] = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4])
     row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
     return row, replace(NO_MATCHES, pose_inputs=PoseInputs(0.5, False, None, fit))
 

@@ -110,10 +110,10 @@ def test_the_inverse_of_the_inverse_is_the_pose_but_for_its_evidence() -> None:
     assert fitted.camera_covariance is not None and inverse.camera_covariance is not None
     assert inverse.camera1 is fitted.camera2 and inverse.camera2 is fitted.camera1
     blocks, swapped = (
-        c.reshape(2, 5, 2, 5) for c in (fitted.camera_covariance, inverse.camera_covariance)
+        c.reshape(2, 6, 2, 6) for c in (fitted.camera_covariance, inverse.camera_covariance)
     )
     np.testing.assert_array_equal(swapped, blocks[::-1, :, ::-1])
-    assert fitted.camera_covariance[0, 0] != fitted.camera_covariance[5, 5]
+    assert fitted.camera_covariance[0, 0] != fitted.camera_covariance[6, 6]
 
 
 LENS = Camera(
@@ -121,7 +121,7 @@ LENS = Camera(
     (1000, 800),
     Distortion("RADIAL", (0.1, -0.02)),
     ("a warning",),
-    *(0.02, 3.0, 0.05, 6, "exif", "a telephone"),
+    *(0.02, 3.0, 0.05, 0.01, 6, "exif", "a telephone", "equirectangular"),
 )
 
 

@@ -25,6 +25,10 @@ def _scaled(camera: Camera, factor: float) -> Camera:
     return replace(camera, K=camera.K * np.array([[factor, factor, 1.0]]))
 
 
+def _stds(camera: Camera) -> tuple[float, ...]:
+    return camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std
+
+
 def _error(pose, scene) -> float:
     return max(rotation_error_deg(pose.R, scene.R), translation_error_deg(pose.t, scene.t))
 
@@ -85,20 +89,36 @@ def test_a_lens_that_is_not_known_is_fitted(known_focal):
     assert 0 < pose.camera1.lens_std < 0.1
 
 
-@pytest.mark.parametrize("focal_std", [0.0, 0.02, 0.4])
-def test_the_deviations_of_a_fitted_camera_are_the_roots_of_the_covariance(focal_std):
+@pytest.mark.parametrize(("focal_std", "aspect_std"), [(0.0, 0.0), (0.02, 0.05), (0.4, 0.1)])
+def test_the_deviations_of_a_fitted_camera_are_the_roots_of_the_covariance(focal_std, aspect_std):
     """And none is wider than it was stated; the wider focal length is calibrated by a factor."""
     scene = two_view_scene("skew", same_camera=True, count=1500)
     stated = (replace(_unknown(c, "a", 1.1), lens_std=0.1) for c in scene.cameras)
-    stated = [replace(c, focal_std=focal_std) for c in stated]
+    stated = [replace(c, focal_std=focal_std, aspect_std=aspect_std) for c in stated]
     pose = estimate_pose(scene.matches, *stated)
-    roots = np.sqrt(np.diag(pose.camera_covariance)).reshape(2, 5)
+    roots = np.sqrt(np.diag(pose.camera_covariance)).reshape(2, 6)
     for root, camera, before in zip(roots, (pose.camera1, pose.camera2), stated, strict=True):
-        stds = camera.focal_std, camera.centre_std, camera.lens_std
-        expected = root[0], np.sqrt((root[1:3] ** 2).mean()), root[3]
+        stds = _stds(camera)
+        expected = root[0], np.sqrt((root[1:3] ** 2).mean()), root[3], root[5]
         np.testing.assert_allclose(stds, expected, rtol=1e-9)
-        assert (np.array(stds) <= (before.focal_std, before.centre_std, before.lens_std)).all()
+        assert (np.array(stds) <= _stds(before)).all()
         assert 0 < camera.lens_std < before.lens_std and camera.centre_std > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pixels_that_are_not_square_are_fitted_within_their_deviation(seed):
+    scene = two_view_scene("skew", seed=seed, same_camera=True, count=1500)
+    stretch = np.diag([0, 0.06 * scene.K1[1, 1], 0])
+    stated = [
+        replace(c, K=c.K + stretch, aspect_std=0.05, focal_std=0.05, identity="a")
+        for c in scene.cameras
+    ]
+    pose = estimate_pose(scene.matches, *stated)
+    ratio = scene.K1[1, 1] / scene.K1[0, 0]
+    for camera in (pose.camera1, pose.camera2):
+        assert abs(np.log(camera.K[1, 1] / camera.K[0, 0] / ratio)) < 3 * camera.aspect_std < 0.08
+    exact = (replace(c, aspect_std=0.0) for c in stated)
+    assert _error(pose, scene) < _error(estimate_pose(scene.matches, *exact), scene)
 
 
 def test_where_the_axes_meet_the_focal_length_is_uncertain():

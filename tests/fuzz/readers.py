@@ -222,7 +222,7 @@ def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
 def _matches(count: int) -> PairMatches:
     points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
     scores, every = np.ones(count, np.float32), np.ones(count, bool)
-    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0), np.zeros((2, 6, 5)))
+    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0), np.zeros((2, 7, 6)))
     return PairMatches(points, points + 1, scores, every, again)
 
 

@@ -12,7 +12,8 @@ from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
 from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 
 STEP = 1e-6
-LENS = Distortion("RADIAL", (0.05, -0.1))
+FISHEYE = Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0.0, 0.0))
+LENSES = [None, Distortion("RADIAL", (0.05, -0.1)), FISHEYE]
 
 
 def _moved(pose: WorldPose, change: np.ndarray, spread: CameraSpread) -> WorldPose:
@@ -21,17 +22,18 @@ def _moved(pose: WorldPose, change: np.ndarray, spread: CameraSpread) -> WorldPo
     return WorldPose(R, pose.centre + change[3:6], deviations)
 
 
-@pytest.mark.parametrize("lens", [None, LENS])
+@pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("kind", ["matches", "points"])
 def test_slopes_are_derivatives(kind: str, lens: Distortion | None) -> None:
     scene = world_scene(count=40)
     photo = replace(PHOTO_CAMERA, distortion=lens, focal_std=0.1, centre_std=5.0, lens_std=0.05)
+    photo = replace(photo, aspect_std=0.02)
     spread = CameraSpread.of(CAMERA, photo)
     sight: Sight | PointSight = scene.sight(1, photo=photo)
     if kind == "points":
         places = photo.normalise(scene.pixels(PHOTO_CAMERA, scene.R, scene.centre))
         sight = PointSight(scene.points, places, lens, 0.01)
-    pose = replace(scene.pose, deviations=np.array([0.02, 0.01, -0.01, 0.01, 0.02]))
+    pose = replace(scene.pose, deviations=np.array([0.02, 0.01, -0.01, 0.01, 0.02, 0.03]))
     _, slopes = sight.slopes(pose, spread)
     assert slopes.shape[1] == 6 + len(spread)
     for number in range(slopes.shape[1]):
@@ -52,7 +54,9 @@ def test_the_true_pose_has_the_errors_of_the_noise() -> None:
     assert in_front[error < sight.threshold].mean() > 0.99
     assert 0.7 < (error < sight.threshold).mean() < 0.9  # a fifth are outliers
     assert sight.agrees(scene.pose)
-    turned = WorldPose(cv2.Rodrigues(np.array([0, 0.5, 0]))[0] @ scene.R, scene.centre, np.zeros(5))
+    turned = WorldPose(
+        cv2.Rodrigues(np.array([0, 0.5, 0]))[0] @ scene.R, scene.centre, np.zeros(SIZE)
+    )
     assert not sight.agrees(turned)
 
 
