@@ -149,3 +149,24 @@ def test_an_object_before_a_scene_with_depth_is_left_over() -> None:
     scene = two_view_scene("general", count=700, outliers=0.0)
     pose = _pose_of(scene, two_view_scene("planar", seed=5, count=150, outliers=0.0))
     assert pose.status == "ok" and rotation_error_deg(pose.R, scene.R) < 0.5
+
+
+@pytest.mark.parametrize("share", [0.7, 0.5])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rotation_that_another_motion_contradicts_is_not_given_out(
+    seed: int, share: float
+) -> None:
+    """Matches of a camera that turned by 10 degrees, and others of one that turned by 25."""
+    turned = two_view_scene(
+        "rotation_only", seed=seed, count=round(800 * share), outliers=0.0, rotation_deg=10
+    )
+    scene = two_view_scene(
+        "general", seed=seed + 9, count=round(800 * (1 - share)), outliers=0.0, rotation_deg=25
+    )
+    alone = _pose_of(turned)
+    assert alone.status == "rotation_only" and rotation_error_deg(alone.R, turned.R) < 0.2
+    pose = _pose_of(turned, scene)
+    assert pose.R is None or rotation_error_deg(pose.R, scene.R) < 1, pose
+    if pose.status == "ambiguous":
+        found = [rotation_error_deg(other.R, scene.R) for other in pose.alternatives]
+        assert min(found) < 1

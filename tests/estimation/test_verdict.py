@@ -1,11 +1,15 @@
 import dataclasses
+from typing import get_args
 
 import pytest
 from good_evidence import GOOD_EVIDENCE
 
+from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.verdict import judge
 
 LEAST = 0.5  # probability of a success
+ROTATES = {"rotation_share": 1.0, "parallax": 1.0}
+SECOND = {"num_second_inliers": 30, "second_rotation_deg": 17.24}  # a motion that contradicts it
 
 
 def _changed(**changes):
@@ -34,7 +38,21 @@ def verdict(**changes):
         ("rotation_only", {"strict_rotation_share": 0.92}),
         ("behind_cameras", {"cheirality_ratio": 0.55}),
         ("planar", {"homography_ratio": 0.9}),
-        # What comes first: chance before all, a rotation before cheirality and planes.
+        ("panorama", {"camera_model": "cylinder"}),
+        ("rotation_only", ROTATES),
+        ("rotation_only", {"still_ratio": 0.91, **SECOND, "second_rotation_deg": 2.9}),
+        ("ambiguous", {"still_ratio": 0.91, **SECOND}),
+        ("rotation_only", {**ROTATES, **SECOND, "second_rotation_deg": 2.9}),
+        ("rotation_only", {**ROTATES, **SECOND, "num_second_inliers": 0}),
+        ("ambiguous", {**ROTATES, **SECOND}),
+        ("ambiguous", {**ROTATES, **SECOND, "second_rotation_deg": 3.1}),
+        # What comes first: chance before all, then the camera, a rotation before cheirality and
+        # planes.
+        ("chance_inliers", {"camera_model": "cylinder", "log10_false_alarms": -1.0}),
+        ("chance_inliers", {"camera_model": "cylinder", "inlier_ratio": 0.1}),
+        ("chance_inliers", {**ROTATES, **SECOND, "inlier_ratio": 0.1}),
+        ("panorama", {"camera_model": "cylinder", **ROTATES, **SECOND}),
+        ("panorama", {"camera_model": "cylinder", "cheirality_ratio": 0.4}),
         ("chance_inliers", {"inlier_ratio": 0.1, "rotation_share": 1, "parallax": 1}),
         ("rotation_only", {"rotation_share": 1, "parallax": 1, "cheirality_ratio": 0.4}),
     ],
@@ -60,6 +78,7 @@ def test_each_gate_closes_by_itself(status, changes):
         {"strict_rotation_share": 0.88},
         {"cheirality_ratio": 0.65},
         {"homography_ratio": 0.8},
+        *({"camera_model": name} for name in get_args(ModelName) if name != "cylinder"),
     ],
 )
 def test_each_gate_is_open_on_its_other_side(changes):
@@ -132,3 +151,18 @@ def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behin
     assert judge(rotated, LEAST, 0.99).status == "rotation_only"
     assert judge(_changed(collinear=True), LEAST, 0.99).status == "collinear"
     assert judge(_changed(cheirality_ratio=0.4), LEAST, 0.99).status == "behind_cameras"
+    assert judge(_changed(camera_model="cylinder"), LEAST, 0.99).status == "panorama"
+    chance = _changed(camera_model="cylinder", log10_false_alarms=0.0)
+    assert judge(chance, LEAST, 0.99).status == "chance_inliers"
+
+
+@pytest.mark.parametrize("rotates", [ROTATES, {"still_ratio": 0.95}])
+@pytest.mark.parametrize("probability", [None, 0.01, 0.99])
+def test_a_rotation_that_another_motion_contradicts_is_ambiguous(
+    rotates: dict[str, float], probability: float | None
+) -> None:
+    status, reason, _ = judge(_changed(**rotates, **SECOND), LEAST, probability)
+    assert status == "ambiguous"
+    assert "30 of the other matches agree on a motion that turns by 17.2 deg more" in reason
+    alike = _changed(**rotates, **SECOND | {"second_rotation_deg": 2.9})
+    assert judge(alike, LEAST, probability).status == "rotation_only"

@@ -1,13 +1,29 @@
-"""The lens of two coefficients against pycolmap's RADIAL, and its derivatives by differences."""
+"""Lenses and projections against pycolmap's RADIAL and OPENCV_FISHEYE, and against rays of a
+cylinder; and their derivatives by differences."""
 
 import numpy as np
 import pycolmap
 import pytest
 
-from dgc_pose.geometry.radial import distorted, undistorted, undistorted_slopes
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.geometry.radial import (
+    Projection,
+    distorted,
+    projected,
+    undistorted,
+    undistorted_slopes,
+    unprojected,
+    unprojected_slopes,
+)
 
 POINTS = np.random.default_rng(0).uniform(-0.55, 0.55, (200, 2))
 LENSES = [(0.09, -0.2), (-0.3, 0.08), (0.4, 0.1), (-0.1, 0.0), (0.0, 0.0)]
+# Normalised points up to 80 degrees from the axis, and the axis itself.
+ANGLES = np.radians(np.random.default_rng(1).uniform(0, 80, 200))
+TURNS = np.random.default_rng(2).uniform(0, 2 * np.pi, 200)
+WIDE = np.tan(ANGLES)[:, None] * np.column_stack([np.cos(TURNS), np.sin(TURNS)])
+WIDE[0] = 0
+PROJECTIONS: list[Projection] = ["plane", "angles", "cylinder"]
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -17,6 +33,34 @@ def test_it_is_that_of_colmap(lens: tuple[float, float]) -> None:
     seen = camera.img_from_cam(np.column_stack([POINTS, np.ones(len(POINTS))]))
     np.testing.assert_allclose(distorted(POINTS, lens), seen, atol=1e-12)
     np.testing.assert_allclose(undistorted(seen, lens), POINTS, atol=1e-9)
+
+
+@pytest.mark.parametrize("lens", [(0.0, 0.0), (0.05, -0.01), (-0.02, 0.003)])
+def test_angles_are_those_of_the_fisheye_of_colmap(lens: tuple[float, float]) -> None:
+    camera = pycolmap.Camera.create_from_model_name(0, "OPENCV_FISHEYE", 1.0, 1, 1)
+    camera.params = [1.0, 1.0, 0.0, 0.0, *lens, 0.0, 0.0]
+    seen = camera.img_from_cam(np.column_stack([WIDE, np.ones(len(WIDE))]))
+    np.testing.assert_allclose(distorted(projected(WIDE, "angles"), lens), seen, atol=1e-9)
+    own = Distortion("OPENCV_FISHEYE", (*lens, 0.0, 0.0))
+    np.testing.assert_allclose(own.apply(WIDE), seen, atol=1e-9)
+    np.testing.assert_allclose(own.undo(seen), WIDE, rtol=1e-6, atol=1e-9)
+
+
+def test_a_cylinder_is_that_of_its_rays() -> None:
+    """A point (x, y) of it is seen along (sin x, y, cos x)."""
+    seen = np.random.default_rng(3).uniform((-1.5, -2.0), (1.5, 2.0), (200, 2))
+    rays = np.column_stack([np.sin(seen[:, 0]), seen[:, 1], np.cos(seen[:, 0])])
+    points = rays[:, :2] / rays[:, 2:]
+    np.testing.assert_allclose(unprojected(seen, "cylinder"), points, rtol=1e-9)
+    np.testing.assert_allclose(projected(points, "cylinder"), seen, atol=1e-9)
+    np.testing.assert_allclose(Distortion("CYLINDER").undo(seen), points, rtol=1e-9)
+    np.testing.assert_allclose(Distortion("CYLINDER").apply(points), seen, atol=1e-9)
+
+
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_what_is_projected_is_unprojected(projection: Projection) -> None:
+    again = unprojected(projected(WIDE, projection), projection)
+    np.testing.assert_allclose(again, WIDE, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -30,7 +74,31 @@ def test_the_slopes(lens: tuple[float, float]) -> None:
         np.testing.assert_allclose(by_lens[:, :, k], of_lens / (2 * step), atol=1e-6)
 
 
+@pytest.mark.parametrize("projection", PROJECTIONS)
+def test_the_slopes_of_a_projection(projection: Projection) -> None:
+    seen, step = projected(WIDE, projection), 1e-6
+    slopes = unprojected_slopes(seen, projection)
+    for k, unit in enumerate(step * np.eye(2)):
+        expected = unprojected(seen + unit, projection) - unprojected(seen - unit, projection)
+        np.testing.assert_allclose(slopes[:, :, k], expected / (2 * step), rtol=1e-5, atol=1e-6)
+
+
 def test_beyond_the_largest_radius_nothing_is_undone() -> None:
     seen = np.array([[0.5, 0.0], [0.9, 0.0]])  # r (1 - 0.2 r^2) is at most 0.86
     undone = undistorted(seen, (-0.2, 0.0))
     assert np.isfinite(undone[0]).all() and np.isnan(undone[1]).all()
+
+
+@pytest.mark.parametrize(
+    ("projection", "places"),
+    [
+        ("angles", [(1.6, 0.0), (0.0, -1.6), (1.2, 1.2), (4.0, 0.0)]),  # 1.2 sqrt(2) is 1.70
+        ("cylinder", [(1.6, 0.0), (-1.6, 0.3), (4.0, 0.0)]),
+    ],
+)
+def test_at_90_degrees_and_beyond_no_ray_has_a_point(
+    projection: Projection, places: list[tuple[float, float]]
+) -> None:
+    assert np.isnan(unprojected(np.array(places), projection)).all()
+    inside = np.array(places) * 0.9 / np.abs(places).max()
+    assert np.isfinite(unprojected(inside, projection)).all()

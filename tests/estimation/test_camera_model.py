@@ -1,0 +1,253 @@
+"""Which camera the matches agree with, of scenes that cameras of each kind see exactly."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera_scene import NO_EXIF, CameraScene, camera_scene, pinhole
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import RelativePose, relative_pose
+from dgc_pose.estimation.camera_model import CameraModel
+from dgc_pose.estimation.probability import shipped_models
+from dgc_pose.images.header import Exif
+
+SIZE = (1536, 1024)
+LENS = Distortion("RADIAL", (-0.06, 0.02))
+EQUIDISTANT, CYLINDER = Distortion("OPENCV_FISHEYE", (0.0,) * 4), Distortion("CYLINDER")
+OF_30_MM = Exif("Maker", "X1", focal_35mm=30)  # of 1536 x 1024 a focal length of 1280 pixels
+ASIDE = {"turn_deg": (5.0, 30.0, 3.0), "centre": (3.0, 0.5, 0.5)}
+
+
+def _fisheye(size: tuple[int, int] = (1440, 1080), degrees: float = 119) -> Camera:
+    """Whose width is so many degrees."""
+    return pinhole(size[0] / np.radians(degrees), size, EQUIDISTANT)
+
+
+def _squeezed(width: int, height: int) -> Camera:
+    """Of 1536 x 1024 pixels with a focal length of 1250."""
+    focal = 1250 * height / 1024
+    return pinhole(focal, (width, height), LENS, aspect=1250 * width / 1536 / focal)
+
+
+def _panorama(degrees: float = 100) -> Camera:
+    return pinhole(1400 / np.radians(degrees), (1400, 700), CYLINDER)
+
+
+USUAL = pinhole(1250, SIZE, LENS, centre=(3, -2))
+ZOOMED = pinhole(1.6 * 1280, SIZE, LENS)
+# The true cameras, the model, and the changes of the scene.
+PARTS = [pinhole(1900, (1700, 1200), centre=centre) for centre in ((30, -20), (-25, 25))]
+CASES = {
+    "usual": ((USUAL, USUAL), "assumed", {}),
+    "usual aside": ((USUAL, USUAL), "assumed", ASIDE),
+    "0.75": ((_squeezed(1152, 1024),) * 2, "squeezed", {}),
+    "0.5": ((_squeezed(768, 1024),) * 2, "squeezed", {}),
+    "1 / 0.75": ((_squeezed(1536, 768),) * 2, "squeezed", {}),
+    "1 / 0.5": ((_squeezed(1536, 512),) * 2, "squeezed", {}),
+    "square": ((_squeezed(512, 512),) * 2, "squeezed", {}),
+    "parts": (PARTS, "off_centre", ASIDE),
+    "fisheye": ((_fisheye(), _fisheye()), "fisheye", {}),
+    "zoomed": ((ZOOMED, ZOOMED), "zoomed", {}),
+}
+SAID = {
+    "assumed": None,
+    "squeezed": "the matches agree with pixels that are not square, fy / fx = ",
+    "off_centre": "the matches agree with a part of a larger picture, its middle at (",
+    "fisheye": "the matches agree with a fisheye, f = ",
+    "zoomed": "the matches suggest f = ",
+}
+
+
+def _scene(name: str, seed: int) -> CameraScene:
+    cameras, _, changes = CASES[name]
+    return camera_scene(*cameras, seed=seed, **changes)
+
+
+def _estimated(scene: CameraScene, name: str, seed: int = 0) -> RelativePose:
+    return scene.estimate(*scene.auto(OF_30_MM if name == "zoomed" else NO_EXIF), seed=seed)
+
+
+def _assert_as_stated(pose: RelativePose, scene: CameraScene, times: float = 2.0) -> None:
+    errors = scene.errors_deg(pose)
+    stated = pose.rotation_error_90_deg, pose.translation_error_90_deg
+    assert (np.array(errors) <= times * np.array(stated)).all(), (errors, stated)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", CASES)
+def test_the_model_is_named_and_the_pose_as_near_as_is_stated(name: str, seed: int) -> None:
+    scene, model = _scene(name, seed), CASES[name][1]
+    pose = _estimated(scene, name, seed)
+    assert (pose.status, pose.evidence.camera_model) == ("ok", model)
+    _assert_as_stated(pose, scene)
+    if model == "assumed":
+        assert pose.warnings == ()
+    else:
+        assert any(warning.startswith(SAID[model]) for warning in pose.warnings)
+    for camera, true in zip((pose.camera1, pose.camera2), scene.cameras, strict=True):
+        assert camera.focal_source == "matches"
+        assert abs(np.log(camera.focal / true.focal)) < 3 * camera.focal_std < 0.6
+        ratio = np.log(camera.K[1, 1] / camera.K[0, 0]) - np.log(true.K[1, 1] / true.K[0, 0])
+        assert abs(ratio) <= 3 * camera.aspect_std < 0.15
+        offset = np.abs(camera.K[:2, 2] - true.K[:2, 2])
+        assert (offset <= 3 * camera.centre_std).all()
+        model = (true.distortion or LENS).model  # of a pinhole a lens is fitted as well
+        assert camera.distortion.model == model and len(pose.camera_covariance) == 12
+
+
+@pytest.mark.parametrize("focal", [1150, 1900])
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_principal_points_of_their_own_are_in_the_errors(
+    seed: int, turned: bool, focal: float
+) -> None:
+    """Two scans whose middles are 2 % off, each in another way: where the matches hardly show
+    it, the model need not be named."""
+    size = (1700, 1200)
+    cameras = [pinhole(focal, size, centre=centre) for centre in ((30, -20), (-25, 25))]
+    scene = camera_scene(*cameras, seed=seed, **(ASIDE if turned else {}))
+    pose = scene.estimate(seed=seed)
+    if pose.success:
+        _assert_as_stated(pose, scene)
+
+
+def test_a_fisheye_of_the_result_is_the_one_that_took_the_images() -> None:
+    scene = _scene("fisheye", 0)
+    camera = _estimated(scene, "fisheye").camera1
+    assert camera.distortion.projection == "angles" and camera.distortion.coefficients[2:] == (0, 0)
+    width, height = np.array(camera.size) - 1
+    edge = np.array([[0, height / 2], [width, height / 2], [width / 2, 0], [width / 4, height]])
+    angles = [
+        np.degrees(np.arctan(np.linalg.norm(c.normalise(edge), axis=1)))
+        for c in (camera, scene.cameras[0])
+    ]
+    np.testing.assert_allclose(*angles, atol=0.6)
+    assert angles[1].max() > 59
+
+
+@pytest.mark.parametrize("degrees", [90, 100, 120])
+@pytest.mark.parametrize("seed", range(2))
+def test_images_on_a_cylinder_are_panoramas(degrees: float, seed: int) -> None:
+    camera = _panorama(degrees)
+    scene = camera_scene(camera, camera, seed=seed)
+    pose = scene.estimate(seed=seed)
+    assert pose.status == "panorama" and pose.evidence.camera_model == "cylinder"
+    assert pose.R is None and pose.t is None and pose.camera1 is None and not pose.success
+    assert "matches agree on images on a cylinder" in pose.reason
+
+
+@pytest.mark.parametrize("name", ["usual", "usual aside"])
+@pytest.mark.parametrize("exif", [NO_EXIF, OF_30_MM], ids=["size", "exif"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_usual_camera_costs_nothing(
+    name: str, exif: Exif, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The pose is that of the assumed cameras alone, and its error grows by no half."""
+    scene = _scene(name, seed)
+    pose = scene.estimate(*scene.auto(exif), seed=seed)
+    monkeypatch.setattr(
+        relative_pose,
+        "likeliest_model",
+        lambda problem, matches, stated, pose, options: CameraModel("assumed", stated, pose=pose),
+    )
+    alone = scene.estimate(*scene.auto(exif), seed=seed)
+    assert (pose.status, pose.evidence.camera_model) == ("ok", "assumed")
+    rotation, translation = replace(scene, R=alone.R, t=alone.t).errors_deg(pose)
+    assert rotation <= alone.rotation_error_90_deg
+    assert translation <= alone.translation_error_90_deg
+    assert pose.rotation_error_90_deg < 1.5 * alone.rotation_error_90_deg
+    assert pose.translation_error_90_deg < 1.5 * alone.translation_error_90_deg
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {},
+        {"focal_std": 0.2},
+        {"focal_std": 0.2, "lens_std": 0.1, "identity": "a"},
+        {"focal_std": 0.45, "distortion": LENS},
+        {"focal_std": 0.45, "distortion": LENS, "focal_source": "size"},
+    ],
+)
+@pytest.mark.parametrize("name", ["0.5", "fisheye"])
+def test_a_camera_that_is_stated_is_not_replaced(name: str, stated: dict[str, object]) -> None:
+    """Although it is wrong: K, with deviations or none, and a lens."""
+    scene = _scene(name, 0)
+    cameras = [Camera(camera.K, camera.size, **stated) for camera in scene.auto()]
+    pose = scene.estimate(*cameras)
+    assert pose.evidence.camera_model == "assumed"
+    for camera, before in zip((pose.camera1, pose.camera2), cameras, strict=True):
+        if pose.success:
+            ratio = camera.K[1, 1] / camera.K[0, 0]
+            assert ratio == pytest.approx(before.K[1, 1] / before.K[0, 0])
+            assert stated or camera is before
+            assert camera.distortion is None or camera.distortion.model == "RADIAL"
+
+
+@pytest.mark.parametrize(
+    ("other", "models"),
+    [
+        (_squeezed(768, 1024), {"squeezed"}),
+        # A lens of two coefficients fits such an image of 119 degrees as well.
+        (_fisheye(), {"fisheye", "assumed", "squeezed", "off_centre"}),
+        (_panorama(), {"cylinder"}),
+        (USUAL, {"assumed"}),
+    ],
+    ids=["squeezed", "fisheye", "cylinder", "usual"],
+)
+@pytest.mark.parametrize("first", [True, False])
+def test_beside_a_camera_that_is_stated_the_other_alone_changes(
+    other: Camera, models: set[str], first: bool
+) -> None:
+    """first: whether the camera that is stated is that of image 1."""
+    stated = pinhole(1100, (1400, 1000), LENS)
+    scene = camera_scene(*((stated, other) if first else (other, stated)), seed=1)
+    prior = scene.auto()
+    pose = scene.estimate(*((stated, prior[1]) if first else (prior[0], stated)))
+    assert pose.evidence.camera_model in models
+    if models == {"cylinder"}:
+        assert pose.status == "panorama"
+        return
+    assert pose.status == "ok"
+    _assert_as_stated(pose, scene)
+    kept, fitted = (pose.camera1, pose.camera2)[:: 1 if first else -1]
+    assert kept is stated
+    assert abs(np.log(fitted.focal / other.focal)) < 3 * fitted.focal_std
+    middle, corner = (np.array(other.size) - 1) / 2, np.array([[100.0, 100.0]])
+    points = middle + np.linspace(0.2, 0.7, 6)[:, None] * (corner - middle)
+    np.testing.assert_allclose(fitted.normalise(points), other.normalise(points), atol=0.03)
+    # What is unusual is told of the camera that changed alone.
+    model = pose.evidence.camera_model
+    said = [warning for warning in pose.warnings if warning.startswith("the matches agree with")]
+    assert len(said) == (model != "assumed") and (not said or said[0].startswith(SAID[model]))
+
+
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("kind", ["equirectangular", "cylindrical"])
+def test_a_panorama_by_its_file_has_no_fit(
+    number: int, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(relative_pose, "assess", None)
+    scene = _scene("usual", 0)
+    cameras = list(scene.auto())
+    cameras[number - 1] = replace(cameras[number - 1], projection=kind)
+    pose = scene.estimate(*cameras)
+    assert pose.status == "panorama" and pose.R is None and pose.evidence is None
+    assert pose.reason == f"image {number} is {kind}, by its XMP data"
+    assert pose.inliers.shape == (len(scene.matches),) and not pose.inliers.any()
+
+
+@pytest.mark.parametrize("factor", [1.3, 1.6])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_zoom_of_one_image_that_exif_data_do_not_say_is_no_wrong_pose(
+    factor: float, seed: int
+) -> None:
+    """The data of both are equal, so that one camera with one focal length is assumed."""
+    network = min(shipped_models().weights)
+    cameras = pinhole(1280, SIZE, LENS), pinhole(factor * 1280, SIZE, LENS)
+    scene = camera_scene(*cameras, seed=seed, weights=network)
+    pose = scene.estimate(*scene.auto(OF_30_MM), seed=seed)
+    if pose.success:
+        _assert_as_stated(pose, scene, 3.0)

@@ -1,0 +1,199 @@
+"""Matches that stay at the same pixels: of an overlay, of a background, of what is far away, and of
+the same picture."""
+
+import numpy as np
+import pytest
+from camera_scene import CameraScene, camera_scene, joined, pinhole
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation.overlay import staying
+from dgc_pose.matches import Matches
+
+SIZE, SMALL = (1600, 1200), (800, 600)
+CAMERA, HALF = pinhole(1500, SIZE), pinhole(1500, SIZE).resized(SMALL)
+TURN = {"turn_deg": (6.0, 17.0, 9.0)}  # by 20.4 degrees
+LEFT_OUT = "stay at the same pixels while others move, and are left out"
+# Where an overlay lies, shares of the sides: left, top, right, bottom.
+STRIP, CORNER, ANYWHERE = (0.0, 0.85, 1.0, 1.0), (0.02, 0.02, 0.2, 0.15), (0.0, 0.0, 1.0, 1.0)
+
+
+def _staying(
+    count: int, place: tuple[float, ...], size2: tuple[int, int] = SIZE, seed: int = 7
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of both images at one place of each, within 0.3 pixels."""
+    rng = np.random.default_rng(seed)
+    shares = rng.uniform(place[:2], place[2:], (count, 2))
+    points1, points2 = (shares * np.array(size) - 0.5 for size in (SIZE, size2))
+    turn, length = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, 0.3, count)
+    off = length[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    return points1, points2 + off * np.array(size2) / SIZE
+
+
+def _with(scene: CameraScene, share: float, place: tuple[float, ...]) -> CameraScene:
+    """The scene with so many staying matches, as a share of all."""
+    count = round(share / (1 - share) * len(scene.matches))
+    return joined(scene, *_staying(count, place, scene.cameras[1].size))
+
+
+def _told(pose: RelativePose) -> list[str]:
+    return [warning for warning in pose.warnings if LEFT_OUT in warning]
+
+
+def _assert_right(pose: RelativePose, scene: CameraScene, most_deg: float = 2.5) -> None:
+    """Within twice what is stated, which is at most so much."""
+    assert pose.success, pose
+    rotation, translation = scene.errors_deg(pose)
+    assert rotation <= 2 * pose.rotation_error_90_deg <= 2 * most_deg
+    assert translation <= 2 * pose.translation_error_90_deg <= 4 * most_deg
+
+
+@pytest.mark.parametrize("auto", [False, True])
+@pytest.mark.parametrize("second", [CAMERA, HALF], ids=["same size", "half as large"])
+@pytest.mark.parametrize("place", [STRIP, CORNER, ANYWHERE], ids=["strip", "corner", "anywhere"])
+@pytest.mark.parametrize("share", [0.05, 0.15, 0.4, 0.6])
+def test_an_overlay_is_left_out_and_told(
+    share: float, place: tuple[float, ...], second: Camera, auto: bool
+) -> None:
+    scene = _with(camera_scene(CAMERA, second, **TURN), share, place)
+    count = len(scene.matches)
+    of_overlay = np.arange(count) >= 800
+    pose = scene.estimate(*(() if auto else scene.cameras))
+    _assert_right(pose, scene)
+    assert pose.inliers.shape == (count,) and not pose.inliers[of_overlay].any()
+    assert pose.inliers[scene.true].mean() > 0.9
+    (warning,) = _told(pose)
+    number = int(warning.split()[0])
+    # A wrong match may stay by chance.
+    assert of_overlay.sum() <= number <= of_overlay.sum() + 2
+    assert f"of {count} matches ({100 * number / count:.0f} %)" in warning and "mask1" in warning
+
+
+def test_the_pose_is_that_of_the_others_alone() -> None:
+    """Also by the matches of the map, of which those that stay are left out likewise."""
+    scene = _with(camera_scene(CAMERA, CAMERA, **TURN), 0.4, STRIP)
+    stay = staying(scene.matches, *scene.cameras)
+    moving = scene.matches.subset(~stay)
+    pose = estimate_pose(scene.matches, *scene.cameras, map_matches=scene.matches)
+    alone = estimate_pose(moving, *scene.cameras, map_matches=moving)
+    assert pose.num_matches == alone.num_matches == (~stay).sum() <= 800
+    np.testing.assert_array_equal(alone.R, pose.R)
+    np.testing.assert_array_equal(alone.inliers, pose.inliers[~stay])
+    assert alone.evidence.map_agreement == pose.evidence.map_agreement > 0.7
+    assert (alone.probability, alone.warnings) == (pose.probability, pose.warnings[:-1])
+
+
+@pytest.mark.parametrize("share", [0.15, 0.35])
+@pytest.mark.parametrize("seed", range(3))
+def test_far_points_of_a_stereo_pair_are_kept(share: float, seed: int) -> None:
+    """It moved sideways and did not turn: what is far away stays at its pixels."""
+    near = camera_scene(
+        CAMERA, CAMERA, seed=seed, turn_deg=(0, 0, 0), centre=(1, 0.05, 0), outliers=0.1
+    )
+    scene = _with(near, share, (0.0, 0.0, 1.0, 0.5))
+    assert staying(scene.matches, *scene.cameras).sum() > 50
+    pose = scene.estimate(*scene.cameras)
+    _assert_right(pose, scene)
+    assert not _told(pose) and pose.inliers[800:].mean() > 0.95
+
+
+@pytest.mark.parametrize("count", [5, 19])
+def test_a_few_that_stay_change_nothing(count: int) -> None:
+    """Below 20: the pose is that of all matches."""
+    before = camera_scene(CAMERA, CAMERA, count=300, outliers=0.0, **TURN)
+    scene = joined(before, *_staying(count, ANYWHERE))
+    assert not staying(scene.matches, *scene.cameras).any()
+    pose = scene.estimate(*scene.cameras)
+    _assert_right(pose, scene)
+    assert not _told(pose) and pose.num_matches == len(scene.matches)
+
+
+@pytest.mark.parametrize("outliers", [0, 15, 60, 400])
+@pytest.mark.parametrize("auto", [False, True])
+@pytest.mark.parametrize("second", [CAMERA, HALF], ids=["same size", "half as large"])
+def test_the_same_picture_has_no_pose_and_no_rotation(
+    outliers: int, auto: bool, second: Camera
+) -> None:
+    """All matches stay, or most do and the others are anywhere."""
+    rng = np.random.default_rng(3)
+    points1, points2 = _staying(500, ANYWHERE, second.size)
+    wrong = [rng.random((outliers, 2)) * camera.size for camera in (CAMERA, second)]
+    rows = [np.vstack(pair) for pair in ((points1, wrong[0]), (points2, wrong[1]))]
+    matches = Matches(*rows, np.ones(len(rows[0])), 0.5)
+    scene = CameraScene(matches, (CAMERA, second), np.eye(3), np.zeros(3), np.zeros(len(matches)))
+    pose = scene.estimate(*(() if auto else scene.cameras))
+    assert pose.status == "same_picture" and not pose.success and pose.probability == 0
+    assert pose.R is None and pose.t is None and pose.camera1 is None
+    assert pose.inliers.shape == (len(matches),)
+    stay = int(staying(matches, *scene.cameras).sum())
+    assert pose.reason.startswith(f"{stay} of {len(matches)} matches (")
+    assert "stay at the same pixels" in pose.reason
+
+
+@pytest.mark.parametrize("auto", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_turntable_has_the_pose_of_the_object(seed: int, auto: bool) -> None:
+    """Four matches in ten are of an object that turned by 25 degrees, all others of a background
+    that stood still."""
+    rng = np.random.default_rng(seed)
+    R = Rotation.from_euler("yx", (25, 4), degrees=True).as_matrix()
+    middle = np.array([0.2, 0.1, 6.0])
+    points = middle + rng.uniform(-1, 1, (400, 3)) * (1.6, 1.3, 1.2)
+    t = middle - R @ middle
+    views = [points, points @ R.T + t]
+    seen = [
+        CAMERA.project(X[:, :2] / X[:, 2:]) + 0.3 * rng.standard_normal((400, 2)) for X in views
+    ]
+    matches = Matches(*seen, np.ones(400), 0.5)
+    true, direction = np.ones(400, dtype=bool), t / np.linalg.norm(t)
+    scene = CameraScene(matches, (CAMERA, CAMERA), R, direction, true)
+    scene = joined(scene, *_staying(600, ANYWHERE, seed=seed))
+    pose = scene.estimate(*(() if auto else scene.cameras))
+    (warning,) = _told(pose)
+    assert 600 <= int(warning.split()[0]) <= 610 and "a background that stood still" in warning
+    # Without K the axes, which meet, hardly tell the focal length.
+    _assert_right(pose, scene, 8.0 if auto else 1.0)
+
+
+@pytest.mark.parametrize("auto", [False, True])
+@pytest.mark.parametrize("kind", ["zoom", "forward", "roll", "turn"])
+def test_a_motion_that_leaves_a_part_in_place_is_no_overlay(kind: str, auto: bool) -> None:
+    """The middle stays, and around it matches move a little."""
+    motions = {
+        "zoom": (CAMERA, {"turn_deg": (0, 0, 0), "centre": (0.05, 0.02, 0)}),
+        "forward": (CAMERA, {"turn_deg": (0.3, -0.2, 0.5), "centre": (0.01, 0.01, 0.8)}),
+        "roll": (CAMERA, {"turn_deg": (0, 0, 10), "centre": (0.2, 0.1, 0.1)}),
+        "turn": (CAMERA, {"turn_deg": (0.5, 0.05, 0), "centre": (0.3, 0, 0)}),
+    }
+    camera, motion = motions[kind]
+    other = pinhole(1.3 * 1500, SIZE) if kind == "zoom" else camera
+    scene = camera_scene(camera, other, count=2000, **motion)
+    assert not staying(scene.matches, *scene.cameras).any()
+    pose = scene.estimate(*(() if auto else scene.cameras))
+    assert not _told(pose) and pose.status != "same_picture"
+
+
+@pytest.mark.parametrize(
+    ("still", "slow", "moving", "error_px", "found"),
+    [
+        (30, 0, 100, 0.5, True),
+        (19, 0, 100, 0.5, False),
+        (30, 0, 1000, 0.5, False),  # below 4 % of all
+        (45, 0, 1000, 0.5, True),
+        (30, 30, 100, 0.5, False),  # as many move a little
+        (30, 29, 100, 0.5, True),
+        (0, 30, 100, 2.0, True),  # by 1.5 pixels, within the expected error
+    ],
+)
+def test_how_many_have_to_stay(
+    still: int, slow: int, moving: int, error_px: float, found: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform(100, 1000, (still + slow + moving, 2))
+    by = np.repeat([0.3, 1.5, 40.0], (still, slow, moving))
+    turn = rng.uniform(0, 2 * np.pi, len(by))
+    moved = points + by[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
+    stay = staying(Matches(points, moved, np.ones(len(by)), error_px), CAMERA, CAMERA)
+    expected = found & (by < max(1.0, error_px))
+    np.testing.assert_array_equal(stay, expected)
