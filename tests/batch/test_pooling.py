@@ -2,16 +2,27 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, PoseInputs
-from dgc_pose.batch.pooling import CameraFit, centre_moved, pool, pooled_fit, write_cameras
+from dgc_pose.batch.pooling import (
+    CameraFit,
+    camera_fits,
+    centre_moved,
+    pool,
+    pooled_fit,
+    write_cameras,
+)
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import estimate_pose
+from dgc_pose.estimation.evidence import ModelName
+from two_view import two_view_scene
 
 PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
 SIZE = (100, 80)
@@ -156,3 +167,24 @@ def test_the_cameras_are_read_back(tmp_path: Path) -> None:
         assert again[name].size == SIZE and again[name].identity == camera.identity
         assert again[name].focal_std == camera.focal_std
         assert (again[name].centre_std, again[name].lens_std) == (CENTRE, camera.lens_std)
+
+
+def test_cameras_of_another_model_have_no_fit() -> None:
+    """Of the assumed one: the parameters of each, and their block of the covariance."""
+    scene = two_view_scene("skew", same_camera=True)
+    loose = [replace(camera, focal_std=0.1, lens_std=0.05) for camera in scene.cameras]
+    pose = estimate_pose(scene.matches, *loose)
+    fits = camera_fits(pose)
+    assert fits is not None and fits.shape == (2, 7, 6)
+    assert pose.camera_covariance is not None and pose.evidence is not None
+    for number, camera in enumerate((pose.camera1, pose.camera2)):
+        assert camera is not None and camera.distortion is not None
+        fx, fy = camera.K[0, 0], camera.K[1, 1]
+        expected = [np.log((fx + fy) / 2), *camera.K[:2, 2], *camera.distortion.coefficients]
+        np.testing.assert_allclose(fits[number, 0], [*expected, np.log(fy / fx)])
+        rows = slice(6 * number, 6 * number + 6)
+        np.testing.assert_array_equal(fits[number, 1:], pose.camera_covariance[rows, rows])
+    for model in get_args(ModelName):
+        other = replace(pose, evidence=replace(pose.evidence, camera_model=model))
+        assert (camera_fits(other) is None) == (model != "assumed")
+    assert camera_fits(estimate_pose(scene.matches, *scene.cameras)) is None

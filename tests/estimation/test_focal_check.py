@@ -25,16 +25,6 @@ def _of_K(pose: RelativePose) -> list[str]:
     return [w for w in pose.warnings if w.startswith("the matches suggest f = ")]
 
 
-def _doubted(pose: RelativePose, scene: CameraScene) -> None:
-    """The pose is refused, or improbable, or near; and K is named."""
-    assert not pose.success or max(scene.errors_deg(pose)) < 10, (
-        pose,
-        scene.errors_deg(pose),
-        pose.warnings,
-    )
-    assert not pose.success or pose.probability < 0.5 or _of_K(pose)
-
-
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("factor", [1.5, 1 / 1.5])
@@ -59,8 +49,7 @@ def test_a_K_that_is_wrong_for_both_images(motion: str, factor: float, seed: int
     suggested = float(warning.split("=")[1].split()[0])
     assert suggested == pytest.approx(1300, rel=0.05)
     assert f"K says {1300 * factor:.0f}" in warning
-    far = max(scene.errors_deg(pose)) > 10 if pose.success else True
-    assert not far or not pose.success or pose.probability < 0.5
+    assert not pose.success or max(scene.errors_deg(pose)) < 10 or pose.probability < 0.5
 
 
 @pytest.mark.parametrize("kind", ["general", "skew", "orbit", "planar", "forward"])

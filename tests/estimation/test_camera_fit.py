@@ -1,0 +1,117 @@
+"""The fit of a pose and two cameras: its errors in the images against differences by pixels, its
+likelihood, and the rounds of a fit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from camera_scene import camera_scene, pinhole
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
+from dgc_pose.estimation.camera_spread import ASPECTS, SIZE, CameraSpread, deviating_pair
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+
+IMAGE = (1400, 1000)
+LENSES = [
+    *(None, Distortion("RADIAL", (-0.1, 0.03)), Distortion("CYLINDER")),
+    *(Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0, 0)), Distortion("SIMPLE_FISHEYE")),
+]
+LOOSE = {"focal_std": 0.3, "centre_std": 10.0, "aspect_std": 0.2}
+STEP = 1e-3  # pixels
+
+
+def _joint(camera: Camera, seed: int = 0, **changes: float):
+    scene = camera_scene(camera, camera, seed=seed, **changes)
+    loose = replace(camera, **LOOSE)
+    problem = TwoViewProblem.of(scene.matches, loose, loose)
+    return scene, JointFit(problem, CameraSpread.of(loose, loose))
+
+
+@pytest.mark.parametrize("deviates", [False, True])
+@pytest.mark.parametrize("lens", LENSES)
+def test_errors_in_the_image_are_of_the_first_order_by_pixels(
+    lens: Distortion | None, deviates: bool
+) -> None:
+    """The algebraic error over the length of its gradient by the four coordinates of a match."""
+    camera = pinhole(800, IMAGE, lens)
+    scene, joint = _joint(camera, count=60, outliers=0.0, sigma_px=1.0)
+    z = 0.3 * np.random.default_rng(1).standard_normal(len(joint.spread)) * deviates
+    pose = JointPose(scene.R, scene.t, z)
+    cameras = deviating_pair(scene.cameras, joint.deviations(pose))
+    E = essential_from_pose(pose.R, pose.t)
+
+    def algebraic(shift: np.ndarray) -> np.ndarray:
+        rays = [
+            homogeneous(c.normalise(points + part))
+            for c, points, part in zip(
+                cameras,
+                (scene.matches.points1, scene.matches.points2),
+                (shift[:2], shift[2:]),
+                strict=True,
+            )
+        ]
+        return ((rays[0] @ E.T) * rays[1]).sum(1)
+
+    slopes = [(algebraic(s) - algebraic(-s)) / (2 * STEP) for s in STEP * np.eye(4)]
+    expected = np.abs(algebraic(np.zeros(4))) / np.linalg.norm(slopes, axis=0)
+    errors = joint.errors_px(pose, (camera.focal, camera.focal))
+    seen = np.isfinite(errors)
+    assert seen.mean() > (0.7 if deviates else 0.95)  # others are behind a camera that deviates
+    np.testing.assert_allclose(errors[seen], expected[joint.problem.index][seen], rtol=2e-3)
+
+
+def test_errors_behind_a_camera_are_infinite() -> None:
+    scene, joint = _joint(pinhole(800, IMAGE), count=60, outliers=0.0)
+    pose = JointPose(scene.R, -scene.t, np.zeros(len(joint.spread)))
+    assert np.isinf(joint.errors_px(pose, (800, 800))).all()
+    assert not joint.inliers_in_front(pose).any()
+
+
+def test_the_likelihood_prefers_the_true_cameras() -> None:
+    """And each deviation costs half of its square, where nothing else changes."""
+    scene, joint = _joint(pinhole(800, IMAGE))
+    scale = joint.problem.threshold / 2
+    true = JointPose(scene.R, scene.t, np.zeros(len(joint.spread)))
+    best = joint.log_likelihood(true, scale)
+    for k in range(len(joint.spread)):
+        other = replace(true, z=np.eye(len(joint.spread))[k])
+        assert joint.log_likelihood(other, scale) < best - 0.5
+    empty = JointFit(joint.problem.subset(np.zeros(len(joint.problem), dtype=bool)), joint.spread)
+    z = np.full(len(joint.spread), 0.5)
+    assert empty.log_likelihood(replace(true, z=z), scale) == pytest.approx(-(z @ z) / 2)
+    # A match that is off by far costs as much as one that is off by the limit.
+    wrong = JointFit(joint.problem.subset(~scene.true[joint.problem.index]), joint.spread)
+    each = wrong.log_likelihood(true, scale) / len(wrong.problem)
+    assert each > joint.log_likelihood(replace(true, t=-scene.t), scale) / len(joint.problem) - 1e-9
+
+
+@pytest.mark.parametrize(("factor", "aspect"), [(1.0, 1.0), (1.25, 1.0), (1.0, 0.75), (0.8, 1.3)])
+def test_a_start_at_the_deviations_of_the_cameras_is_fitted(factor: float, aspect: float) -> None:
+    """Of cameras whose focal lengths and their ratio were assumed otherwise."""
+    camera = pinhole(800, IMAGE)
+    scene = camera_scene(camera, camera, seed=2)
+    fx, fy = 800 / factor * np.sqrt(aspect), 800 / factor / np.sqrt(aspect)
+    assumed = replace(Camera(np.array([fx, fy, *camera.K[:2, 2]]), IMAGE), **LOOSE, identity="one")
+    problem, spread = (
+        TwoViewProblem.of(scene.matches, assumed, assumed),
+        CameraSpread.of(assumed, assumed),
+    )
+    at = of_focals(np.full(2, np.log(factor)))
+    at[ASPECTS] = np.log(aspect)
+    options = EstimationOptions()
+    start = start_at(problem, spread, at, options, seed=3)
+    joint = JointFit(problem, spread)
+    np.testing.assert_allclose(joint.deviations(start), at, atol=1e-9)
+    pose = joint.fitted(start)
+    assert joint.cost(pose) <= joint.cost(start)
+    assert rotation_error_deg(pose.R, scene.R) < 0.5
+    assert translation_error_deg(pose.t, scene.t) < 1
+    np.testing.assert_allclose(joint.deviations(pose)[[0, 5]], at[[0, 5]], atol=0.04)
+    # A fit without a round is the start.
+    assert joint.fitted(start, ()) is start
+    assert len(at) == 2 * SIZE
