@@ -37,8 +37,8 @@ def _panorama(degrees: float = 100) -> Camera:
 
 USUAL = pinhole(1250, SIZE, LENS, centre=(3, -2))
 ZOOMED = pinhole(1.6 * 1280, SIZE, LENS)
-# The true cameras, the model, and the changes of the scene.
 PARTS = [pinhole(1900, (1700, 1200), centre=centre) for centre in ((30, -20), (-25, 25))]
+# The true cameras, the model, and the changes of the scene.
 CASES = {
     "usual": ((USUAL, USUAL), "assumed", {}),
     "usual aside": ((USUAL, USUAL), "assumed", ASIDE),
