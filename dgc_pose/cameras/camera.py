@@ -39,7 +39,6 @@ class Camera:
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
         lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
             distortion; 0: the lens is known. The estimation fits it like the focal lengths.
-        aspect_std: Standard deviation of the logarithm of fy / fx; 0: it is exact.
         orientation: EXIF orientation, 1 to 8, of the pixels as stored, if K is of the upright
             image; else 1.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
@@ -47,6 +46,7 @@ class Camera:
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
             by the same factor. None: a camera of its image alone.
         projection: That of a panorama, as its file states it; "": of a perspective or fisheye.
+        aspect_std: Standard deviation of the logarithm of fy / fx; 0: it is exact.
     """
 
     K: np.ndarray
@@ -56,11 +56,11 @@ class Camera:
     focal_std: float = 0.0
     centre_std: float = 0.0
     lens_std: float = 0.0
-    aspect_std: float = 0.0
     orientation: int = 1
     focal_source: FocalSource = "given"
     identity: str | None = None
     projection: str = ""
+    aspect_std: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
@@ -70,7 +70,7 @@ class Camera:
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
         lens = self.distortion
-        if self.lens_std and lens is not None and lens.projection is None:
+        if self.lens_std and lens and lens.projection not in ("plane", "angles"):
             raise InputError(
                 f"lens_std must be 0 with the lens {lens.model}: it is for RADIAL, and for "
                 "OPENCV_FISHEYE of two coefficients"

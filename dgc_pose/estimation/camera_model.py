@@ -29,7 +29,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
 _SAMPLED = 300  # matches
-_ITERATIONS = 250  # of a RANSAC run
+_ITERATIONS = 120  # of a RANSAC run
 # Of the errors of the two rounds of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round
@@ -41,6 +41,9 @@ _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side ov
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _MOST_ERROR = 3.0  # thresholds; larger errors count as this
 _AS_WELL = 1.0  # of the cost, that the inliers of the assumed cameras may cost more
+# Share of the sample below the threshold, and scale of its errors in thresholds, with which no model
+# is searched for far from the assumed cameras.
+_EXPLAINED, _CLOSE = 0.97, 0.2
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
 _CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
@@ -101,12 +104,15 @@ def likeliest_model(
     loss = losses(joint, pose, assumed, scale)
     assumed = replace(assumed, cost=float(loss.sum() + pose.z @ pose.z / 2))
 
+    is_explained = near.mean() > _EXPLAINED and scale < _CLOSE
+
     def fitted(model: CameraModel) -> CameraModel:
         joint = joint_of(model)
-        seeds = run_seeds(replace(options, runs=max(1, len(model.starts))))
+        tried = () if is_explained else model.starts
+        seeds = run_seeds(replace(options, runs=max(1, len(tried))))
         runs = [
             start_at(joint.problem, joint.spread, at, less, seed)
-            for at, seed in zip(model.starts, seeds, strict=False)
+            for at, seed in zip(tried, seeds, strict=False)
         ]
         roughly = {
             float(losses(joint, run, model, 1.0).sum()): run for run in runs if run is not None
@@ -143,10 +149,12 @@ def likeliest_model(
     return replace(best, pose_spread=np.array(differences).T @ np.array(differences))
 
 
-def model_warnings(name: ModelName, cameras: tuple[Camera, Camera]) -> tuple[str, ...]:
-    """What is unusual about fitted cameras, a line each."""
+def model_warnings(
+    name: ModelName, stated: tuple[Camera, Camera], fitted: tuple[Camera, Camera]
+) -> tuple[str, ...]:
+    """What is unusual about fitted cameras, a line each. stated: before the fit."""
     lines = []
-    for camera in cameras:
+    for camera in (c for before, c in zip(stated, fitted, strict=True) if _is_open(before)):
         fx, fy, (x, y) = camera.K[0, 0], camera.K[1, 1], camera.K[:2, 2]
         if name == "squeezed":
             std = camera.aspect_std
@@ -190,15 +198,25 @@ def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]
     squeezed = changed(lambda camera: replace(camera, aspect_std=_ASPECT_STD))
     aspects = np.array([camera.aspect_std for camera in squeezed])
     others = [
-        CameraModel("squeezed", squeezed, [_deviations(focals, k * aspects) for k in _STEPS], pose),
+        CameraModel(
+            "squeezed",
+            squeezed,
+            [
+                _deviations(focals + fewer * np.abs(k * aspects), k * aspects)
+                for k in (-1.5, -0.75, 0.75, 1.5)
+                for fewer in (0.0, -0.5)
+            ],
+            pose,
+        ),
         CameraModel("off_centre", changed(_part), (), pose),
         wide("fisheye", FISHEYE),
         wide("cylinder", CYLINDER),
     ]
     if any(camera.focal_source == "exif" for camera in stated):
-        # A zoom or a crop, of which EXIF data say nothing.
-        zoomed = changed(lambda c: replace(c, focal_std=max(c.focal_std, SIZE_STD)))
-        others.append(CameraModel("zoomed", zoomed, (), pose))
+        # A zoom or a crop, perhaps of one image, of which EXIF data say nothing.
+        zoomed = changed(lambda camera: replace(camera, focal_std=SIZE_STD, identity=None))
+        apart = [_deviations(focals + np.array([-k, k])) for k in (-0.25, -0.125, 0.125, 0.25)]
+        others.append(CameraModel("zoomed", zoomed, apart, pose))
     return others
 
 

@@ -59,5 +59,7 @@ def of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     agreeing = pose.evidence is not None and pose.status != "chance_inliers"
     if agreeing or stay.mean() < _SAME_PICTURE:
         return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))
-    reason = f"{share} stay at the same pixels, and the others agree on no motion"
+    reason = f"{share} stay at the same pixels"
+    if not stay.all():
+        reason += ", and the others agree on no motion"
     return RelativePose("same_picture", reason, inliers, pose.num_matches, warnings=pose.warnings)

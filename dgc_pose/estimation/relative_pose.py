@@ -314,7 +314,7 @@ def _result(
     warnings += verdict.warnings
     if verdict.status in _OF_CAMERAS:
         warnings += focal_warnings(stated, cameras, evidence.focal_check)
-        warnings += model_warnings(evidence.camera_model, cameras)
+        warnings += model_warnings(evidence.camera_model, stated, cameras)
     if alternatives and not ambiguous:
         count = len(alternatives)
         others = "1 other pose explains" if count == 1 else f"{count} other poses explain"

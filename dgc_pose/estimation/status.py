@@ -48,8 +48,8 @@ STATUSES: Mapping[Status, StatusFacts] = {
         "two or more poses explain the matches, and which of them is right does not show"
     ),
     "mirrored": StatusFacts("the mirror image of image 2 has a pose, image 2 has none as likely"),
-    "panorama": StatusFacts("an image is a panorama, and no image of a lens"),
     "same_picture": StatusFacts("the images are the same picture, or have an overlay in common"),
+    "panorama": StatusFacts("an image is a panorama, and no image of a lens"),
 }
 CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, of the pairs that have one
     status: facts.colmap for status, facts in STATUSES.items() if facts.colmap is not None

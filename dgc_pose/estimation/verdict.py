@@ -162,9 +162,9 @@ def _contradicted(evidence: Evidence, rotation: str) -> Verdict | None:
     if not evidence.num_second_inliers or evidence.second_rotation_deg < _SAME_ROTATION_DEG:
         return None
     reason = (
-        f"{rotation}; {evidence.num_second_inliers} of the other matches agree on a motion that "
-        f"turns by {evidence.second_rotation_deg:.1f} deg more: which of both is the camera's does "
-        "not show"
+        f"{rotation}; {evidence.num_second_inliers} of the other matches agree on a motion "
+        f"whose rotation is {evidence.second_rotation_deg:.1f} deg from it: which of both is the "
+        "camera's does not show"
     )
     return Verdict("ambiguous", reason)
 
