@@ -101,6 +101,8 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     text = f"f = {_focal_text(camera)}"
     if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
         text += f", {_focal_text(prior)}"
+    if camera.aspect_std:
+        text += f"; fy / fx {camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
     x, y = camera.K[:2, 2].tolist()
     text += f"; principal point ({x:.1f}, {y:.1f})"
     text += f" +- {camera.centre_std:.1f}" if camera.centre_std else ""

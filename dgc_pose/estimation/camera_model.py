@@ -19,9 +19,16 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import SIZE_STD
 from dgc_pose.estimation.camera_fit import JointFit, JointPose, start_at
-from dgc_pose.estimation.camera_spread import ASPECTS, FOCALS, SIZE, CameraSpread
+from dgc_pose.estimation.camera_spread import (
+    ASPECTS,
+    FOCALS,
+    SIZE,
+    CameraSpread,
+    deviating_pair,
+)
+from dgc_pose.estimation.covariance import pose_covariance
 from dgc_pose.estimation.evidence import ModelName
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, error_scale
+from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import run_seeds
@@ -33,9 +40,10 @@ _ITERATIONS = 120  # of a RANSAC run
 # Of the errors of the two rounds of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round
-# Of another model before the matches are seen: of a picture of a sensor's shape, and of others,
-# which were cut, squeezed or joined.
-_LOG_ODDS, _LOG_ODDS_OF_SHAPE = -3.0, -1.0
+# Logarithms of the odds of another model before the matches are seen: of a picture with EXIF data,
+# of one without, and of one that no sensor has the shape of, which was cut, squeezed or joined.
+_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -5.0, -3.0, -1.0
+_MIN_SHOWN = 0.02  # probability of a model that the expected errors contain
 _MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kept
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
@@ -135,18 +143,26 @@ def likeliest_model(
         return best
 
     models = [assumed, *in_threads(fitted, _others(stated, pose))]
-    usual = all(map(_has_sensor_shape, stated))
-    before = _LOG_ODDS if usual else _LOG_ODDS_OF_SHAPE
+    before = max(map(_log_odds, stated))
     odds = np.array([assumed.cost - model.cost + before for model in models])
     odds[0] = 0.0
     shares = np.exp(odds - odds.max())
     shares /= shares.sum()
     best = assumed if shares[0] > _MIN_SHARE else models[int(np.argmax(shares))]
-    differences = [
-        np.sqrt(share) * _difference(best, model)
-        for share, model in zip(shares, models, strict=True)
-    ]
-    return replace(best, pose_spread=np.array(differences).T @ np.array(differences))
+    spread = np.zeros((6, 6))
+    for share, model in zip(shares, models, strict=True):
+        if model is best or model.pose is None or share < _MIN_SHOWN:
+            continue
+        difference = _difference(best, model)
+        spread += share * np.outer(difference, difference)
+        joint = joint_of(model)
+        cameras = deviating_pair(model.cameras, joint.deviations(model.pose))
+        problem = TwoViewProblem.of(sample, *cameras, options)
+        hypothesis = Hypothesis.of_pose(problem, model.pose.R, model.pose.t)
+        own = pose_covariance(problem, hypothesis, CameraSpread.of(*cameras))
+        if own is not None:
+            spread += share * own.pose
+    return replace(best, pose_spread=spread)
 
 
 def model_warnings(
@@ -169,9 +185,12 @@ def model_warnings(
     return tuple(f"the matches agree with {line}" for line in dict.fromkeys(lines))
 
 
-def _has_sensor_shape(camera: Camera) -> bool:
+def _log_odds(camera: Camera) -> float:
+    """Of another model, before the matches are seen."""
     shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
-    return any(abs(shape - math.log(usual)) < _SAME_SHAPE for usual in _SHAPES)
+    if all(abs(shape - math.log(usual)) > _SAME_SHAPE for usual in _SHAPES):
+        return _LOG_ODDS_OF_SHAPE
+    return _LOG_ODDS if camera.focal_source == "size" else _LOG_ODDS_OF_EXIF
 
 
 def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:

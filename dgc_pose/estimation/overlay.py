@@ -62,4 +62,4 @@ def of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     reason = f"{share} stay at the same pixels"
     if not stay.all():
         reason += ", and the others agree on no motion"
-    return RelativePose("same_picture", reason, inliers, pose.num_matches, warnings=pose.warnings)
+    return RelativePose("same_picture", reason, inliers, len(stay), warnings=pose.warnings)

@@ -75,13 +75,16 @@ def estimate_pose(
     check_type(options, EstimationOptions, "options")
     check_type(camera1, Camera, "camera1")
     check_type(camera2, Camera, "camera2")
-    stay = staying(matches, camera1, camera2)
+    odd = odd_extent(matches.points1, camera1, 1) + odd_extent(matches.points2, camera2, 2)
+    cameras, stay = (camera1, camera2), staying(matches, camera1, camera2)
+    pose = None
     if stay.any():
-        of_map = map_matches and map_matches.subset(~staying(map_matches, camera1, camera2))
-        moving = _estimated(matches.subset(~stay), (camera1, camera2), options, of_map, fit_cameras)
-        if not are_far(moving, camera1):
-            return of_the_moving(moving, stay)
-    return _estimated(matches, (camera1, camera2), options, map_matches, fit_cameras)
+        of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
+        moving = _estimated(matches.subset(~stay), cameras, options, of_map, fit_cameras)
+        pose = None if are_far(moving, camera1) else of_the_moving(moving, stay)
+    if pose is None:
+        pose = _estimated(matches, cameras, options, map_matches, fit_cameras)
+    return replace(pose, warnings=tuple(dict.fromkeys((*pose.warnings, *odd))))
 
 
 def _estimated(
@@ -92,10 +95,8 @@ def _estimated(
     fit_cameras: bool,
 ) -> RelativePose:
     """`estimate_pose` of matches of one motion."""
-    camera1, camera2 = stated
-    odd = odd_extent(matches.points1, camera1, 1) + odd_extent(matches.points2, camera2, 2)
-    problem = TwoViewProblem.of(matches, camera1, camera2, options)
-    warnings = tuple(dict.fromkeys((*camera1.warnings, *camera2.warnings, *problem.warnings, *odd)))
+    problem = TwoViewProblem.of(matches, *stated, options)
+    warnings = tuple(dict.fromkeys((*(w for c in stated for w in c.warnings), *problem.warnings)))
     inliers = np.zeros(len(matches), dtype=bool)
     for number, camera in enumerate(stated, start=1):
         if camera.projection:
@@ -301,6 +302,7 @@ def _result(
     inliers = np.zeros(num_matches, dtype=bool)
     inliers[problem.index] = best.inliers
     any_right, ambiguous = assessed.probability, verdict.status == "ambiguous"
+    impossible = rotation_alone or ambiguous or verdict.status == "panorama"
     poses = _explaining(assessed)
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if facts.has_t else ())
@@ -331,7 +333,7 @@ def _result(
         camera1=cameras[0] if facts.has_t else None,
         camera2=cameras[1] if facts.has_t else None,
         evidence=evidence,
-        probability=0.0 if rotation_alone or ambiguous else poses[0].probability,
+        probability=0.0 if impossible else poses[0].probability,
         any_probability=any_right,
         alternatives=alternatives,
         hypotheses=tuple(assessed.hypotheses),

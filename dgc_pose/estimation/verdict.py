@@ -93,7 +93,10 @@ def judge(
         return _ambiguous(probability, shares)
     probability *= share
     failed = by_chance(evidence) or _implausible(evidence)
-    reason = f"the pose is right with a probability of {percent_text(probability)}"
+    reason = (
+        f"the pose is right with a probability of {percent_text(probability)}, and "
+        f"{percent_text(min_probability)} is the least"
+    )
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
 
