@@ -108,7 +108,8 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     text += f" +- {camera.centre_std:.1f}" if camera.centre_std else ""
     if camera.lens_std and camera.distortion is not None:
         first, second = camera.distortion.radial
-        text += f"; lens k1 {first:.3f} +- {camera.lens_std:.3f}, k2 {second:.3f}"
+        kind = "lens" if camera.distortion.projection == "plane" else "fisheye"
+        text += f"; {kind} k1 {first:.3f} +- {camera.lens_std:.3f}, k2 {second:.3f}"
     return text
 
 

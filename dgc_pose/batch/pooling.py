@@ -18,7 +18,6 @@ import numpy as np
 from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import RADIAL
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds
 from dgc_pose.files.outputs import write_text
@@ -181,7 +180,7 @@ def _parameters(camera: Camera) -> np.ndarray:
     """(SIZE,): ln f, the principal point, pixels, the radial coefficients, 0 without them, and
     ln fy / fx."""
     lens = camera.distortion
-    radial = (0.0, 0.0) if lens is None or lens.model != RADIAL else lens.coefficients
+    radial = (0.0, 0.0) if lens is None else lens.radial
     return np.array(
         [np.log(camera.focal), *camera.K[:2, 2], *radial, np.log(camera.K[1, 1] / camera.K[0, 0])]
     )

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.estimation.camera_spread import (
+    ASPECTS,
     FOCALS,
     SIZE,
     CameraSpread,
@@ -176,14 +177,14 @@ class JointFit:
         """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a
         distortion is not undone. focals: of the cameras that normalised the problem, pixels."""
         deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
-        points = points1, points2 = self._points(pose)
+        points1, points2 = self._points(pose)
         lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
         squared = np.zeros(len(points1))
         for number, (seen, lines) in enumerate(
             ((self.problem.points1, lines1), (self.problem.points2, lines2))
         ):
             lens, own = self.problem.lenses[number], deviations[SIZE * number :][:SIZE]
-            by_shift = deviated_slopes(seen, lens, own, points[number])[:, :, 1:3]
+            by_shift = deviated_slopes(seen, lens, own)[:, :, 1:3]
             by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / focals[number]
             squared += (by_pixel**2).sum(1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -263,10 +264,10 @@ def solved_start(
     return _start(problem, spread, result[0], of_focals(np.log(result[1])))
 
 
-def of_focals(log_factors: np.ndarray) -> np.ndarray:
-    """The deviations (2 * SIZE,) of cameras whose focal lengths are larger by factors."""
+def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
+    """The deviations (2 * SIZE,) of cameras by ln f and by ln fy / fx."""
     deviations = np.zeros(2 * SIZE)
-    deviations[FOCALS] = log_factors
+    deviations[FOCALS], deviations[ASPECTS] = log_focals, aspects
     return deviations
 
 

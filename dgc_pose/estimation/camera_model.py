@@ -18,13 +18,12 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import SIZE_STD
-from dgc_pose.estimation.camera_fit import JointFit, JointPose, start_at
+from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
 from dgc_pose.estimation.camera_spread import (
-    ASPECTS,
     FOCALS,
-    SIZE,
     CameraSpread,
     deviating_pair,
+    is_of_part,
 )
 from dgc_pose.estimation.covariance import pose_covariance
 from dgc_pose.estimation.evidence import ModelName
@@ -42,22 +41,22 @@ _OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round
 # Logarithms of the odds of another model before the matches are seen: of a picture with EXIF data,
 # of one without, and of one that no sensor has the shape of, which was cut, squeezed or joined.
-_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -5.0, -3.0, -1.0
+_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -15.0, -3.0, -1.0
 _MIN_SHOWN = 0.02  # probability of a model that the expected errors contain
 _MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kept
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _MOST_ERROR = 3.0  # thresholds; larger errors count as this
 _AS_WELL = 1.0  # of the cost, that the inliers of the assumed cameras may cost more
-# Share of the sample below the threshold, and scale of its errors in thresholds, with which no model
-# is searched for far from the assumed cameras.
+# Share of the sample below the threshold, and scale of its errors in thresholds, with which nothing
+# is searched far from the assumed cameras.
 _EXPLAINED, _CLOSE = 0.97, 0.2
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
 _CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
 # Focal lengths over the longer side, and the deviations of their logarithms, without EXIF data.
 _WIDE: dict[str, tuple[float, float]] = {FISHEYE: (0.55, 0.35), CYLINDER: (0.6, 0.4)}
-_STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f, or of ln fy / fx, that are tried
+_STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,9 +176,7 @@ def model_warnings(
             lines.append(f"pixels that are not square, fy / fx = {fy / fx:.3f} +- {std:.3f}")
         elif name == "off_centre":
             std = camera.centre_std
-            lines.append(
-                f"a part of a larger picture, its middle at ({x:.0f}, {y:.0f}) +- {std:.0f} px"
-            )
+            lines.append(f"a principal point of its own, ({x:.0f}, {y:.0f}) +- {std:.0f} px")
         elif name == "fisheye":
             lines.append(f"a fisheye, f = {camera.focal:.0f} px")
     return tuple(f"the matches agree with {line}" for line in dict.fromkeys(lines))
@@ -204,37 +201,39 @@ def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:
 def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]:
     """The other models. pose: fitted with the cameras as stated."""
 
-    def changed(change: Callable[[Camera], Camera]) -> tuple[Camera, Camera]:
-        first, second = (change(camera) if _is_open(camera) else camera for camera in stated)
+    def changed(
+        change: Callable[[Camera], Camera], which: Callable[[Camera], bool] = _is_open
+    ) -> tuple[Camera, Camera]:
+        first, second = (change(camera) if which(camera) else camera for camera in stated)
         return first, second
 
     def wide(name: ModelName, model: str) -> CameraModel:
         cameras = changed(lambda camera: _wide(camera, model))
         stds = np.array([camera.focal_std for camera in cameras])
-        return CameraModel(name, cameras, [_deviations(k * stds) for k in _STEPS])
+        return CameraModel(name, cameras, [of_focals(k * stds) for k in _STEPS])
 
     focals = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
-    squeezed = changed(lambda camera: replace(camera, aspect_std=_ASPECT_STD))
+    squeezed = changed(lambda camera: replace(camera, aspect_std=_ASPECT_STD), _is_edited)
     aspects = np.array([camera.aspect_std for camera in squeezed])
     others = [
         CameraModel(
             "squeezed",
             squeezed,
             [
-                _deviations(focals + fewer * np.abs(k * aspects), k * aspects)
+                of_focals(focals + fewer * np.abs(k * aspects), k * aspects)
                 for k in (-1.5, -0.75, 0.75, 1.5)
                 for fewer in (0.0, -0.5)
             ],
             pose,
         ),
-        CameraModel("off_centre", changed(_part), (), pose),
+        CameraModel("off_centre", changed(_part, _is_edited), (), pose),
         wide("fisheye", FISHEYE),
         wide("cylinder", CYLINDER),
     ]
     if any(camera.focal_source == "exif" for camera in stated):
         # A zoom or a crop, perhaps of one image, of which EXIF data say nothing.
         zoomed = changed(lambda camera: replace(camera, focal_std=SIZE_STD, identity=None))
-        apart = [_deviations(focals + np.array([-k, k])) for k in (-0.25, -0.125, 0.125, 0.25)]
+        apart = [of_focals(focals + np.array([-k, k])) for k in (-0.25, -0.125, 0.125, 0.25)]
         others.append(CameraModel("zoomed", zoomed, apart, pose))
     return others
 
@@ -242,6 +241,11 @@ def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]
 def _is_open(camera: Camera) -> bool:
     """Whether nobody stated the camera."""
     return camera.focal_source != "given" and camera.distortion is None
+
+
+def _is_edited(camera: Camera) -> bool:
+    """Whether the picture may be squeezed, or a part: no EXIF data say that a camera wrote it."""
+    return _is_open(camera) and (camera.focal_source == "size" or is_of_part(camera))
 
 
 def _part(camera: Camera) -> Camera:
@@ -258,9 +262,3 @@ def _wide(camera: Camera, model: str) -> Camera:
     if model == CYLINDER:
         return replace(camera, distortion=Distortion(model), lens_std=0.0)
     return replace(camera, distortion=Distortion(model, (0.0,) * 4))
-
-
-def _deviations(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
-    deviations = np.zeros(2 * SIZE)
-    deviations[FOCALS], deviations[ASPECTS] = log_focals, aspects
-    return deviations

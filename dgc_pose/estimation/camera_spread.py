@@ -44,11 +44,15 @@ class CameraSpread:
         differ.
         """
         same = camera1.identity is not None and camera1.identity == camera2.identity
+        one_centre = camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2)))
         columns = []
         for axis, sides in enumerate(zip(*map(deviation_stds, (camera1, camera2)), strict=True)):
             column = np.zeros((2 * SIZE, 2))
             column[axis, 0], column[SIZE + axis, 1] = sides
-            if same and (axis not in (1, 2) or _share_centre(camera1, camera2)):
+            if same and (
+                axis not in (1, 2)
+                or (camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2))))
+            ):
                 column = column.sum(axis=1, keepdims=True)
             columns.append(column)
         basis = np.hstack(columns)
@@ -76,13 +80,10 @@ _OF_PART = 0.01  # deviation of the principal point of a part of an image, over 
 _SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
 
 
-def _share_centre(camera1: Camera, camera2: Camera) -> bool:
-    """Whether images of one camera have one principal point: not parts of larger images."""
-    parts = [
-        camera.focal_source != "given" and camera.centre_std > _OF_PART * max(camera.size or (0,))
-        for camera in (camera1, camera2)
-    ]
-    return camera1.size == camera2.size and not any(parts)
+def is_of_part(camera: Camera) -> bool:
+    """Whether the image may be a part of a larger one, whose principal point is its own."""
+    most = _OF_PART * max(camera.size or (0,))
+    return camera.focal_source != "given" and camera.centre_std > most
 
 
 def deviation_stds(camera: Camera) -> tuple[float, ...]:
@@ -118,9 +119,9 @@ def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
 
 
 def deviated_slopes(
-    points: np.ndarray, lens: Distortion | None, deviations: np.ndarray, undone: np.ndarray
+    points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
 ) -> np.ndarray:
-    """The derivatives (N, 2, SIZE) of `deviated`, whose result is `undone`, by the deviations."""
+    """The derivatives (N, 2, SIZE) of `deviated` by the deviations."""
     moved = _moved(points, lens, deviations)
     projection = "plane" if lens is None else lens.projection
     if projection is not None:
@@ -243,10 +244,8 @@ def _lens_slopes(
     by_point1 = lines1 / root - over * (lines2 @ E[:2, :2])
     by_point2 = lines2 / root - over * (lines1 @ E[:2, :2].T)
     by_side = [
-        (by_point[:, None] @ deviated_slopes(*side, undone))[:, 0]
-        for by_point, side, undone in zip(
-            (by_point1, by_point2), sides, (points1, points2), strict=True
-        )
+        (by_point[:, None] @ deviated_slopes(*side))[:, 0]
+        for by_point, side in zip((by_point1, by_point2), sides, strict=True)
     ]
     of_cameras = np.hstack(by_side)
     of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth

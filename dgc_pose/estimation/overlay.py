@@ -19,7 +19,7 @@ _STAY_PX = 1.0  # that a match moves at most; or the expected error of the match
 _NEAR = 3.0  # times that: small motions of a camera are as frequent up to here
 _MIN_COUNT, _MIN_SHARE = 20, 0.04  # of the matches that stay
 _MOST_ERROR_DEG = 2.0  # of R, that counts where points that stay may be far away
-_SAME_PICTURE = 0.5  # share of the matches that stay, if the others agree on nothing
+_MOST = 0.5  # share of the matches that stay, up to which the others decide
 
 
 def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
@@ -38,28 +38,41 @@ def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
 
 
 def are_far(pose: RelativePose, camera: Camera) -> bool:
-    """Whether points that stay at the same pixels may be far away: the pose of the others hardly
-    turns. camera: of image 1."""
+    """Whether points that stay at the same pixels may be far away: the pose of the others turns by
+    no more than a pixel and its error. camera: of image 1."""
     if pose.evidence is None:
         return False
-    allowed = math.degrees(_NEAR * _STAY_PX / camera.focal)
+    allowed = math.degrees(_STAY_PX / camera.focal)
     error = pose.evidence.jackknife_rotation_90_deg or 0.0
     return rotation_angle_deg(pose.hypotheses[0].R) < allowed + min(error, _MOST_ERROR_DEG)
 
 
 def of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
-    """The pose of the matches that move, as that of all. stay: (N,) bool, the others."""
+    """The pose of the matches that move, as that of all. stay: (N,) bool, the others. Where most
+    stay, the camera may have stood still as well."""
     share = f"{stay.sum()} of {len(stay)} matches ({100 * stay.mean():.0f} %)"
     inliers = np.zeros(len(stay), dtype=bool)
     inliers[~stay] = pose.inliers
-    warning = (
-        f"{share} stay at the same pixels while others move, and are left out: an overlay, or a "
-        "background that stood still (mask1 and mask2 exclude it from the matching)"
-    )
-    agreeing = pose.evidence is not None and pose.status != "chance_inliers"
-    if agreeing or stay.mean() < _SAME_PICTURE:
+    if stay.mean() <= _MOST:
+        warning = (
+            f"{share} stay at the same pixels while others move, and are left out: an overlay, or "
+            "a background that stood still (mask1 and mask2 exclude it from the matching)"
+        )
         return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))
     reason = f"{share} stay at the same pixels"
-    if not stay.all():
-        reason += ", and the others agree on no motion"
-    return RelativePose("same_picture", reason, inliers, len(stay), warnings=pose.warnings)
+    if not pose.success:
+        reason += "" if stay.all() else ", and the others determine no pose"
+        return RelativePose("same_picture", reason, inliers, len(stay), warnings=pose.warnings)
+    reason += f", and {pose.num_inliers} agree on a motion: which is the camera's does not show"
+    both = (pose.hypotheses[0], *pose.alternatives)
+    return RelativePose(
+        "ambiguous",
+        reason,
+        inliers,
+        len(stay),
+        probability=0.0,
+        any_probability=pose.any_probability,
+        alternatives=both,
+        hypotheses=pose.hypotheses,
+        warnings=pose.warnings,
+    )

@@ -302,7 +302,7 @@ def _result(
     inliers = np.zeros(num_matches, dtype=bool)
     inliers[problem.index] = best.inliers
     any_right, ambiguous = assessed.probability, verdict.status == "ambiguous"
-    impossible = rotation_alone or ambiguous or verdict.status == "panorama"
+    unusable = verdict.status == "panorama"
     poses = _explaining(assessed)
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if facts.has_t else ())
@@ -333,10 +333,10 @@ def _result(
         camera1=cameras[0] if facts.has_t else None,
         camera2=cameras[1] if facts.has_t else None,
         evidence=evidence,
-        probability=0.0 if impossible else poses[0].probability,
-        any_probability=any_right,
+        probability=0.0 if rotation_alone or ambiguous or unusable else poses[0].probability,
+        any_probability=0.0 if unusable else any_right,
         alternatives=alternatives,
-        hypotheses=tuple(assessed.hypotheses),
+        hypotheses=() if unusable else tuple(assessed.hypotheses),
         median_triangulation_angle_deg=evidence.median_triangulation_angle_deg,
         warnings=tuple(dict.fromkeys(warnings)),
     )

@@ -145,19 +145,19 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
     rotates = evidence.rotation_share >= _ROTATION_SHARE
     strictly = evidence.strict_rotation_share >= _STRICT_ROTATION_SHARE
     if strictly or (rotates and evidence.parallax < min_parallax):
-        reason = (
+        why = (
             f"a rotation alone explains {evidence.num_rotation_inliers} matches, as many as the "
-            f"essential matrix does: the images do not determine the translation"
+            "essential matrix does"
         )
-        return _contradicted(evidence, reason) or Verdict("rotation_only", reason)
-    if evidence.still_ratio >= _STRICT_ROTATION_SHARE:
-        reason = (
+    elif evidence.still_ratio >= _STRICT_ROTATION_SHARE:
+        why = (
             f"a camera that only turned, zoomed or cropped explains "
-            f"{100 * evidence.still_ratio:.0f} % of the inliers: the images do not determine the "
-            "translation"
+            f"{100 * evidence.still_ratio:.0f} % of the inliers"
         )
-        return _contradicted(evidence, reason) or Verdict("rotation_only", reason)
-    return None
+    else:
+        return None
+    reason = f"{why}: the images do not determine the translation"
+    return _contradicted(evidence, why) or Verdict("rotation_only", reason)
 
 
 def _contradicted(evidence: Evidence, rotation: str) -> Verdict | None:

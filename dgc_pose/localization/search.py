@@ -130,8 +130,8 @@ class ReferenceSearch:
             return self.camera
         best = max(fits, key=lambda pose: pose.probability or 0.0).camera2
         assert best is not None
-        stds = self.camera.focal_std, self.camera.centre_std, self.camera.lens_std
-        return replace(best, focal_std=stds[0], centre_std=stds[1], lens_std=stds[2])
+        names = ("focal_std", "centre_std", "lens_std", "aspect_std")
+        return replace(best, **{name: getattr(self.camera, name) for name in names})
 
     def _sight(self, pair: Pair) -> Sight:
         pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]

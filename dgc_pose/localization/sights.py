@@ -143,8 +143,7 @@ class PointSight:
         by_seen = np.hstack([1 / z, none, -x / z**2, none, 1 / z, -y / z**2]).reshape(-1, 2, 3)
         by_rotation = np.cross(seen[:, None], by_seen)
         by_centre = -by_seen @ pose.R
-        undone = deviated(self.places, self.lens, pose.deviations)
-        by_camera = -deviated_slopes(self.places, self.lens, pose.deviations, undone)
+        by_camera = -deviated_slopes(self.places, self.lens, pose.deviations)
         slopes = np.concatenate([by_rotation, by_centre, by_camera @ spread.basis[SIZE:]], axis=2)
         return offset.T.ravel(), slopes.transpose(1, 0, 2).reshape(2 * len(offset), -1)
 
