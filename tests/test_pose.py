@@ -237,7 +237,7 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
         assert error < 0.01 and error < 2 * camera.focal_std < 0.2
         assert camera.focal_source == "matches"
     error_90 = pose.rotation_error_90_deg
-    assert error_90 is not None and rotation_error_deg(pose.R, dense_scene.R) < error_90 < 2
+    assert error_90 is not None and rotation_error_deg(pose.R, dense_scene.R) < error_90 < 3
 
 
 @pytest.mark.parametrize("kind", ["planar", "rotation_only"])

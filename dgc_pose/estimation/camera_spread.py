@@ -49,10 +49,7 @@ class CameraSpread:
         for axis, sides in enumerate(zip(*map(deviation_stds, (camera1, camera2)), strict=True)):
             column = np.zeros((2 * SIZE, 2))
             column[axis, 0], column[SIZE + axis, 1] = sides
-            if same and (
-                axis not in (1, 2)
-                or (camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2))))
-            ):
+            if same and (axis not in (1, 2) or one_centre):
                 column = column.sum(axis=1, keepdims=True)
             columns.append(column)
         basis = np.hstack(columns)

@@ -40,7 +40,7 @@ def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
 def are_far(pose: RelativePose, camera: Camera) -> bool:
     """Whether points that stay at the same pixels may be far away: the pose of the others turns by
     no more than a pixel and its error. camera: of image 1."""
-    if pose.evidence is None:
+    if pose.evidence is None or not pose.hypotheses:
         return False
     allowed = math.degrees(_STAY_PX / camera.focal)
     error = pose.evidence.jackknife_rotation_90_deg or 0.0

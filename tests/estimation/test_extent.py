@@ -52,10 +52,12 @@ def test_points_of_another_size(name: str, with_size: str, without_size: str) ->
         (left, top), (right, bottom) = points.min(0), points.max(0)
         middle = (np.array(SIZE1) - 1) / 2 if size else K1[:2, 2]
         outside = (np.abs(points - middle) > slack * (middle + 0.5) + 0.5).any(1).sum()
-        text = (
+        reach = (
             f"points2 have x from {left:.0f} to {right:.0f} and y from {top:.0f} to {bottom:.0f}: "
-            f"{outside} of 300 lie outside the {pixels}"
         )
+        text = f"{reach}{outside} of 300 lie outside the {pixels}"
+        if not outside:
+            text = f"{reach}less than half of the {pixels} along both sides"
         if expected == "warned":
             assert odd_extent(points, camera, 2) == (text,)
         else:

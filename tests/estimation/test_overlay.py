@@ -10,6 +10,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.overlay import staying
 from dgc_pose.matches import Matches
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 SIZE, SMALL = (1600, 1200), (800, 600)
 CAMERA, HALF = pinhole(1500, SIZE), pinhole(1500, SIZE).resized(SMALL)
@@ -52,7 +53,7 @@ def _assert_right(pose: RelativePose, scene: CameraScene, most_deg: float = 2.5)
 @pytest.mark.parametrize("auto", [False, True])
 @pytest.mark.parametrize("second", [CAMERA, HALF], ids=["same size", "half as large"])
 @pytest.mark.parametrize("place", [STRIP, CORNER, ANYWHERE], ids=["strip", "corner", "anywhere"])
-@pytest.mark.parametrize("share", [0.05, 0.15, 0.4, 0.6])
+@pytest.mark.parametrize("share", [0.05, 0.15, 0.4])
 def test_an_overlay_is_left_out_and_told(
     share: float, place: tuple[float, ...], second: Camera, auto: bool
 ) -> None:
@@ -60,7 +61,8 @@ def test_an_overlay_is_left_out_and_told(
     count = len(scene.matches)
     of_overlay = np.arange(count) >= 800
     pose = scene.estimate(*(() if auto else scene.cameras))
-    _assert_right(pose, scene)
+    # Two sizes of no sensor's shape, and no K: each picture may be a part.
+    _assert_right(pose, scene, 8.0 if auto else 1.0)
     assert pose.inliers.shape == (count,) and not pose.inliers[of_overlay].any()
     assert pose.inliers[scene.true].mean() > 0.9
     (warning,) = _told(pose)
@@ -133,7 +135,7 @@ def test_the_same_picture_has_no_pose_and_no_rotation(
 
 @pytest.mark.parametrize("auto", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_a_turntable_has_the_pose_of_the_object(seed: int, auto: bool) -> None:
+def test_of_a_turntable_both_motions_are_told(seed: int, auto: bool) -> None:
     """Four matches in ten are of an object that turned by 25 degrees, all others of a background
     that stood still."""
     rng = np.random.default_rng(seed)
@@ -150,10 +152,11 @@ def test_a_turntable_has_the_pose_of_the_object(seed: int, auto: bool) -> None:
     scene = CameraScene(matches, (CAMERA, CAMERA), R, direction, true)
     scene = joined(scene, *_staying(600, ANYWHERE, seed=seed))
     pose = scene.estimate(*(() if auto else scene.cameras))
-    (warning,) = _told(pose)
-    assert 600 <= int(warning.split()[0]) <= 610 and "a background that stood still" in warning
-    # Without K the axes, which meet, hardly tell the focal length.
-    _assert_right(pose, scene, 8.0 if auto else 1.0)
+    assert pose.status == "ambiguous" and pose.R is None and pose.probability == 0
+    assert 600 <= int(pose.reason.split()[0]) <= 610 and "agree on a motion" in pose.reason
+    object_ = pose.alternatives[0]
+    assert rotation_error_deg(object_.R, R) < (8 if auto else 1)
+    assert translation_error_deg(object_.t, direction) < (16 if auto else 2)
 
 
 @pytest.mark.parametrize("auto", [False, True])

@@ -140,7 +140,8 @@ def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
     status, reason, _ = judge(_changed(occupied_cells=8), LEAST, 0.231, against)
     assert status == "chance_inliers"
     assert reason == (
-        "the pose is right with a probability of 23 %: only 28 % of the matches are inliers, "
+        "the pose is right with a probability of 23 %, and 50 % is the least: "
+        "only 28 % of the matches are inliers, "
         "there is little parallax"
     )
 
