@@ -54,7 +54,7 @@ CASES = {
 SAID = {
     "assumed": None,
     "squeezed": "the matches agree with pixels that are not square, fy / fx = ",
-    "off_centre": "the matches agree with a principal point of its own, its middle at (",
+    "off_centre": "the matches agree with a principal point of its own, (",
     "fisheye": "the matches agree with a fisheye, f = ",
     "zoomed": "the matches suggest f = ",
 }
