@@ -19,7 +19,7 @@ _STAY_PX = 1.0  # that a match moves at most; or the expected error of the match
 _NEAR = 3.0  # times that: small motions of a camera are as frequent up to here
 _MIN_COUNT, _MIN_SHARE = 20, 0.04  # of the matches that stay
 _MOST_ERROR_DEG = 2.0  # of R, that counts where points that stay may be far away
-_MOST = 0.5  # share of the matches that stay, up to which the others decide
+_MOST = 0.6  # share of the matches that stay, up to which the others decide
 
 
 def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:

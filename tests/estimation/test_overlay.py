@@ -111,7 +111,7 @@ def test_a_few_that_stay_change_nothing(count: int) -> None:
     assert not _told(pose) and pose.num_matches == len(scene.matches)
 
 
-@pytest.mark.parametrize("outliers", [0, 15, 60, 400])
+@pytest.mark.parametrize("outliers", [0, 15, 60, 300])
 @pytest.mark.parametrize("auto", [False, True])
 @pytest.mark.parametrize("second", [CAMERA, HALF], ids=["same size", "half as large"])
 def test_the_same_picture_has_no_pose_and_no_rotation(
@@ -136,7 +136,7 @@ def test_the_same_picture_has_no_pose_and_no_rotation(
 @pytest.mark.parametrize("auto", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_of_a_turntable_both_motions_are_told(seed: int, auto: bool) -> None:
-    """Four matches in ten are of an object that turned by 25 degrees, all others of a background
+    """One match in three is of an object that turned by 25 degrees, all others of a background
     that stood still."""
     rng = np.random.default_rng(seed)
     R = Rotation.from_euler("yx", (25, 4), degrees=True).as_matrix()
@@ -150,10 +150,10 @@ def test_of_a_turntable_both_motions_are_told(seed: int, auto: bool) -> None:
     matches = Matches(*seen, np.ones(400), 0.5)
     true, direction = np.ones(400, dtype=bool), t / np.linalg.norm(t)
     scene = CameraScene(matches, (CAMERA, CAMERA), R, direction, true)
-    scene = joined(scene, *_staying(600, ANYWHERE, seed=seed))
+    scene = joined(scene, *_staying(750, ANYWHERE, seed=seed))
     pose = scene.estimate(*(() if auto else scene.cameras))
     assert pose.status == "ambiguous" and pose.R is None and pose.probability == 0
-    assert 600 <= int(pose.reason.split()[0]) <= 610 and "agree on a motion" in pose.reason
+    assert 750 <= int(pose.reason.split()[0]) <= 760 and "agree on a motion" in pose.reason
     object_ = pose.alternatives[0]
     assert rotation_error_deg(object_.R, R) < (8 if auto else 1)
     assert translation_error_deg(object_.t, direction) < (16 if auto else 2)
