@@ -222,7 +222,8 @@ def joint_pose(
     if not starts:
         return None
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
-    return min(in_threads(joint.fitted, best), key=joint.cost)
+    fits = in_threads(lambda start: joint.fitted(start, LIMITS[:-1]), best)
+    return joint.fitted(min(fits, key=joint.cost), LIMITS[-1:])
 
 
 def _starts(
