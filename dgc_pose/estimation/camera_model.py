@@ -37,7 +37,7 @@ from dgc_pose.system.threads import in_threads
 _SAMPLED = 300  # matches
 _ITERATIONS = 120  # of a RANSAC run
 # Of the errors of the rounds of a fit, thresholds: from a start, and from a fit.
-_OF_START, _OF_FIT = (3.0, 1.0), (1.0,)
+_OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round
 # Logarithms of the odds of another model before the matches are seen: of a picture with EXIF data,
 # of one without, and of one that no sensor has the shape of, which was cut, squeezed or joined.
