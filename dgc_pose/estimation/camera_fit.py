@@ -55,7 +55,7 @@ _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
 _MAX_STARTS = 3  # that are fitted
 LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
-_MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
+MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
 _CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
@@ -91,7 +91,7 @@ class JointFit:
     def log_likelihood(self, pose: JointPose, scale: float) -> float:
         """The logarithm of the likelihood of the errors, of a Cauchy distribution, cut off, and of
         the deviations, up to a constant. scale: of the distribution, the problem's unit."""
-        largest = _MOST_ERROR * self.problem.threshold
+        largest = MOST_ERROR * self.problem.threshold
         error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
         squares = np.log1p((error / scale) ** 2).sum()
         return -float(EFFICIENT**2 * squares / ALIKE + pose.z @ pose.z) / 2

@@ -18,7 +18,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import SIZE_STD
-from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
+from dgc_pose.estimation.camera_fit import MOST_ERROR, JointFit, JointPose, of_focals, start_at
 from dgc_pose.estimation.camera_spread import (
     FOCALS,
     CameraSpread,
@@ -46,7 +46,6 @@ _MIN_SHOWN = 0.02  # probability of a model that the expected errors contain
 _MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kept
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
-_MOST_ERROR = 3.0  # thresholds; larger errors count as this
 _AS_WELL = 1.0  # of the cost, that the inliers of the assumed cameras may cost more
 # Share of the sample below the threshold, and scale of its errors in thresholds, with which nothing
 # is searched far from the assumed cameras.
@@ -95,22 +94,21 @@ def likeliest_model(
         of_model = TwoViewProblem.of(sample, *model.cameras, options)
         return JointFit(of_model, CameraSpread.of(*model.cameras))
 
-    def losses(joint: JointFit, pose: JointPose, model: CameraModel, scale: float) -> np.ndarray:
-        """The Cauchy loss of the errors in the image of all of the sample, cut off."""
-        error = np.full(len(sample), _MOST_ERROR)  # also where a distortion cannot be undone
+    def errors(joint: JointFit, pose: JointPose, model: CameraModel) -> np.ndarray:
+        """Errors in the image of all of the sample, thresholds, cut off."""
+        error = np.full(len(sample), MOST_ERROR)  # also where a distortion cannot be undone
         focals = model.cameras[0].focal, model.cameras[1].focal
         error[joint.problem.index] = joint.errors_px(pose, focals) / pixels
-        squared = (np.minimum(error, _MOST_ERROR) / scale) ** 2
-        return EFFICIENT**2 / ALIKE / 2 * np.log1p(squared)
+        return np.minimum(error, MOST_ERROR)
 
-    joint = joint_of(assumed)
-    rough = losses(joint, pose, assumed, 1.0)
-    near = rough < EFFICIENT**2 / ALIKE / 2 * math.log(2)  # below the threshold
-    error = joint.errors_px(pose, (stated[0].focal, stated[1].focal)) / pixels
-    scale = error_scale(error[error < 1], 1.0) if near.any() else 1.0
-    loss = losses(joint, pose, assumed, scale)
+    def losses(error: np.ndarray, scale: float) -> np.ndarray:
+        return EFFICIENT**2 / ALIKE / 2 * np.log1p((error / scale) ** 2)
+
+    error = errors(joint_of(assumed), pose, assumed)
+    near = error < 1
+    scale = error_scale(error[near], 1.0) if near.any() else 1.0
+    rough, loss = losses(error, 1.0), losses(error, scale)
     assumed = replace(assumed, cost=float(loss.sum() + pose.z @ pose.z / 2))
-
     is_explained = near.mean() > _EXPLAINED and scale < _CLOSE
 
     def fitted(model: CameraModel) -> CameraModel:
@@ -122,7 +120,9 @@ def likeliest_model(
             for at, seed in zip(tried, seeds, strict=False)
         ]
         roughly = {
-            float(losses(joint, run, model, 1.0).sum()): run for run in runs if run is not None
+            float(losses(errors(joint, run, model), 1.0).sum()): run
+            for run in runs
+            if run is not None
         }
         fits = []
         if roughly and min(roughly) < rough.sum() + _WORSE:
@@ -134,7 +134,7 @@ def likeliest_model(
             fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
         best = replace(model, pose=None)
         for fit in fits:
-            of_fit = losses(joint, fit, model, scale)
+            of_fit = losses(errors(joint, fit, model), scale)
             cost = float(of_fit.sum() + fit.z @ fit.z / 2)
             # What is likelier explains the inliers of the assumed cameras as well.
             if cost < best.cost and of_fit[near].sum() < loss[near].sum() + _AS_WELL:
