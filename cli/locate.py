@@ -144,8 +144,7 @@ def location_text(photo: str, location: Location) -> str:
             "times in ten if the location is right"
         )
         of = "that R is within 5 deg and the centre within 5 % of the model's extent"
-        of = "for such matches" if location.probability is None else of
-        lines.append(f"{probability_text(location.probability)} {of}")
+        lines.append(probability_text(location.probability, of))
     if location.success and location.camera is not None and not location.camera.exact:
         lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
     used = [reference.name for reference in location.references if reference.agrees]

@@ -40,8 +40,7 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
             f"{pose.translation_error_90_deg:.3f} deg, nine times in ten if the pose is right"
         )
     if pose.t is not None:
-        of = "for such matches" if pose.probability is None else "that R and t are within 10 deg"
-        lines.append(f"{probability_text(pose.probability)} {of}")
+        lines.append(probability_text(pose.probability, "that R and t are within 10 deg"))
     for number, alternative in enumerate(pose.alternatives, start=1):
         likely = probability_text(alternative.probability)
         lines.append(f"alternative {number}: {alternative.num_inliers} inliers, {likely}")

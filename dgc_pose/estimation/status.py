@@ -63,11 +63,11 @@ def percent_text(probability: float) -> str:
     return "below 1 %" if probability < 0.005 else f"{100 * probability:.0f} %"
 
 
-def probability_text(probability: float | None) -> str:
-    """A probability with its name; None: not known."""
+def probability_text(probability: float | None, of: str = "") -> str:
+    """A probability with its name; None: not known. of: what it is of."""
     if probability is None:
-        return "probability not known"
-    return f"probability {percent_text(probability)}"
+        return "probability not known" + (" for such matches" if of else "")
+    return f"probability {percent_text(probability)} {of}".rstrip()
 
 
 def short_text(array: np.ndarray) -> str:

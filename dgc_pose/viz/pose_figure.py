@@ -70,8 +70,7 @@ def _headline(pose: RelativePose) -> str:
     if not (pose.success and pose.R is not None):
         return f"no pose: {pose.reason}"
     text = f"rotation {rotation_angle_deg(pose.R):.2f}°, translation {pose.length_text}"
-    of = "for such matches" if pose.probability is None else "that R and t are within 10°"
-    text += f"; {probability_text(pose.probability)} {of}"
+    text += f"; {probability_text(pose.probability, 'that R and t are within 10°')}"
     if pose.rotation_error_90_deg is None or pose.translation_error_90_deg is None:
         return text
     return (
