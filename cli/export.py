@@ -26,5 +26,5 @@ def export(model: Path, to: str, images: Path | None, out: Path) -> None:
         raise InputError(ArgumentName("out"), f"{out} is there already")
     read = read_model(model)
     with replaced_folder(out) as folder:
-        FORMATS[to](read, images, folder)
+        FORMATS[to](read, images, folder, out)
     click.echo(f"{out}: {read.num_images()} images for {to}")

@@ -1,8 +1,12 @@
-"""A COLMAP model in the formats of other tools: functions that write into an empty folder."""
+"""A COLMAP model in the formats of other tools: functions that write into an empty folder `out`,
+which is moved to `at`."""
 
 import os
 import re
 from pathlib import Path
+
+import cv2
+import numpy as np
 
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.colmap.points_file import write_model_points
@@ -16,6 +20,7 @@ from dgc_pose.system.colmap_library import pycolmap
 
 _PERSPECTIVE = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
 _FISHEYE = {"SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}
+_ORIENTATION = re.compile(rb"(\x12\x01\x03\x00\x01\x00{3})[\x02-\x08]")  # a tag of EXIF data
 _KEYS = {"f": "fl_x", "fx": "fl_x", "fy": "fl_y", "k": "k1"}  # nerfstudio's of COLMAP's parameters
 
 
@@ -28,7 +33,7 @@ def read_model(source: Path) -> pycolmap.Reconstruction:
         return pycolmap.Reconstruction(path)
 
 
-def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path) -> None:
+def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path) -> None:
     """transforms.json, with world_from_cam for the axes right, up, backwards; and points.ply.
 
     Raises InputError for a lens that nerfstudio does not have, and for fisheyes beside others.
@@ -39,7 +44,11 @@ def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path) -
     frames = []
     for _, image in sorted(model.images.items()):
         camera, pose = image.camera, image.cam_from_world().inverse().matrix() * (1, -1, -1, 1)
-        path = image.name if images is None else os.path.realpath(images / image.name, strict=True)
+        path = image.name
+        if images is not None:
+            path = os.path.join(os.path.realpath(images, strict=True), path)
+            os.stat(path)  # raises OSError if it is not there
+            path = os.path.relpath(path, os.path.realpath(at))
         frame = {"file_path": path, "transform_matrix": [*pose.tolist(), [0, 0, 0, 1]]}
         frame |= {"w": camera.width, "h": camera.height, "fl_y": camera.focal_length_y}
         values = zip(camera.params_info.split(", "), camera.params.tolist(), strict=True)
@@ -50,8 +59,8 @@ def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path) -
     write_json(out / "transforms.json", data)
 
 
-def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path) -> None:
-    """images/ without distortion; sparse/, their model.
+def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path) -> None:
+    """images/ without distortion and EXIF turn; sparse/ and sparse/0/, their model.
 
     Raises InputError without `images`, or for a photograph of another size than its camera or of a
     format that pycolmap does not read; ImageError.
@@ -67,16 +76,29 @@ def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path) -> N
             raise InputError(f"{images / image.name}: {width} x {height} is not its camera's size")
         pixels += width * height
     require_room(out / "images", 3 * pixels)
-    (out / "sparse").mkdir()
+    (out / "sparse" / "0").mkdir(parents=True)
     model.write_binary(out / "sparse")
     pycolmap.undistort_images(out, out / "sparse", images)
-    pycolmap.Reconstruction(out / "sparse").write_text(out / "sparse")  # for any InterfaceCOLMAP
+    undistorted = pycolmap.Reconstruction(out / "sparse")
+    undistorted.write_binary(out / "sparse" / "0")  # for Gaussian splatting
+    if all(len(image.name.split()) == 1 for image in model.images.values()):  # as text needs it
+        undistorted.write_text(out / "sparse")  # for any InterfaceCOLMAP
     for image in model.images.values():
         if not (out / "images" / image.name).is_file():
             raise InputError(f"{images / image.name}: pycolmap does not read this photograph")
+        _lay_flat(out / "images" / image.name)
 
 
-def tum(model: pycolmap.Reconstruction, images: Path | None, out: Path) -> None:
+def _lay_flat(path: Path) -> None:
+    """Remove the EXIF turn of a photograph that pycolmap wrote, and leave its pixels."""
+    header = image_header(path)
+    if header.orientation != 1 and header.format == "JPEG":
+        path.write_bytes(_ORIENTATION.sub(b"\\1\x01", path.read_bytes(), count=1))
+    elif header.orientation != 1:  # a PNG
+        cv2.imwrite(str(path), np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+
+
+def tum(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path) -> None:
     """trajectory.txt: a line an image with a time and world_from_cam. The times are the names, if
     all of them are numbers, or else count the images in the order of their names."""
     posed = sorted(model.images.values(), key=lambda image: image.name)

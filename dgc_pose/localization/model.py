@@ -75,7 +75,8 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
     calibration = Calibration(str(path), parts=file.parts, common=file.common)
-    names = {name: _image_name(root, name) for name in file.poses}
+    folder = path if path.is_dir() else path.parent
+    names = {name: _image_name(root, name, folder) for name in file.poses}
     missing = sorted(name for name, there in names.items() if there is None)
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
@@ -130,10 +131,15 @@ def model_path(path: Path) -> Path:
     raise InputError(ArgumentName("model"), f"{path} holds no model of COLMAP")
 
 
-def _image_name(root: Path, name: str) -> str | None:
-    """The name, relative to the folder, of the image that a model has under a name: that path, or
-    its last part; NeRF's names may lack their ending. None if there is none."""
-    for candidate in dict.fromkeys((os.path.normpath(name), Path(name).name)):
+def _image_name(root: Path, name: str, folder: Path) -> str | None:
+    """The name, relative to the root, of the image that a model of a folder has under a name: that
+    path, from either, or its last part; NeRF's names may lack their ending. None if there is none.
+    """
+    stated = os.path.normpath(os.path.join(os.path.realpath(folder), name))
+    relative = os.path.relpath(stated, os.path.realpath(root))
+    for candidate in dict.fromkeys((os.path.normpath(name), relative, Path(name).name)):
+        if candidate.startswith(os.pardir + os.sep):  # of another folder
+            continue
         if os.path.isfile(root / candidate):
             return candidate
         if not Path(candidate).suffix and (root / candidate).parent.is_dir():

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pycolmap
 import pytest
 from command_line import assert_refused, contents, run
 from scipy.spatial.transform import Rotation
 from world_scene import IMAGE, WorldScene, world_scene, write_colmap
 
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.localization.model import load_model
 
 SCENE = world_scene(count=20)
@@ -74,18 +76,33 @@ def test_nerfstudio_shows_the_points_where_the_images_do(
 
 
 def test_nerfstudio_is_read_by_locate_with_the_same_cameras(images: Path, tmp_path: Path) -> None:
-    model = write_model(tmp_path / "model", "OPENCV")
-    words = ("--to", "nerfstudio", "--images", images, "--out", tmp_path / "nerf")
-    assert run("export", model, *words).exit_code == 0
-    exported, original = (
-        load_model(path, images) for path in (tmp_path / "nerf" / "transforms.json", model)
-    )
-    for name in SCENE.names:
-        path = str(images / name)  # of a file whose images lie elsewhere
-        assert exported.root / path == images / name
-        np.testing.assert_allclose(exported.poses[path], original.poses[name], atol=1e-12)
-        np.testing.assert_allclose(exported.cameras[path].K, original.cameras[name].K)
-        assert exported.cameras[path].distortion == original.cameras[name].distortion
+    """In folders whose photographs have one name; the file is written through a link, and its paths
+    lead to the photographs from where it is, also when all is moved."""
+    written = pycolmap.Reconstruction(write_model(tmp_path / "model", "OPENCV"))
+    for number, image in written.images.items():
+        (images / f"{number}").mkdir()
+        (images / image.name).rename(images / f"{number}" / "1.jpg")
+        image.name = f"{number}/1.jpg"
+    written.write_binary(tmp_path / "model")
+    (tmp_path / "deep" / "er").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "deep" / "er")
+    out = tmp_path / "link" / "nerf"
+    words = ("--to", "nerfstudio", "--images", images, "--out", out)
+    assert run("export", tmp_path / "model", *words).exit_code == 0
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    for name in ("deep", "images", "model"):
+        (tmp_path / name).rename(moved / name)
+    file = moved / "deep" / "er" / "nerf" / "transforms.json"
+    exported, original = (load_model(path, moved / "images") for path in (file, moved / "model"))
+    for frame in json.loads(file.read_text())["frames"]:
+        assert (file.parent / frame["file_path"]).is_file()
+    assert exported.poses.keys() == original.poses.keys() == {f"{i}/1.jpg" for i in written.images}
+    for name, pose in original.poses.items():
+        np.testing.assert_allclose(exported.poses[name], pose, atol=1e-12)
+        np.testing.assert_allclose(exported.cameras[name].K, original.cameras[name].K)
+        assert exported.cameras[name].distortion == original.cameras[name].distortion
+        assert read_calibration(str(file), "--K").named(moved / "images", name) is not None
 
 
 @pytest.mark.parametrize(
@@ -128,6 +145,14 @@ def test_openmvs_has_images_without_distortion(images: Path, tmp_path: Path) -> 
     undistorted = pycolmap.Reconstruction(tmp_path / "mvs" / "sparse")  # the text
     for image in pycolmap.Reconstruction(tmp_path).images.values():
         assert image.camera.params.tolist() == undistorted.cameras[1].params.tolist()
+    splatted = pycolmap.Reconstruction(tmp_path / "mvs" / "sparse" / "0")  # of Gaussian splatting
+    assert splatted.num_points3D() == undistorted.num_points3D() == len(SCENE.points)
+    for number, image in undistorted.images.items():
+        assert splatted.images[number].name == image.name
+        np.testing.assert_allclose(
+            splatted.images[number].cam_from_world().matrix(), image.cam_from_world().matrix()
+        )
+        assert splatted.cameras[1].params.tolist() == undistorted.cameras[1].params.tolist()
     for image in undistorted.images.values():
         assert image.camera.model.name == "PINHOLE"
         pixels = cv2.imread(str(tmp_path / "mvs" / "images" / image.name))
@@ -143,6 +168,41 @@ def test_openmvs_has_images_without_distortion(images: Path, tmp_path: Path) -> 
             K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
             place, _ = cv2.projectPoints(ray[None], np.zeros(3), np.zeros(3), K, np.array(lens))
             np.testing.assert_allclose(4.0 * pixels[y, x, :0:-1], place[0, 0], atol=10)
+
+
+@pytest.mark.parametrize("ending", ["jpg", "png"])
+def test_openmvs_keeps_blanks_in_names_and_drops_the_turn_of_photographs(
+    ending: str, images: Path, tmp_path: Path
+) -> None:
+    """A photograph that EXIF data turn has the pixels that it has without them: its camera is of
+    the pixels as they are stored. A text of COLMAP's cannot hold the blank, and is not there."""
+    written = pycolmap.Reconstruction(write_model(tmp_path / "model", "OPENCV"))
+    exif = PIL.Image.Exif()
+    exif[271], exif[274] = "Maker", 6
+    for number, image in written.images.items():
+        pixels = PIL.Image.open(images / image.name)
+        image.name = f"IMG {number}.{ending}"
+        pixels.save(images / image.name, exif=exif if number != 2 else b"")
+        (tmp_path / "upright").mkdir(exist_ok=True)
+        pixels.save(tmp_path / "upright" / image.name)
+    written.write_binary(tmp_path / "model")
+    for folder, out in ((images, "turned"), (tmp_path / "upright", "plain")):
+        words = ("--to", "openmvs", "--images", folder, "--out", tmp_path / out)
+        assert run("export", tmp_path / "model", *words).exit_code == 0
+    for image in written.images.values():
+        turned, plain = (
+            PIL.Image.open(tmp_path / out / "images" / image.name) for out in ("turned", "plain")
+        )
+        assert turned.getexif().get(274, 1) == 1
+        np.testing.assert_array_equal(np.asarray(turned), np.asarray(plain))
+        if ending == "jpg":  # the rest of the file is as it was
+            assert (turned.getexif().get(271) == "Maker") == (image.image_id != 2)
+    for folder in ("sparse", "sparse/0"):
+        read = pycolmap.Reconstruction(tmp_path / "turned" / folder)
+        assert {image.name for image in read.images.values()} == {
+            image.name for image in written.images.values()
+        }
+    assert not list((tmp_path / "turned" / "sparse").glob("*.txt"))
 
 
 def test_unusable_input_is_one_line_and_leaves_nothing(images: Path, tmp_path: Path) -> None:
