@@ -124,7 +124,7 @@ def run_method(
             sift_database(database, views.root, views.cameras, mapping.mapper_threads, withheld)
             refines = mapping.refine_intrinsics or withheld is not None
             mapping = replace(mapping, refine_intrinsics=refines)
-            model = sparse_model(map_database(database, views.root, mapping))
+            model = sparse_model(map_database(database, views.root, mapping)[0])
             figures["pairs"] = figures["poses"] = len(views.poses) * (len(views.poses) - 1) // 2
         else:
             batch = run_batch(

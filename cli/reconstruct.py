@@ -30,8 +30,8 @@ def reconstruct(
 
     FOLDER may also be a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
-    Writes sparse/ (COLMAP's model), database.db, points.ply, picture.png, model.html, summary.json,
-    and batch/, the folder of the batch.
+    Writes sparse/ (COLMAP's model; further scenes in sparse/1/, ...), database.db, points.ply,
+    picture.png, model.html, summary.json, and batch/, the folder of the batch.
     """
     from dgc_pose.batch.source import BATCH, PAGE, PICTURE, PLAN, open_source
     from dgc_pose.colmap import reconstruction
@@ -49,7 +49,7 @@ def reconstruct(
             raise InputError(f"{there}: --resume continues the run and replaces it")
         if not (out / BATCH / PLAN).is_file():
             raise InputError(f"{there}, and {out} holds no batch to continue")
-    reconstruction.require_model_folder(out / reconstruction.MODEL)
+    reconstruction.require_model_folder(out / reconstruction.MODEL, several=True)
     if options.gps or options.scale:  # refused before the matching
         images = open_source(Path(source), choice.root, choice.masks)
         known_metres(images.root, images.names, options)
@@ -72,6 +72,9 @@ def reconstruct(
         f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "
         f"reprojection error {data['reprojection_error_px']:.3f} px"
     )
+    for number, other in enumerate(model.others, start=1):
+        facts = f"{len(other.poses)} of {data['images']} images, {len(other.points)} points"
+        click.echo(f"{out / reconstruction.MODEL / str(number)}: {facts}, in axes of its own")
     for fact, value in model.metric.items():
         click.echo(f"{fact.replace('_', ' ')}: {value}")
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
@@ -80,7 +83,7 @@ def reconstruct(
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
     cameras = [(c.images, f"{c.model}, f = {c.focal_px:.1f} px{after}") for c in model.cameras]
     echo_each_camera(cameras, out / reconstruction.SUMMARY)
-    for name in data["not_registered"]:
-        say(f"not registered: {name}")
+    for name, pairs in data["not_registered_pairs"].items():
+        say(f"not registered: {name}: {pairs}")
     if view:
         webbrowser.open((out / PAGE).resolve().as_uri())

@@ -84,18 +84,15 @@ def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: 
     if all(len(image.name.split()) == 1 for image in model.images.values()):  # as text needs it
         undistorted.write_text(out / "sparse")  # for any InterfaceCOLMAP
     for image in model.images.values():
-        if not (out / "images" / image.name).is_file():
+        path = out / "images" / image.name
+        if not path.is_file():
             raise InputError(f"{images / image.name}: pycolmap does not read this photograph")
-        _lay_flat(out / "images" / image.name)
-
-
-def _lay_flat(path: Path) -> None:
-    """Remove the EXIF turn of a photograph that pycolmap wrote, and leave its pixels."""
-    header = image_header(path)
-    if header.orientation != 1 and header.format == "JPEG":
-        path.write_bytes(_ORIENTATION.sub(b"\\1\x01", path.read_bytes(), count=1))
-    elif header.orientation != 1:  # a PNG
-        cv2.imwrite(str(path), np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+        header = image_header(path)
+        # The turn goes and the pixels stay, which the camera is of.
+        if header.orientation != 1 and header.format == "JPEG":
+            path.write_bytes(_ORIENTATION.sub(b"\\1\x01", path.read_bytes(), count=1))
+        elif header.orientation != 1:  # a PNG
+            cv2.imwrite(str(path), np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
 
 
 def tum(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path) -> None:

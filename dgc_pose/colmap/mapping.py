@@ -21,8 +21,8 @@ class MappingError(DgcPoseError):
     """COLMAP made no model."""
 
 
-def map_database(database: Path, images: Path, options: MappingOptions) -> pycolmap.Reconstruction:
-    """The model with the most images. Raises MappingError if there is none."""
+def map_database(database: Path, images: Path, options: MappingOptions) -> list[Any]:
+    """COLMAP's models, that with the most images first. Raises MappingError if there is none."""
     pycolmap.set_random_seed(_SEED)
     with scratch_folder() as folder:
         try:
@@ -34,7 +34,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> pycol
         raise MappingError(
             f"{database}: pycolmap's {options.mapper} mapper made no model of {MIN_IMAGES} images"
         )
-    return max(models.values(), key=lambda model: (model.num_reg_images(), model.num_points3D()))
+    return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
 
 
 def _pipeline_options(options: MappingOptions) -> Any:

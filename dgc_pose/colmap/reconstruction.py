@@ -1,4 +1,4 @@
-"""From a finished batch to a model, its points and a summary in one folder."""
+"""From a finished batch to its models, points and a summary in one folder."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
@@ -9,11 +9,11 @@ import numpy as np
 
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.export import Exported, share, write_shared
-from dgc_pose.colmap.mapping import map_database
+from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.points_file import write_model_points
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
 from dgc_pose.system.colmap_library import pycolmap
@@ -50,6 +50,7 @@ class SparseModel:
     cameras: tuple[ModelCamera, ...]
     shapes: Mapping[str, np.ndarray]  # width and height (2,) over the focal length by image name
     metric: Mapping[str, Any] = field(default_factory=dict)  # unit and frame, see `to_metres`
+    others: tuple["SparseModel", ...] = ()  # smaller ones of the same batch, each in its own axes
 
     def centre(self, name: str) -> np.ndarray:
         """Position (3,) of a camera."""
@@ -65,7 +66,9 @@ def reconstruct(
 ) -> tuple[SparseModel, Exported]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
 
-    Bundle adjustment refines the cameras of a batch that had no focal length for one of them.
+    The model is that with the most images. Others, of images that it is not connected with, are
+    in `sparse/1`, ... by their size. Bundle adjustment refines the cameras of a batch that had no
+    focal length for one of them.
 
     Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
     model's, another process writes into `out`, or no pair has a pose; both as `to_metres` too;
@@ -73,21 +76,27 @@ def reconstruct(
     """
     options = options or ReconstructionOptions()
     mapping = replace(options.mapping, refine_intrinsics=refines(batch, options))
-    require_model_folder(out / MODEL)
+    require_model_folder(out / MODEL, several=True)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
-        shared, pairs = share(batch, options.per_image, progress)
-        exported = write_shared(batch, shared, pairs, out / DATABASE)
-        reconstruction = map_database(out / DATABASE, batch.plan.root, mapping)
-        metric = to_metres(reconstruction, batch.plan.root, batch.plan.names, options)
+        try:
+            shared, pairs = share(batch, options.per_image, progress)
+            exported = write_shared(batch, shared, pairs, out / DATABASE)
+            found = map_database(out / DATABASE, batch.plan.root, mapping)
+        except (InputError, MappingError) as error:
+            raise type(error)(*error.args, *_what_stays(batch)) from error
+        metric = to_metres(found[0], batch.plan.root, batch.plan.names, options)
         # pycolmap raises nothing for a disk that is full.
-        points = _POINT_BYTES * reconstruction.num_points3D()
-        require_room(out / MODEL, _KEY_POINT_BYTES * exported.key_points + points)
+        points = _POINT_BYTES * sum(model.num_points3D() for model in found)
+        require_room(out / MODEL, _KEY_POINT_BYTES * len(found) * exported.key_points + points)
         with replaced_folder(out / MODEL) as folder:
-            reconstruction.write_binary(folder)
+            for number, model in enumerate(found):
+                (folder / str(number or "")).mkdir(exist_ok=True)
+                model.write_binary(folder / str(number or ""))
         with replaced(out / POINTS) as temporary:
-            write_model_points(temporary, reconstruction, out / POINTS)
-    return replace(sparse_model(reconstruction), metric=metric), exported
+            write_model_points(temporary, found[0], out / POINTS)
+    largest, *others = map(sparse_model, found)
+    return replace(largest, metric=metric, others=tuple(others)), exported
 
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
@@ -95,11 +104,24 @@ def refines(batch: Batch, options: ReconstructionOptions) -> bool:
     return options.mapping.refine_intrinsics or batch.plan.uncertain
 
 
-def require_model_folder(folder: Path) -> None:
-    """Raise InputError unless this is a folder of nothing but a model's files, or not there."""
-    if folder.is_dir() and _MODEL_FILES.issuperset(path.stem for path in folder.iterdir()):
-        return
-    if folder.exists():
+def _what_stays(batch: Batch) -> tuple[str, ...]:
+    """The end of a message, if in most pairs most matches stay within a pixel; else nothing."""
+    found = (matches for _, matches in batch.matches() if len(matches.scores))
+    count = sum(np.median(np.hypot(*(m.points2 - m.points1).T)) < 1 for m in found)
+    facts = f"(in {count} of {len(batch.rows)} pairs most matches stay at the same pixels:"
+    end = (facts, ArgumentName("masks"), "leaves a background that stands still out)")
+    return end if 2 * count > len(batch.rows) else ()
+
+
+def require_model_folder(folder: Path, *, several: bool = False) -> None:
+    """Raise InputError unless this is a folder of nothing but a model's files, or not there.
+
+    several: whether it may have the folders 1, 2, ... of further models.
+    """
+    inside = [*folder.rglob("*")]
+    models = {folder / str(number) for number in range(1, several * len(inside))}
+    own = (path in models if path.is_dir() else path.stem in _MODEL_FILES for path in inside)
+    if not all(own) or (folder.exists() and not folder.is_dir()):
         raise InputError(f"{folder}: holds other files than those of a model, and is kept")
 
 
@@ -147,11 +169,18 @@ def write_summary(
     out: Path, batch: Batch, model: SparseModel, exported: Exported, seconds: Mapping[str, float]
 ) -> dict[str, Any]:
     """Write `summary.json`. seconds: by stage. Returns its data."""
-    names = batch.plan.names
+    names, models = batch.plan.names, (model, *model.others)
+    left_out = {}
+    for name in names:
+        if not any(name in each.poses for each in models):
+            posed = [row.success for row in batch.rows if name in (row.name1, row.name2)]
+            left_out[name] = f"a pose in {sum(posed)} of its {len(posed)} pairs"
     data = {
         "images": len(names),
         "registered": len(model.poses),
-        "not_registered": [name for name in names if name not in model.poses],
+        "not_registered": [*left_out],
+        "not_registered_pairs": left_out,
+        "models": [{"images": sorted(m.poses), "points": len(m.points)} for m in models],
         "points": len(model.points),
         "mean_track_length": round(model.mean_track_length, 3),
         "reprojection_error_px": round(model.reprojection_error_px, 4),

@@ -75,8 +75,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
     calibration = Calibration(str(path), parts=file.parts, common=file.common)
-    folder = path if path.is_dir() else path.parent
-    names = {name: _image_name(root, name, folder) for name in file.poses}
+    names = {name: _image_name(root, name, path.parent) for name in file.poses}
     missing = sorted(name for name, there in names.items() if there is None)
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
@@ -132,7 +131,7 @@ def model_path(path: Path) -> Path:
 
 
 def _image_name(root: Path, name: str, folder: Path) -> str | None:
-    """The name, relative to the root, of the image that a model of a folder has under a name: that
+    """The name, relative to the root, of the image that a model in a folder has under a name: that
     path, from either, or its last part; NeRF's names may lack their ending. None if there is none.
     """
     stated = os.path.normpath(os.path.join(os.path.realpath(folder), name))

@@ -13,13 +13,19 @@ import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
 from command_line import assert_refused, run
-from multi_view import K, K_text, View
+from multi_view import K, K_text, View, render_views, write_views
 
 from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.options import MapperName, MappingOptions, ReconstructionOptions
-from dgc_pose.colmap.reconstruction import SparseModel, reconstruct, sparse_model
+from dgc_pose.colmap.reconstruction import (
+    SparseModel,
+    reconstruct,
+    require_model_folder,
+    sparse_model,
+)
 from dgc_pose.errors import InputError
+from dgc_pose.localization.model import load_model
 from dgc_pose.metrics import rotation_error_deg
 
 COUNT = 5
@@ -110,6 +116,57 @@ def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -
     assert f"RADIAL, f = {camera['focal_px']:.1f} px after bundle" in result.output
     model = sparse_model(pycolmap.Reconstruction(out / "sparse"))
     _assert_true(model, views[1], 0.3, 0.02)
+
+
+def test_each_scene_of_a_folder_has_a_model(tmp_path: Path) -> None:
+    """Of five, of four and of one photograph: the largest model is where one alone is, a second run
+    replaces both, and what would write a single model over them does not."""
+    out, scenes = tmp_path / "out", tmp_path / "photos"
+    for seed, (name, count) in enumerate({"a": 4, "b": COUNT, "c": 1}.items()):
+        write_views(scenes / name, render_views(count, seed=seed))
+    arguments = ("reconstruct", scenes, "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
+    small, large = ([f"{name}/view{i}.png" for i in range(n)] for name, n in (("a", 4), ("b", 5)))
+    for words in ((), ("--resume",)):
+        result = run(*arguments, *words)
+        assert result.exit_code == 0, result.output
+        assert f"{out / 'sparse'}: 5 of 10 images" in result.stdout
+        assert f"{out / 'sparse' / '1'}: 4 of 10 images" in result.stdout
+        assert "not registered: c/view0.png: a pose in 0 of its 9 pairs\n" in result.stderr
+        summary = json.loads((out / "summary.json").read_text())
+        assert summary["not_registered"] == ["c/view0.png"]
+        assert [model["images"] for model in summary["models"]] == [large, small]
+        for folder, names in (("sparse", large), ("sparse/1", small)):
+            written = pycolmap.Reconstruction(out / folder)
+            assert sorted(i.name for i in written.images.values() if i.has_pose) == names
+    assert sorted(load_model(out, scenes).poses) == large
+    assert sorted(load_model(out / "sparse" / "1", scenes).poses) == small
+    require_model_folder(out / "sparse" / "1")
+    with pytest.raises(InputError, match="holds other files"):
+        require_model_folder(out / "sparse")
+
+
+@pytest.mark.parametrize("status", ["", "rotation_only"])
+def test_a_background_that_stands_still_is_named(status: str, tmp_path: Path) -> None:
+    """An object that turns before it, whether its pairs have no pose or a rotation of nothing."""
+    views = render_views(4)
+    still = [views[0].pixels.copy() for _ in views]
+    for pixels, view in zip(still, views, strict=True):
+        pixels[60:120, 80:160] = view.pixels[60:120, 80:160]
+    write_views(tmp_path / "photos", [View(p, v.R, v.t) for p, v in zip(still, views, strict=True)])
+    folder = run_sift(tmp_path / "photos", tmp_path / "batch").folder
+    if status:
+        rows = [json.loads(line) for line in (folder / "pairs.jsonl").read_text().splitlines()]
+        facts = {"status": status, "R": np.eye(3).ravel().tolist(), "alternatives": []}
+        text = "\n".join(json.dumps(row | facts) for row in rows)
+        (folder / "pairs.jsonl").write_text(text + "\n")
+        with h5py.File(folder / "matches.h5", "r+") as file:
+            for row in rows:
+                file[f"{row['name1']}/{row['name2']}/inliers"][:] = True
+    said = "made no model of 3 images" if status else "no pair of this batch has a pose"
+    stay = r" \(in 6 of 6 pairs most matches stay at the same pixels: masks leaves a background"
+    with pytest.raises((InputError, MappingError), match=said + stay):
+        reconstruct(read_batch(folder), tmp_path / "model")
+    assert not (tmp_path / "model" / "sparse").exists()
 
 
 def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
