@@ -66,9 +66,9 @@ def reconstruct(
 ) -> tuple[SparseModel, Exported]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
 
-    The model is that with the most images. Others, of images that it is not connected with, are
-    in `sparse/1`, ... by their size. Bundle adjustment refines the cameras of a batch that had no
-    focal length for one of them.
+    The model is that with the most images; its `others`, of further scenes, are in `sparse/1`, ...
+    by their size. Bundle adjustment refines the cameras of a batch that had no focal length for
+    one of them.
 
     Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
     model's, another process writes into `out`, or no pair has a pose; both as `to_metres` too;
