@@ -10,6 +10,7 @@ import numpy as np
 
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.files.inputs import open_regular, read_as
 from dgc_pose.files.outputs import writing
 from dgc_pose.system.options import check_options
@@ -59,6 +60,7 @@ class PairRow:
     focal2: float | None = None
     focal_std1: float | None = None
     focal_std2: float | None = None
+    camera_model: ModelName = "assumed"  # that the matches agree with, where no K states it
     alternatives: tuple[HypothesisRow, ...] = ()  # if ambiguous all poses, the likeliest first
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
@@ -83,6 +85,7 @@ def row_of(names: tuple[str, str], pose: RelativePose, error_px: float) -> PairR
         R=None if pose.R is None else _numbers(pose.R),
         t=None if pose.t is None else _numbers(pose.t),
         error_px=error_px,
+        camera_model="assumed" if pose.evidence is None else pose.evidence.camera_model,
         alternatives=tuple(
             HypothesisRow(_numbers(o.R), _numbers(o.t), o.num_inliers, o.probability)
             for o in pose.alternatives

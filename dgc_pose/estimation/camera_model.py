@@ -9,7 +9,7 @@ camera by its prior, so that the costs of all models can be compared.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -53,8 +53,9 @@ _EXPLAINED, _CLOSE = 0.97, 0.2
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _ASPECT_STD = 0.4  # of ln fy / fx of squeezed pixels
 _CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
-# Focal lengths over the longer side, and the deviations of their logarithms, without EXIF data.
-_WIDE: dict[str, tuple[float, float]] = {FISHEYE: (0.55, 0.35), CYLINDER: (0.6, 0.4)}
+# The projections; without EXIF data focal lengths over the longer side, and the deviations of their
+# logarithms.
+_WIDE = {"fisheye": (FISHEYE, 0.55, 0.35), "cylinder": (CYLINDER, 0.6, 0.4)}
 _STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f that are tried
 
 
@@ -201,19 +202,17 @@ def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:
 def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]:
     """The other models. pose: fitted with the cameras as stated."""
 
-    def changed(
-        change: Callable[[Camera], Camera], which: Callable[[Camera], bool] = _is_open
-    ) -> tuple[Camera, Camera]:
-        first, second = (change(camera) if which(camera) else camera for camera in stated)
+    def changed(name: ModelName) -> tuple[Camera, Camera]:
+        first, second = (with_model(camera, name) for camera in stated)
         return first, second
 
-    def wide(name: ModelName, model: str) -> CameraModel:
-        cameras = changed(lambda camera: _wide(camera, model))
+    def wide(name: ModelName) -> CameraModel:
+        cameras = changed(name)
         stds = np.array([camera.focal_std for camera in cameras])
         return CameraModel(name, cameras, [of_focals(k * stds) for k in _STEPS])
 
     focals = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
-    squeezed = changed(lambda camera: replace(camera, aspect_std=_ASPECT_STD), _is_edited)
+    squeezed = changed("squeezed")
     aspects = np.array([camera.aspect_std for camera in squeezed])
     others = [
         CameraModel(
@@ -226,15 +225,13 @@ def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]
             ],
             pose,
         ),
-        CameraModel("off_centre", changed(_part, _is_edited), (), pose),
-        wide("fisheye", FISHEYE),
-        wide("cylinder", CYLINDER),
+        CameraModel("off_centre", changed("off_centre"), (), pose),
+        wide("fisheye"),
+        wide("cylinder"),
     ]
     if any(camera.focal_source == "exif" for camera in stated):
-        # A zoom or a crop, perhaps of one image, of which EXIF data say nothing.
-        zoomed = changed(lambda camera: replace(camera, focal_std=SIZE_STD, identity=None))
         apart = [of_focals(focals + np.array([-k, k])) for k in (-0.25, -0.125, 0.125, 0.25)]
-        others.append(CameraModel("zoomed", zoomed, apart, pose))
+        others.append(CameraModel("zoomed", changed("zoomed"), apart, pose))
     return others
 
 
@@ -248,17 +245,22 @@ def _is_edited(camera: Camera) -> bool:
     return _is_open(camera) and (camera.focal_source == "size" or is_of_part(camera))
 
 
-def _part(camera: Camera) -> Camera:
-    """The camera of a part of an image, whose principal point is its own."""
-    most = _CENTRE_STD * max(camera.size or (0,))
-    return replace(camera, centre_std=max(camera.centre_std, most))
-
-
-def _wide(camera: Camera, model: str) -> Camera:
-    """A camera with another projection."""
+def with_model(camera: Camera, name: ModelName) -> Camera:
+    """A camera that is not fitted yet by another model; itself if it cannot be of that."""
+    longer = max(camera.size or (0,))
+    if not (_is_edited(camera) if name in ("squeezed", "off_centre") else _is_open(camera)):
+        return camera
+    if name == "squeezed":
+        return replace(camera, aspect_std=_ASPECT_STD)
+    if name == "off_centre":  # of a part of an image, whose principal point is its own
+        return replace(camera, centre_std=max(camera.centre_std, _CENTRE_STD * longer))
+    if name == "zoomed":  # or cut, perhaps of one image, of which EXIF data say nothing
+        return replace(camera, focal_std=SIZE_STD, identity=None)
+    if name not in _WIDE:
+        return camera
+    projection, over_side, std = _WIDE[name]
     if camera.focal_source == "size":
-        over_side, std = _WIDE[model]
-        camera = replace(camera.with_focal(over_side * max(camera.size or (0,))), focal_std=std)
-    if model == CYLINDER:
-        return replace(camera, distortion=Distortion(model), lens_std=0.0)
-    return replace(camera, distortion=Distortion(model, (0.0,) * 4))
+        camera = replace(camera.with_focal(over_side * longer), focal_std=std)
+    if projection == CYLINDER:
+        return replace(camera, distortion=Distortion(projection), lens_std=0.0)
+    return replace(camera, distortion=Distortion(projection, (0.0,) * 4))
