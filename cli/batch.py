@@ -26,6 +26,7 @@ from dgc_pose.system.options import option
 if TYPE_CHECKING:
     from dgc_pose.batch.result import Batch
     from dgc_pose.batch.rows import PairRow
+    from dgc_pose.batch.source import Source
 
 CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
@@ -55,19 +56,28 @@ class BatchChoice(KChoice):
         "auto:10 for more.",
         metavar="WAY",
     )
+    frames: int = option(40, "Frames taken of a video.", metavar="N", min=2, max=10**6)
     work: BatchOptions
     matcher: MatcherOptions
     estimation: EstimationOptions
+
+    def open(self, source: str, out: Path) -> Source:
+        """The source of the batch in `out`, which frames of a video are kept beside."""
+        from dgc_pose.batch.source import open_source
+        from dgc_pose.images.video import frames_folder
+
+        frames = out.with_name(f"{out.name}_{self.frames}_frames_of_{Path(source).name}")
+        path = frames_folder(Path(source), self.frames, frames)
+        return open_source(path, self.root, self.masks)
 
 
 def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 2) -> Batch:
     """Run a batch, and show its progress. Raises InputError for fewer than `min_images`."""
     from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.run import run_batch
-    from dgc_pose.batch.source import open_source
     from dgc_pose.cameras.calibration import read_calibration
 
-    images = open_source(Path(source), choice.root, choice.masks)
+    images = choice.open(source, out)
     for line in images.left_out:
         say(f"warning: {line}")
     if len(images.names) < min_images:
@@ -108,7 +118,8 @@ def report(batch: Batch) -> None:
         if camera["focal_source"] == "matches":
             source = f"from {counted(camera['pairs'], 'pair')}"
         else:
-            source = f"from the {_SOURCES[camera['focal_source']]}: no pair determines it"
+            unknown = ": no pair determines it" * (std > 0)
+            source = f"from the {_SOURCES[camera['focal_source']]}{unknown}"
         lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}"))
     echo_each_camera(lines, "cameras.csv")
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
@@ -158,8 +169,8 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
 def batch(source: str, out: Path, choice: BatchChoice) -> int:
     """Match many pairs of photographs and estimate their poses.
 
-    SOURCE is a folder of photographs, a list of pairs (two names a line, SuperGlue's lines, or a
-    .csv), or a COLMAP database (.db).
+    SOURCE is a folder of photographs, a video, a list of pairs (two names a line, SuperGlue's
+    lines, or a .csv), or a COLMAP database (.db).
 
     Writes pairs.jsonl, a row for each pair: status, R, t, expected errors, counts;
     matches.h5, the matches in hloc's layout; and summary.json. With --K auto also cameras.csv, the

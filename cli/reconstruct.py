@@ -28,12 +28,12 @@ def reconstruct(
 ) -> None:
     """Reconstruct cameras and points from a folder of photographs.
 
-    FOLDER may also be a list of pairs or a COLMAP database, as for `dgc-pose batch`.
+    FOLDER may also be a video, a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
     Writes sparse/ (COLMAP's model; further scenes in sparse/1/, ...), database.db, points.ply,
     picture.png, model.html, summary.json, and batch/, the folder of the batch.
     """
-    from dgc_pose.batch.source import BATCH, PAGE, PICTURE, PLAN, open_source
+    from dgc_pose.batch.source import BATCH, PAGE, PICTURE, PLAN
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MIN_IMAGES
     from dgc_pose.colmap.metric import known_metres
@@ -51,7 +51,7 @@ def reconstruct(
             raise InputError(f"{there}, and {out} holds no batch to continue")
     reconstruction.require_model_folder(out / reconstruction.MODEL, several=True)
     if options.gps or options.scale:  # refused before the matching
-        images = open_source(Path(source), choice.root, choice.masks)
+        images = choice.open(source, out / BATCH)
         known_metres(images.root, images.names, options)
     start = time.perf_counter()
     batch = work_through(source, out / BATCH, choice, MIN_IMAGES)

@@ -131,6 +131,10 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     Raises InputError, naming what differs, if the batch had other settings, images, pairs, or other
     cameras of photographs that have not changed.
     """
+    changed = sorted({*now.names} ^ {*before.names})
+    if changed and now.root == before.root:
+        what = "is not there any more" if changed[0] in before.names else "is new since that batch"
+        raise InputError(f"{now.root / changed[0]} {what}:", _RESUME, "needs the same")
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     for what in {**old, **new}:
@@ -139,7 +143,7 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
             differs = f"{out / PLAN}: that batch had {what} {had}, not {has}:"
             raise InputError(differs, _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
-    return replace(now, pairs=before.pairs, bad=bad | dict(now.bad))
+    return replace(now, names=before.names, pairs=before.pairs, bad=bad | dict(now.bad))
 
 
 def _facts(plan: Plan, names: Iterable[str], *, pairs: bool) -> dict[str, Any]:
@@ -148,7 +152,6 @@ def _facts(plan: Plan, names: Iterable[str], *, pairs: bool) -> dict[str, Any]:
     names: of the images whose cameras count; pairs: whether the pairs do.
     """
     facts: dict[str, Any] = {"the folder": str(plan.root)}
-    facts |= {f"the image {i + 1}": name for i, name in enumerate(plan.names)}
     for name, value in json.loads(json.dumps(plan.settings)).items():
         inner = value if isinstance(value, dict) else {"": value}
         facts |= {f"the option {name} {key}".rstrip(): inner[key] for key in inner}

@@ -1,19 +1,21 @@
 """The source of a batch: photographs, their cameras and sizes, and the pairs if they are given."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import Size, times
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
-from dgc_pose.cameras.prior import with_orientation
+from dgc_pose.cameras.prior import is_of_upright, with_orientation
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.images.folder import left_out_line, search_images
-from dgc_pose.images.image import image_header
+from dgc_pose.images.header import Header
+from dgc_pose.images.image import image_header, upright_header
 from dgc_pose.images.mask import mask_file
 
 PLAN = "plan.json"  # in the folder of a batch
@@ -105,36 +107,50 @@ def survey(
     """By image name: cameras with the sizes in the headers; the reasons of images that cannot be
     used; and the states of the files, absent for a file that cannot be asked.
 
-    Raises InputError if an image has no camera or one for another size, or if one K without a size
-    is given for images of several.
+    Raises InputError if an image has no camera or one for another size, or if one K is given for
+    images of several sizes, unless these are turned by 90 degrees, see `Camera.turned`.
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
     states: dict[str, FileState] = {}
-    sizes: set[tuple[int, int]] = set()  # of images with the common K
+    headers: dict[str, Header] = {}
     for name in source.names:
         path = source.root / name
         with suppress(OSError):
             files = [file.stat() for file in (path, mask_file(source.masks, name)) if file]
             states[name] = tuple(n for s in files for n in (s.st_size, s.st_mtime_ns))
         try:
-            header = image_header(path)
+            headers[name] = image_header(path)
         except ImageError as error:
             bad[name] = str(error)
-            continue
+    size = _size_of_common(calibration, headers.values())
+    for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)
         if listed is not None and calibration.lacks(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
-        elif calibration.common is not None:
-            sizes.add(header.size)
-        camera = of_image.camera(source.root, name, header)
+        camera = of_image.camera(source.root, name, replace(header, size=size or header.size))
+        if size is not None and size != header.size:
+            camera = camera.turned(size, header.orientation)
         cameras[name] = replace(with_orientation(camera, header), size=header.size)
-    if len(sizes) > 1:
-        listed_sizes = " and ".join(f"{w}x{h}" for w, h in sorted(sizes)[:2])
-        raise InputError(
-            f"one K for images of several sizes ({listed_sizes}): give a file with a K for each "
-            "image"
-        )
     return cameras, bad, states
+
+
+def _size_of_common(calibration: Calibration, headers: Collection[Header]) -> Size | None:
+    """The size of the images that the K of all is for, of those turned by 90 degrees; None without
+    such a K. Raises InputError for images of several other sizes."""
+    if calibration.common is None or not headers:
+        return None
+    sizes = sorted({header.size for header in headers})
+    K, stated = calibration.common, calibration.details.size
+    upright = {upright_header(header).size for header in headers}
+    known = [
+        size for size in {*sizes, *upright} if is_of_upright(K, stated, Header("", size[::-1], 6))
+    ]
+    if len({tuple(sorted(size)) for size in sizes}) > 1 or (len(sizes) > 1 and not known):
+        raise InputError(
+            f"one K for images of several sizes ({' and '.join(map(times, sizes[:2]))}): give a "
+            "file with a K for each image"
+        )
+    return known[0] if known else sizes[0]

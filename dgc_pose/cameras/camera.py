@@ -78,8 +78,8 @@ class Camera:
 
     @property
     def exact(self) -> bool:
-        """Whether the focal lengths and the lens are known exactly."""
-        return not (self.focal_std or self.lens_std or self.aspect_std)
+        """Whether the focal lengths, the principal point and the lens are known exactly."""
+        return not (self.focal_std or self.centre_std or self.lens_std or self.aspect_std)
 
     @property
     def focal(self) -> float:
@@ -122,6 +122,22 @@ class Camera:
         K = self.K * scale[:, None]
         K[:2, 2] = rescale(self.K[:2, 2], self.size, size)
         return replace(self, K=K, size=(int(size[0]), int(size[1])))
+
+    def turned(self, size: tuple[int, int], orientation: int) -> Camera:
+        """The camera of photographs of `size` (width, height) that are stored turned by 90 degrees,
+        which EXIF orientation 6 or 8 undoes. With any other it is not known in which sense: then
+        the principal point is the middle, with a deviation, and the camera is of its image alone.
+        Raises InputError if the lens is not the same once turned."""
+        (width, height), focals, (cx, cy) = size, self.K.diagonal()[:2], self.K[:2, 2]
+        # Of a normalised point, and of the same point turned.
+        (x, y), turned = (self.project(np.array([[0.3, 0.2], [-0.2, 0.3]])) - (cx, cy)) / focals
+        if not np.allclose(turned, (-y, x)):
+            raise InputError("K has another lens in turned photographs: give a K for each image")
+        if (centre := {6: (cy, width - 1 - cx), 8: (height - 1 - cy, cx)}.get(orientation)) is None:
+            std = math.hypot(self.centre_std, cx - (width - 1) / 2, cy - (height - 1) / 2)
+            middle = np.array([*focals[::-1], (height - 1) / 2, (width - 1) / 2])
+            return replace(self, K=middle, size=size[::-1], centre_std=std, identity=None)
+        return replace(self, K=np.array([*focals[::-1], *centre]), size=size[::-1])
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,8 @@ from dgc_pose.errors import ImageError
 from dgc_pose.files.inputs import read_start
 from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_format
 
+_PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
+
 
 @dataclass(frozen=True)
 class FolderImages:
@@ -46,7 +48,9 @@ def search_images(folder: str | Path) -> FolderImages:
             continue
         for path in (parent / entry for entry in entries if not entry.startswith(".")):
             name = path.relative_to(root).as_posix()
-            if os.path.isdir(path):
+            if (is_folder := os.path.isdir(path)) and path.name.lower() in _PREVIEWS:
+                left_out.setdefault(("folder", "previews that a device made"), []).append(name)
+            elif is_folder:
                 (links if path.is_symlink() else folders).append(path)
             elif (why := _why_not(path, name)) is None:
                 names.append(name)

@@ -40,7 +40,9 @@ class CameraRequest:
             raise InputError(f"camera must have a kind: {', '.join(kinds)}")
         k1, k2, file_name = (_text(data.get(key, "")) for key in ("k1", "k2", "name"))
         content = _decoded(data.get("content")) if data["kind"] == "file" else b""
-        fov = (data.get("fov") or 0) if data["kind"] == "fov" else None
+        fov = data.get("fov") if data["kind"] == "fov" else None
+        if data["kind"] == "fov" and fov is None:
+            raise InputError("give the field of view in degrees")
         return cls(data["kind"], k1.strip(), k2.strip(), fov, file_name, content)
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:

@@ -106,7 +106,8 @@ def _pair(
 def test_each_camera_has_its_pairs() -> None:
     """One of two images, one of an image alone, one that no pair tells, and one that is exact."""
     cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
-    cameras["e"] = replace(_camera("y"), focal_std=0.0, lens_std=0.0, focal_source="given")
+    exact = {"focal_std": 0.0, "centre_std": 0.0, "lens_std": 0.0, "focal_source": "given"}
+    cameras["e"] = replace(_camera("y"), **exact)  # type: ignore[arg-type]
     failed = _pair("a", "c", 500, 500)
     pairs = [
         _pair("a", "b", 121, 121),

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, write_masks
@@ -43,7 +44,12 @@ def _files(out: Path) -> dict[str, bytes]:
 
 
 def _add(photos: Path) -> Path:
-    shutil.copy(photos / "view0.png", photos / "added.png")
+    cv2.imwrite(str(photos / "added.png"), cv2.imread(str(photos / "view0.png"))[::-1])
+    return photos
+
+
+def _remove(photos: Path) -> Path:
+    (photos / "view2.png").unlink()
     return photos
 
 
@@ -60,7 +66,8 @@ CHANGES = {
     "K": (None, {"K": OTHER_K}, "had of view0.png the K [["),
     "folder": (_move, {}, "had the folder "),
     "masks": (_mask, {"masks": "masks"}, "had the option masks null, not "),
-    "added": (_add, {}, 'had the image 1 "view0.png", not "added.png"'),
+    "added": (_add, {}, "photos/added.png is new since that batch: "),
+    "removed": (_remove, {}, "photos/view2.png is not there any more: "),
     "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
     "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }
@@ -77,7 +84,7 @@ def test_what_differs_is_named_and_nothing_changes(
     apply, options, words = CHANGES[change]
     source = photos if apply is None else apply(photos)
     options = {k: tmp_path / "masks" if k == "masks" else v for k, v in options.items()}
-    with pytest.raises(InputError, match="that batch .*: resume needs the same") as raised:
+    with pytest.raises(InputError, match=": resume needs the same") as raised:
         run_sift(source, out, resume=True, **options)  # type: ignore[arg-type]
     assert words in str(raised.value) and "\n" not in str(raised.value)
     assert _files(out) == before

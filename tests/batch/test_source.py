@@ -6,8 +6,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from dgc_pose.batch.source import open_source, survey
-from dgc_pose.cameras.calibration import read_calibration
+from dgc_pose.batch.source import Source, open_source, survey
+from dgc_pose.cameras.calibration import KDetails, read_calibration
 from dgc_pose.errors import InputError
 
 
@@ -42,9 +42,9 @@ def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
 )
 def test_results_are_no_photographs(tmp_path: Path, plan: str, result: str, *, kept: bool) -> None:
     """Of `batch` and `reconstruct`, wherever they were put; all else is taken."""
-    for name in ("1.png", "2.png", result):
+    for count, name in enumerate(("1.png", "2.png", result)):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        _save(tmp_path / name, "PNG")
+        _save(tmp_path / name, "PNG", count)
     (tmp_path / plan).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / plan).write_text("{}")
     source = open_source(tmp_path)
@@ -71,7 +71,72 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | N
     )
 
 
-def test_a_video_is_no_list_of_pairs(tmp_path: Path) -> None:
-    (tmp_path / "x.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
-    with pytest.raises(InputError, match=r"x\.mp4: a list of pairs is text, and this is not$"):
-        open_source(tmp_path / "x.mp4")
+# fx, fy, cx, cy of an image of 64 x 48, and the same in COLMAP's line and for twice the size.
+K = (50.0, 52.0, 33.0, 23.0)
+KS = {
+    "numbers": ("50,52,33,23", None),
+    "line": ("RADIAL,64,48,50,33.5,23.5,0.1,0.01", None),
+    "size": ("100,104,66.5,46.5", (128, 96)),
+}
+
+
+@pytest.mark.parametrize("form", KS)
+@pytest.mark.parametrize("orientation", [1, 6, 8])
+def test_one_K_serves_photographs_that_are_turned(
+    tmp_path: Path, form: str, orientation: int
+) -> None:
+    """The K of stored pixels, by pixels that are turned as a reference: exactly with an EXIF
+    orientation; without one the principal point is the middle and its offset a deviation."""
+    exif = PIL.Image.Exif()
+    exif[274] = orientation
+    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
+    PIL.Image.new("L", (48, 64)).save(tmp_path / "b.jpg", exif=exif)
+    text, size = KS[form]
+    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    cameras, bad, _ = survey(source, read_calibration(text, "K", KDetails(size)))
+    fx, fy, cx, cy = K if form != "line" else (50, 50, 33, 23)
+    np.testing.assert_allclose(cameras["a.jpg"].K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    assert cameras["a.jpg"].centre_std == 0 and not bad
+    # Where each pixel of the stored image is in the upright one.
+    columns, rows = np.meshgrid(np.arange(64.0), np.arange(48.0))
+    stored = {6: np.rot90, 8: lambda pixels: np.rot90(pixels, -1)}.get(orientation)
+    turned = cameras["b.jpg"]
+    assert (turned.size, turned.K[0, 0], turned.K[1, 1]) == ((48, 64), fy, fx)
+    if stored is None:
+        assert turned.K[:2, 2].tolist() == [23.5, 31.5]
+        assert turned.centre_std == pytest.approx(np.hypot(1.5, 0.5))
+        assert turned.identity is None and not turned.exact
+    else:
+        x, y = turned.K[:2, 2].astype(int)
+        assert (stored(columns)[y, x], stored(rows)[y, x]) == (cx, cy)
+        assert turned.centre_std == 0
+    assert turned.warnings == () and turned.distortion == cameras["a.jpg"].distortion
+
+
+def test_a_K_of_upright_photographs_that_are_all_stored_turned(tmp_path: Path) -> None:
+    exif = PIL.Image.Exif()
+    exif[274] = 6
+    for name in ("a.jpg", "b.jpg"):
+        PIL.Image.new("L", (64, 48)).save(tmp_path / name, exif=exif)
+    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    cameras, _, _ = survey(source, read_calibration("PINHOLE,48,64,52,50,24,33"))
+    # (x, y) of the stored image is (47 - y, x) of the upright one.
+    np.testing.assert_allclose(cameras["a.jpg"].K, [[50, 0, 32.5], [0, 52, 23.5], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("K", "size", "words"),
+    [
+        ("50,52,33,23", (48, 60), "one K for images of several sizes .48x60 and 64x48."),
+        ("50,52,27,27", (48, 64), "one K for images of several sizes .48x64 and 64x48."),
+        ("OPENCV,64,48,50,52,33.5,23.5,0,0,0.01,0", (48, 64), "another lens in turned photographs"),
+    ],
+)
+def test_what_one_K_does_not_serve(
+    tmp_path: Path, K: str, size: tuple[int, int], words: str
+) -> None:
+    """Images of another shape; a K that may be of either; a lens with a direction."""
+    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
+    PIL.Image.new("L", size).save(tmp_path / "b.jpg")
+    with pytest.raises(InputError, match=words):
+        survey(Source(tmp_path, ("a.jpg", "b.jpg"), None, {}), read_calibration(K))

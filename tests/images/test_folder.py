@@ -56,6 +56,14 @@ def test_what_is_left_out_is_counted_by_its_reason(
     ]
 
 
+def test_previews_of_devices_are_left_out(tmp_path: Path) -> None:
+    for name in ("a.jpg", "@eaDir/a.jpg/SYNOPHOTO.jpg", "sub/Thumbs/1.jpg", "__MACOSX/b.jpg"):
+        _save(tmp_path / name)
+    images = search_images(tmp_path)
+    assert images.names == ("a.jpg",)
+    assert images.left_out == ("3 folders left out (first: @eaDir): previews that a device made",)
+
+
 def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
     """A file has the name of the folder that it lies in, and a loop of links comes to an end."""
     elsewhere = tmp_path / "elsewhere"

@@ -288,7 +288,8 @@ def test_the_command_and_the_python_give_the_same(
         ({"kind": "k", "k1": 400 * "1"}, "300 characters"),
         ({"kind": "k", "k1": "300,300,900,119.5"}, "outside image 1 of 320x240"),
         ({"kind": "fov", "fov": 0}, "fov must be an angle of 1 to 150 degrees"),
-        ({"kind": "fov", "fov": None}, "fov must be an angle"),
+        ({"kind": "fov", "fov": None}, "give the field of view"),
+        ({"kind": "fov"}, "give the field of view"),
         ({"kind": "fov", "fov": "wide"}, "fov must be a number"),
     ],
 )

@@ -152,6 +152,31 @@ def test_what_is_wrong_is_told(page, tmp_path):
     assert page.text("#reason").endswith("(rotation_only).")
 
 
+def test_an_error_stays_until_its_photograph_is_there(page, tmp_path):
+    """Whatever is sent to the other place, or estimated, meanwhile."""
+    bad, good = tmp_path / "bad.png", rendered_pair().path1
+    bad.write_bytes(b"not an image")
+    page.choose("#file1", bad)
+    page.wait("document.querySelector('#error').textContent.startsWith('bad.png: ')")
+    page.errors.clear()  # the browser notes the refusal
+    page.choose("#file2", good)
+    page.wait("document.querySelector('#caption2').textContent.startsWith('image1.jpg')")
+    assert not page.evaluate("document.querySelector('#error').hidden")
+    assert page.text("#error").startswith("bad.png: ")
+    page.choose("#file1", rendered_pair().path2)
+    page.wait(DONE)
+    assert page.evaluate("document.querySelector('#error').hidden")
+
+
+def test_an_empty_field_of_view_is_asked_for(rendered):
+    rendered.click("[value=fov]")
+    set_value(rendered, "#fov", "")
+    rendered.click("#estimate")
+    rendered.wait("document.querySelector('#error').textContent.includes('field of view')")
+    rendered.errors.clear()  # the browser notes the refusal
+    assert rendered.text("#error") == "give the field of view in degrees"
+
+
 STALE = "document.querySelector('#result').classList.contains('stale')"
 
 

@@ -10,6 +10,7 @@ import { View } from "./view.js";
 
 const at = (id) => document.getElementById(id);
 const images = [null, null]; // as the server described them
+const refused = ["", ""]; // why the photograph that was last sent to a place is not there
 let result = null;
 let resultInputs = ""; // those that it is of, see `inputs`
 let pairsKnown = ""; // of the table, see `known`
@@ -20,15 +21,15 @@ let drawn = 150; // matches, as chosen; a result may have fewer
 const view = new View(at("view"), at("pointed"));
 const scene = new Scene(at("scene"));
 
-function fail(error) {
-  at("error").textContent = error.message;
-  at("error").hidden = false;
-  at("progress").textContent = "";
+/** Tell what is being done and what is wrong, besides the photographs that were refused. */
+function begin(text, error = "") {
+  at("error").textContent = [...refused, error].filter(Boolean).join("; ");
+  at("error").hidden = !at("error").textContent;
+  at("progress").textContent = text;
 }
 
-function begin(text) {
-  at("error").hidden = true;
-  at("progress").textContent = text;
+function fail(error) {
+  begin("", error.message);
 }
 
 function kind() {
@@ -53,7 +54,7 @@ function compare() {
 }
 
 function show(index, image) {
-  images[index] = { ...image, number: ++shownImages };
+  [images[index], refused[index]] = [{ ...image, number: ++shownImages }, ""];
   at(`picture${index + 1}`).src = image.picture;
   at(`picture${index + 1}`).alt = image.name;
   at(`picture${index + 1}`).hidden = false;
@@ -71,9 +72,9 @@ async function sendAll(index, files) {
     await sendFile(file).then((image) => sent.push(image), ({ message }) => failures.push(message));
   }
   if (photographs.length > 2 && number !== newestPairs) return; // others have been dropped
-  begin("");
   sent.slice(0, 2).forEach((image, n) => show(photographs.length > 1 ? n : index, image));
-  if (failures.length) fail(new Error(failures.join("; ")));
+  refused[index] = failures.join("; ");
+  begin("");
   if (photographs.length > 2) {
     listPairs(sent, (pair) => { pair.forEach((image, n) => show(n, image)); estimate(); });
     estimateAll();
@@ -81,7 +82,7 @@ async function sendAll(index, files) {
 }
 
 async function camera() {
-  if (kind() !== "file") return { kind: kind(), fov: Number(at("fov").value), k1: at("k1").value, k2: at("k2").value };
+  if (kind() !== "file") return { kind: kind(), fov: at("fov").valueAsNumber, k1: at("k1").value, k2: at("k2").value };
   const [file] = at("kfile").files;
   return { kind: "file", name: file?.name ?? "", content: file ? await base64(file) : "" };
 }
