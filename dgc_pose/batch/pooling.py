@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds
+from dgc_pose.estimation.camera_model import with_model
+from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds, is_of_part
 from dgc_pose.files.outputs import write_text
 
 CAMERAS = "cameras.csv"
@@ -32,7 +32,7 @@ _FAR_CENTRE_STDS = 1.5  # principal points that differ by more are far apart
 _MIN_VARIANCE = 1e-9  # of the prior's: keeps an information finite
 _COLUMNS = (
     *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px"),
-    *("lens_std", "camera"),
+    *("lens_std", "aspect_std", "camera"),
     *("model", "coefficients"),  # of the lens
 )
 
@@ -44,6 +44,7 @@ class PooledCamera:
     names: tuple[str, ...]  # its images
     camera: Camera  # of its first image
     pairs: int  # whose fits enter its focal length
+    why: str = ""  # its images share it, or its only image has it alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +56,27 @@ class CameraFit:
     weight: float = 1.0  # the probability that the pair's pose is right
 
 
+@dataclass(frozen=True, eq=False)
+class FittedPair:
+    """What a pair says of its cameras."""
+
+    index: int  # of the pair in the batch
+    row: PairRow
+    fits: np.ndarray | None  # (2, 7, 6), see `PoseInputs.camera_fits`
+
+    @property
+    def names(self) -> tuple[str, str]:
+        return self.row.name1, self.row.name2
+
+
+def is_known(camera: Camera) -> bool:
+    """Whether a pooled camera is better than one that a single pair fits."""
+    return camera.focal_std <= KNOWN_FOCAL_STD and not is_of_part(camera)
+
+
 def camera_fits(pose: RelativePose) -> np.ndarray | None:
-    """(2, 7, 6), see `PoseInputs.camera_fits`; None of cameras of another model."""
+    """(2, 7, 6), see `PoseInputs.camera_fits`."""
     if pose.camera_covariance is None or pose.camera1 is None or pose.camera2 is None:
-        return None
-    if pose.evidence is not None and pose.evidence.camera_model != "assumed":
         return None
     fits = np.empty((2, 1 + SIZE, SIZE))
     for side, camera in enumerate((pose.camera1, pose.camera2)):
@@ -69,40 +86,47 @@ def camera_fits(pose: RelativePose) -> np.ndarray | None:
     return fits
 
 
+def sharing(cameras: Mapping[str, Camera]) -> dict[str, tuple[str, ...]]:
+    """By image name the images of its camera, of cameras with a deviation."""
+    groups: dict[tuple[bool, str], list[str]] = defaultdict(list)
+    for name, camera in cameras.items():
+        if not camera.exact:
+            groups[camera.identity is None, camera.identity or name].append(name)
+    return {name: tuple(names) for names in groups.values() for name in names}
+
+
 def pool(
-    cameras: Mapping[str, Camera], pairs: Iterable[tuple[PairRow, PairMatches]]
+    cameras: Mapping[str, Camera], pairs: Iterable[FittedPair]
 ) -> tuple[dict[str, Camera], list[PooledCamera]]:
     """The cameras by image name as all pairs fit them, and one by one those that had a deviation.
 
     cameras: by name, as the pairs had them; those without a deviation stay as they are. Images of
-    several sizes share a focal length and no principal point. The same for any order of the pairs.
+    several sizes, and parts of images, share a focal length and no principal point. The same for
+    any order of the pairs.
     """
-    groups: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for name, camera in cameras.items():
-        if not camera.exact:
-            groups[_key(camera, name)].append(name)
-    fits: dict[tuple[str, str], list[CameraFit]] = defaultdict(list)
-    for row, matches in pairs:
-        for key, fit in _fits_of(row, matches, cameras).items():
+    shared = sharing(cameras)
+    fits: dict[tuple[str, ...], list[CameraFit]] = defaultdict(list)
+    for pair in pairs:
+        for key, fit in _fits_of(pair, cameras, shared).items():
             fits[key].append(fit)
     pooled, listed = dict(cameras), []
-    for key, names in groups.items():
+    for names in dict.fromkeys(shared.values()):
         first = cameras[names[0]]
         prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
-        if len({cameras[name].size for name in names}) > 1:
+        if len({cameras[name].size for name in names}) > 1 or (len(names) > 1 and is_of_part(first)):
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted
         widest = (_MAX_STD_SHARE * prior[open_[0]]) ** 2
         useful = [
             CameraFit(fit.value[open_], fit.covariance[np.ix_(open_, open_)], fit.weight)
-            for fit in fits[key]
+            for fit in fits[names]
             if fit.covariance.diagonal()[open_[0]] < widest and fit.weight > 0
         ]
         value, std = np.zeros(SIZE), np.zeros(SIZE)
         value[open_], std[open_] = pooled_fit(useful, prior[open_], len(names))
         for name in names:
-            pooled[name] = _moved(cameras[name], value, std, fitted=bool(useful))
-        listed.append(PooledCamera(tuple(names), pooled[names[0]], len(useful)))
+            pooled[name] = _pooled(cameras[name], value, std, fitted=bool(useful))
+        listed.append(PooledCamera(names, pooled[names[0]], len(useful)))
     return pooled, listed
 
 
@@ -165,15 +189,29 @@ def pooled_fit(
     return middle * prior, np.sqrt(np.diag(covariance)) * prior
 
 
-def _moved(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
+def as_fitted(camera: Camera, row: PairRow, fit: np.ndarray) -> Camera:
+    """The camera of a pair by its fit (7, SIZE). camera: with the projection that the pair had,
+    but for another model of the row."""
+    camera = with_model(camera, row.camera_model)
+    return _moved(camera, fit[0] - _parameters(camera))
+
+
+def _moved(camera: Camera, value: np.ndarray) -> Camera:
+    """The camera with differences (SIZE,) of its parameters."""
+    return deviating(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
+
+
+def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
     """The camera with pooled differences (SIZE,) from it, and their deviations, 0 of what is not
     fitted."""
-    deviations = value / [1, camera.focal, camera.focal, 1, 1, 1]
-    moved = deviating(camera, deviations)
+    moved = _moved(camera, value)
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches")
-    centre_std = float(np.sqrt((std[1:3] ** 2).mean())) or camera.centre_std
-    return replace(moved, focal_std=float(std[0]), centre_std=centre_std, lens_std=float(std[3]))
+    focal, *centre, lens, _, aspect = std.tolist()
+    centre_std = float(np.sqrt(np.square(centre).mean())) or camera.centre_std
+    return replace(
+        moved, focal_std=focal, centre_std=centre_std, lens_std=lens, aspect_std=aspect
+    )
 
 
 def _parameters(camera: Camera) -> np.ndarray:
@@ -194,7 +232,7 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
     for name, camera in cameras.items():
         K = camera.K
         numbers = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(camera.size or ("", "")))
-        stds = (camera.focal_std, camera.centre_std, camera.lens_std)
+        stds = (camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std)
         lens = camera.distortion
         of_lens = ("", "") if lens is None else (lens.model, " ".join(map(repr, lens.coefficients)))
         lines.writerow([name, *numbers, *stds, camera.identity or "", *of_lens])
@@ -202,22 +240,17 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
     write_text(out / CAMERAS, text.decode())
 
 
-def _key(camera: Camera, name: str) -> tuple[str, str]:
-    """Equal for images of one camera."""
-    return ("image", name) if camera.identity is None else ("camera", camera.identity)
-
-
 def _fits_of(
-    row: PairRow, matches: PairMatches, cameras: Mapping[str, Camera]
-) -> dict[tuple[str, str], CameraFit]:
+    pair: FittedPair, cameras: Mapping[str, Camera], shared: Mapping[str, tuple[str, ...]]
+) -> dict[tuple[str, ...], CameraFit]:
     """The fits of a pair's cameras; one camera of both images once."""
-    if not row.success or matches.pose_inputs is None or matches.pose_inputs.camera_fits is None:
+    row = pair.row
+    if not row.success or pair.fits is None or row.camera_model != "assumed":
         return {}
     fits = {}
-    for name, fit in zip((row.name1, row.name2), matches.pose_inputs.camera_fits, strict=True):
-        camera = cameras[name]
-        if not camera.exact:
-            value = fit[0] - _parameters(camera)
+    for name, fit in zip(pair.names, pair.fits, strict=True):
+        if name in shared:
+            value = fit[0] - _parameters(cameras[name])
             weight = 1.0 if row.probability is None else row.probability
-            fits[_key(camera, name)] = CameraFit(value, fit[1:], weight)
+            fits[shared[name]] = CameraFit(value, fit[1:], weight)
     return fits

@@ -2,29 +2,28 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import PairMatches
+from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
-from dgc_pose.batch.pooling import PooledCamera, centre_moved, pool, write_cameras
+from dgc_pose.batch.pooling import PooledCamera, write_cameras
+from dgc_pose.batch.poses import Poses
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import FAILED, PairRow
+from dgc_pose.batch.rows import FAILED
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import FEATURE_BYTES, Describe, Estimate, Job, Match, Matched
+from dgc_pose.batch.work import FEATURE_BYTES, Describe, Job, Match, Matched
 from dgc_pose.batch.workers import RunTasks, local_workers, ray_workers
 from dgc_pose.cameras.calibration import Calibration
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
@@ -33,7 +32,6 @@ from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 
-_BLOCKS_HELD = 4  # of matches in memory, for each worker
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
 
@@ -54,8 +52,8 @@ def run_batch(
     choice: how pairs are chosen; None for those of the source, or if it has none, all pairs of up
     to 20 images, and of more each image with its 10 most similar ones.
 
-    Where a focal length has a deviation, each pair fits its own, and the principal point. They are
-    pooled over the pairs of a camera, and the poses are estimated again with the pooled cameras,
+    Where a focal length has a deviation, each pair fits its own, and the principal point. From them
+    come the cameras of the folder (`folder_cameras`), and with these the poses are estimated again,
     from the same matches.
 
     A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
@@ -103,14 +101,14 @@ def run_batch(
                 write_plan(out, plan)
             (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
             store = PairStore(out, plan)
-            poses = _Poses(run, options.worker_count, progress, len(plan.pairs))
+            poses = Poses(run, options.worker_count)
             worked = _match(store, plan, run, options, progress)
             cameras: list[PooledCamera] = []
-            blocks = store.blocks()
+            blocks = store.blocks(block_size(len(plan.pairs), options.worker_count))
             if plan.uncertain:
-                pooled, cameras = _pool(store, plan, poses)
+                pooled, cameras = folder_cameras(store, plan.cameras, poses)
                 plan = replace(plan, pooled=pooled)
-                blocks = poses.estimated(store.blocks(poses.block_size), pooled, fit=False)
+                blocks = _counted(poses.estimated(blocks, pooled, fit=False), plan, progress)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
@@ -204,57 +202,13 @@ def _match(
     return len(left)
 
 
-@dataclass(frozen=True)
-class _Poses:
-    """Estimates poses of pairs that are matched."""
-
-    run: RunTasks
-    workers: int
-    progress: Progress
-    total: int  # pairs
-
-    @property
-    def block_size(self) -> int:
-        """Pairs of a block, if all are estimated."""
-        return block_size(self.total, self.workers)
-
-    def estimated(
-        self, blocks: Iterator[Matched], cameras: Mapping[str, Camera], *, fit: bool
-    ) -> Iterator[Matched]:
-        """The blocks with their poses by these cameras. fit: whether each pair fits its cameras."""
-        done = 0
-        while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
-            tasks = []
-            for block in held:
-                names = {name for row in block.rows for name in (row.name1, row.name2)}
-                of_block = {name: cameras[name] for name in names & cameras.keys()}
-                tasks.append(Estimate(block, of_block, fit))
-            for outcome in self.run(tasks):
-                assert isinstance(outcome, Matched)
-                yield outcome
-                done += len(outcome.indices)
-                self.progress("poses", done, self.total)
-
-
-def _pool(
-    store: PairStore, plan: Plan, poses: _Poses
-) -> tuple[dict[str, Camera], list[PooledCamera]]:
-    """The cameras by image name with the focal lengths of all pairs, and those one by one.
-
-    store: of the pairs as they are matched, each with its own focal lengths.
-    """
-    cameras, pooled = pool(plan.cameras, _pairs(store.blocks()))
-    if centre_moved(plan.cameras, cameras):
-        middle = {name: replace(c, K=cameras[name].K) for name, c in plan.cameras.items()}
-        blocks = poses.estimated(store.blocks(poses.block_size), middle, fit=True)
-        cameras, pooled = pool(middle, _pairs(blocks))
-    return cameras, pooled
-
-
-def _pairs(blocks: Iterable[Matched]) -> Iterator[tuple[PairRow, PairMatches]]:
-    """The rows and matches one by one."""
+def _counted(blocks: Iterator[Matched], plan: Plan, progress: Progress) -> Iterator[Matched]:
+    """The blocks, whose pairs are counted as they come."""
+    done = 0
     for block in blocks:
-        yield from zip(block.rows, block.matches, strict=True)
+        yield block
+        done += len(block.indices)
+        progress("poses", done, len(plan.pairs))
 
 
 def _capacity(plan: Plan, options: BatchOptions) -> int:

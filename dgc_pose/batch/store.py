@@ -6,7 +6,7 @@ written after them, so a kill leaves every line with its matches, but for a last
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -79,9 +79,9 @@ class PairStore:
         with writing(self._lines), self._lines.open("a", encoding="utf-8") as stream:
             stream.writelines(lines)
 
-    def blocks(self, size: int = BLOCK) -> Iterator[Matched]:
-        """The pairs that are done, in their order, so many at a time."""
-        for block in blocks_of(sorted(self._done), size):
+    def blocks(self, size: int = BLOCK, only: Collection[int] | None = None) -> Iterator[Matched]:
+        """The pairs that are done, in their order, so many at a time; only: the indices of some."""
+        for block in blocks_of(sorted(self._done if only is None else only), size):
             matches = []
             with open_regular(self._matches) as file:
                 for index in block:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, pair_matches
-from dgc_pose.batch.pooling import KNOWN_FOCAL_STD, camera_fits
+from dgc_pose.batch.pooling import camera_fits, is_known
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
@@ -137,9 +137,7 @@ class Worker:
             if stored.pose_inputs is None:
                 return row, stored
             names = (row.name1, row.name2)
-            fit = task.fit_cameras or any(
-                task.cameras[n].focal_std > KNOWN_FOCAL_STD for n in names
-            )
+            fit = task.fit_cameras or not all(is_known(task.cameras[n]) for n in names)
             return _attempt(names, lambda: self._estimated(names, stored, task.cameras, fit))
 
         rows, matches = zip(*map(estimated, task.block.rows, task.block.matches), strict=True)
@@ -196,7 +194,7 @@ def _posed(
 ) -> tuple[PairRow, PairMatches]:
     """The row, and the matches with the inliers of the pose; error_px: that of the matches."""
     inputs = stored.pose_inputs
-    if inputs is not None and pose.camera_covariance is not None:
+    if inputs is not None:
         inputs = replace(inputs, camera_fits=camera_fits(pose))
     return row_of(names, pose, error_px), replace(stored, inliers=pose.inliers, pose_inputs=inputs)
 

@@ -1,0 +1,192 @@
+"""The cameras of a folder: which photographs share one, and what all of their pairs say of it.
+
+Photographs of one `identity` share a camera, as long as their pairs agree with it. A photograph
+whose pairs do not, and one that is alone of its identity, has a camera of its own, which is fitted
+to its pairs with photographs of known cameras: one more unknown camera is determined there far
+better than two are. If this agrees with the camera of a group, at the scale of its size, the
+photograph has that camera after all.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dgc_pose.batch.pooling import (
+    KNOWN_FOCAL_STD,
+    FittedPair,
+    PooledCamera,
+    centre_moved,
+    pool,
+    sharing,
+)
+from dgc_pose.batch.poses import Poses, fitted_pairs
+from dgc_pose.batch.store import PairStore
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import SIZE_STD
+from dgc_pose.estimation.camera_model import with_model
+from dgc_pose.estimation.evidence import ModelName
+
+Cameras = Mapping[str, Camera]  # by image name
+_MIN_GROUP = 3  # images of a camera that one of them can be told from
+_MIN_INLIERS = 50  # of a pair that ought to determine its cameras
+_AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is looked at by itself
+_AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of two cameras
+_SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
+_TELLING_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
+_SAME_SHAPE = 0.01  # difference of two sizes' aspect ratios, logarithms
+_CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
+_MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
+
+
+def folder_cameras(
+    store: PairStore, cameras: Cameras, poses: Poses
+) -> tuple[dict[str, Camera], list[PooledCamera]]:
+    """The cameras by image name, and one by one those that had a deviation.
+
+    store: of the pairs as they are matched, each with its own fit of `cameras`.
+    """
+    pairs = fitted_pairs(store.blocks())
+    start = _by_models(cameras, pairs)
+    pooled, _ = pool(start, pairs)
+    if start != cameras or centre_moved(start, pooled):
+        start = {name: replace(c, K=pooled[name].K) for name, c in start.items()}
+        pairs = fitted_pairs(poses.estimated(store.blocks(), start, fit=True))
+    groups = sharing(start)
+    known, _ = pool(start, _within(pairs, groups))
+    doubted = [name for name in groups if _is_doubted(name, groups[name], known, pairs)]
+    single = [name for name, names in groups.items() if len(names) == 1]
+    certain = {
+        name
+        for name, camera in known.items()
+        if name not in single and camera.focal_std < KNOWN_FOCAL_STD
+    }
+    own: dict[str, PooledCamera] = {}
+    for name in (*doubted, *single):
+        partners = certain - {name}
+        chosen = [p for p in pairs if name in p.names and partners.intersection(p.names)]
+        chosen.sort(key=lambda pair: -pair.row.num_inliers)
+        if not chosen:
+            continue
+        tried = known | {name: _own(start[name], doubted=name in doubted)}
+        blocks = store.blocks(only={pair.index for pair in chosen[:_MOST_PAIRS]})
+        exact = {n: _exact(c) for n, c in tried.items() if n != name}
+        found, (own[name],) = pool(
+            {name: tried[name], **exact}, fitted_pairs(poses.estimated(blocks, tried, fit=True))
+        )
+    return _together(start, pairs, own, known, certain)
+
+
+def _together(
+    start: Cameras,
+    pairs: Sequence[FittedPair],
+    own: Mapping[str, PooledCamera],
+    known: Cameras,
+    certain: Collection[str],
+) -> tuple[dict[str, Camera], list[PooledCamera]]:
+    """The cameras of the groups, and those of the photographs that agree with none of them.
+
+    own: of photographs by themselves. known: of the groups; certain: whose cameras are that.
+    """
+    groups = sharing(start)
+    same: dict[str, str] = {}  # a photograph, and one whose camera it has
+    for name, found in own.items():
+        for other in (n for n in (*groups[name], *certain) if n in certain and n != name):
+            if _agrees(found.camera, known[other]):
+                same[name] = other
+                break
+    apart = own.keys() - same.keys()
+    rest = [p for p in pairs if not apart.intersection(p.names)]
+    members = {name: c for name, c in start.items() if name not in apart}
+    if certain:
+        rest = _within(rest, groups) + [p for p in rest if not certain.intersection(p.names)]
+    cameras, listed = pool(members, rest)
+    for name, other in same.items():
+        if groups[name] != groups[other]:
+            size = start[name].size
+            assert size is not None
+            resized = cameras[other].resized(size)
+            cameras[name] = replace(resized, identity=start[name].identity)
+            listed = [one for one in listed if one.names != (name,)]
+            listed.append(PooledCamera((name,), cameras[name], own[name].pairs, f"as {other}"))
+    for name in apart:
+        cameras[name] = own[name].camera
+        listed.append(replace(own[name], why="its pairs agree with no camera of others"))
+    return {name: cameras[name] for name in start}, listed
+
+
+def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
+    """The cameras before the fit by the model that most of their pairs agree with."""
+    groups = sharing(cameras)
+    votes: dict[str, Counter[ModelName]] = {name: Counter() for name in groups}
+    for pair in pairs:
+        for name in groups.keys() & set(pair.names):
+            votes[groups[name][0]][pair.row.camera_model] += (
+                (pair.row.probability or 0.0) if pair.row.success else 0.0
+            )
+    changed = dict(cameras)
+    for name, names in groups.items():
+        ((model, weight),) = votes[names[0]].most_common(1) or [("assumed", 0.0)]
+        if weight > votes[names[0]].total() / 2 and model != "zoomed":
+            changed[name] = with_model(cameras[name], model)
+    return changed if any(changed[n] is not c for n, c in cameras.items()) else cameras
+
+
+def _within(
+    pairs: Sequence[FittedPair], groups: Mapping[str, tuple[str, ...]]
+) -> list[FittedPair]:
+    """The pairs of one camera, and those of images of which none is of a group."""
+    inside = []
+    for pair in pairs:
+        first, second = (groups.get(name, (name,)) for name in pair.names)
+        if first == second or max(len(first), len(second)) == 1:
+            inside.append(pair)
+    return inside
+
+
+def _is_doubted(
+    name: str, names: Sequence[str], known: Cameras, pairs: Sequence[FittedPair]
+) -> bool:
+    """Whether the pairs of an image do not show that it has the camera of its group."""
+    if len(names) < _MIN_GROUP:
+        return False
+    camera, agreeing, count = known[name], 0, 0
+    for pair in pairs:
+        if name in pair.names and set(pair.names) <= set(names):
+            count += pair.row.num_inliers >= _MIN_INLIERS
+            if pair.row.success and pair.fits is not None:
+                value, *covariance = pair.fits[pair.names.index(name)][:, 0]
+                off = abs(value - math.log(camera.focal))
+                std = math.hypot(math.sqrt(covariance[0]), camera.focal_std, _SAME_FOCAL)
+                agreeing += off < _AGREEING_STDS * std and pair.row.camera_model == "assumed"
+    return agreeing < _AGREEING_SHARE * count
+
+
+def _own(camera: Camera, *, doubted: bool) -> Camera:
+    """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data say what it
+    is and nothing contradicts them."""
+    camera = replace(camera, identity=None)
+    if not doubted and camera.focal_source != "size":
+        return camera
+    centre_std = _CENTRE_OF_PART * max(camera.size or (0,))
+    return replace(camera, focal_std=SIZE_STD, centre_std=centre_std)
+
+
+def _exact(camera: Camera) -> Camera:
+    return replace(camera, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
+
+
+def _agrees(camera: Camera, other: Camera) -> bool:
+    """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
+    assert camera.size is not None and other.size is not None
+    shapes = (math.log(size[0] / size[1]) for size in (camera.size, other.size))
+    if camera.focal_std > _TELLING_FOCAL_STD or abs(np.subtract(*shapes)) > _SAME_SHAPE:
+        return False
+    other = other.resized(camera.size)
+    off = abs(math.log(camera.focal / other.focal))
+    shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())
+    return off < _SAME_STDS * math.hypot(
+        camera.focal_std, other.focal_std, _SAME_FOCAL
+    ) and shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
