@@ -31,8 +31,7 @@ _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of
 _MIN_AGREEING = 3  # references of an expected error that suffices
 _CANDIDATES = 12  # most similar references that the next is chosen from
 _PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice of the next
-# Of a picture without EXIF data, which may be cut or squeezed: deviations of the principal point,
-# over the longer side, and of ln fy / fx. References of known cameras determine both.
+# Of a picture that may be cut or squeezed: of its centre, over the longer side; of ln fy / fx.
 _EDITED_CENTRE_STD, _EDITED_ASPECT_STD = 0.1, 0.3
 _CHANCE = 0.1  # that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # of a pair
@@ -68,8 +67,7 @@ class ReferenceSearch:
         self, model: PosedModel, camera: Camera, options: EstimationOptions, names: Sequence[str]
     ) -> None:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
-        self.may_be_edited = camera.focal_source == "size" or is_of_part(camera)
-        self.waiting = list(names)
+        self.stated, self.waiting = camera, list(names)
         self.pairs: list[Pair] = []
         self.sights: dict[str, Sight] = {}  # of the pairs that have hypotheses
         self.agreeing: dict[str, Sight] = {}  # with the pose of all
@@ -99,7 +97,8 @@ class ReferenceSearch:
         self.pose = pose_of_all = located(sights, shown, spread, self.options, before)
         if pose_of_all is None:
             return
-        if self.may_be_edited and not self.camera.aspect_std:
+        may_be_edited = self.stated.focal_source == "size" or is_of_part(self.stated)
+        if may_be_edited and not self.camera.aspect_std:
             centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
             spread = CameraSpread.of(self.model.cameras[name], self.camera)
@@ -129,7 +128,9 @@ class ReferenceSearch:
 
     @property
     def pair_camera(self) -> Camera:
-        """The camera of the photograph for the next pair: exact as soon as it is known well."""
+        """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
+        if 2 * len(self.agreeing) < len(self.sights):
+            return self.stated
         if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
             return self.fitted
         return replace(self.fitted, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
