@@ -78,8 +78,7 @@ def locate(
     Prints cam_from_world, x = R X + t, and the centre of the camera, in the frame and unit of the
     model, with their expected errors. Exits with 3 and the reason if a photograph is not located.
     """
-    from dgc_pose.colmap.reconstruction import require_model_folder
-    from dgc_pose.localization.adding import write_model_with
+    from dgc_pose.localization.adding import extensible, write_model_with
     from dgc_pose.localization.locate import Locator
     from dgc_pose.localization.model import load_model
     from dgc_pose.viz.figure import save_figure
@@ -93,10 +92,7 @@ def locate(
         image_header(Path(photo))
     model = load_model(place.model, place.images)
     if place.add is not None:
-        require_model_folder(place.add)
-        for photo in photos:
-            if (name := Path(photo).name) in model.poses:
-                raise InputError(ArgumentName("add"), f"has an image {name} of the model already")
+        extensible(place.add, model, list(dict.fromkeys(photos)))
     for warning in model.warnings:
         say(f"warning: {warning}")
     locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)

@@ -134,9 +134,7 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     return changed if any(changed[n] is not c for n, c in cameras.items()) else cameras
 
 
-def _within(
-    pairs: Sequence[FittedPair], groups: Mapping[str, tuple[str, ...]]
-) -> list[FittedPair]:
+def _within(pairs: Sequence[FittedPair], groups: Mapping[str, tuple[str, ...]]) -> list[FittedPair]:
     """The pairs of one camera, and those of images of which none is of a group."""
     inside = []
     for pair in pairs:

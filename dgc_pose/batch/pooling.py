@@ -113,7 +113,9 @@ def pool(
     for names in dict.fromkeys(shared.values()):
         first = cameras[names[0]]
         prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
-        if len({cameras[name].size for name in names}) > 1 or (len(names) > 1 and is_of_part(first)):
+        if len({cameras[name].size for name in names}) > 1 or (
+            len(names) > 1 and is_of_part(first)
+        ):
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted
         widest = (_MAX_STD_SHARE * prior[open_[0]]) ** 2
@@ -209,9 +211,7 @@ def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) ->
         moved = replace(moved, focal_source="matches")
     focal, *centre, lens, _, aspect = std.tolist()
     centre_std = float(np.sqrt(np.square(centre).mean())) or camera.centre_std
-    return replace(
-        moved, focal_std=focal, centre_std=centre_std, lens_std=lens, aspect_std=aspect
-    )
+    return replace(moved, focal_std=focal, centre_std=centre_std, lens_std=lens, aspect_std=aspect)
 
 
 def _parameters(camera: Camera) -> np.ndarray:

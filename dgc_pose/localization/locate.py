@@ -71,7 +71,7 @@ class Locator:
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
         self._images: BoundedCache[str, Image] = BoundedCache(
-            lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
+            lambda name, image: image.pixels.nbytes, _IMAGE_BYTES, self.matcher.forget
         )
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
@@ -119,6 +119,7 @@ class Locator:
             search.add(name, pose, matches, *self._points(name, image, pose, matches))
             seconds["match"] += matched - start
             seconds["estimate"] += time.perf_counter() - matched
+        self.matcher.forget(image)
         location = search.location()
         return replace(
             location, warnings=(*warnings, *camera.warnings, *location.warnings), seconds=seconds

@@ -76,6 +76,8 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
     calibration = Calibration(str(path), parts=file.parts, common=file.common)
     names = {name: _image_name(root, name, path.parent) for name in file.poses}
+    if len(names) < 2:
+        raise InputError(ArgumentName("model"), f"{path} has the pose of one image, two are needed")
     missing = sorted(name for name, there in names.items() if there is None)
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating, is_of_part
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.localization.fit import located, world_covariance
+from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.localization.location import Location, Reference
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.localization.sights import PointSight, Sight, WorldPose
@@ -29,6 +31,8 @@ _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of
 _MIN_AGREEING = 3  # references of an expected error that suffices
 _CANDIDATES = 12  # most similar references that the next is chosen from
 _PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice of the next
+# Of a picture that may be cut or squeezed: of its centre, over the longer side; of ln fy / fx.
+_EDITED_CENTRE_STD, _EDITED_ASPECT_STD = 0.1, 0.3
 _CHANCE = 0.1  # that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # of a pair
 _MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the references
@@ -62,8 +66,8 @@ class ReferenceSearch:
     def __init__(
         self, model: PosedModel, camera: Camera, options: EstimationOptions, names: Sequence[str]
     ) -> None:
-        self.model, self.camera, self.options = model, camera, options
-        self.waiting = list(names)
+        self.model, self.camera, self.options = model, replace(camera, identity=None), options
+        self.stated, self.waiting = camera, list(names)
         self.pairs: list[Pair] = []
         self.sights: dict[str, Sight] = {}  # of the pairs that have hypotheses
         self.agreeing: dict[str, Sight] = {}  # with the pose of all
@@ -88,11 +92,17 @@ class ReferenceSearch:
                 self.sights[pair.name] = self._sight(pair)
         sights = list(self.sights.values())
         shown = [self._points(pair) for pair in useful if len(pair.points)]
-        spread = CameraSpread.of(self.model.cameras[name], replace(self.camera, identity=None))
+        spread = CameraSpread.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
         self.pose = pose_of_all = located(sights, shown, spread, self.options, before)
         if pose_of_all is None:
             return
+        may_be_edited = self.stated.focal_source == "size" or is_of_part(self.stated)
+        if may_be_edited and not self.camera.aspect_std:
+            centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
+            self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
+            spread = CameraSpread.of(self.model.cameras[name], self.camera)
+            self.pose = pose_of_all = fitted([*sights, *shown], pose_of_all, spread)
         self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(pose_of_all)}
         covariance = world_covariance([*sights, *shown], pose_of_all, spread)
         if covariance is None:
@@ -118,7 +128,9 @@ class ReferenceSearch:
 
     @property
     def pair_camera(self) -> Camera:
-        """The camera of the photograph for the next pair: exact as soon as it is known well."""
+        """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
+        if 2 * len(self.agreeing) < len(self.sights):
+            return self.stated
         if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
             return self.fitted
         return replace(self.fitted, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
@@ -130,7 +142,7 @@ class ReferenceSearch:
             return self.camera
         best = max(fits, key=lambda pose: pose.probability or 0.0).camera2
         assert best is not None
-        names = ("focal_std", "centre_std", "lens_std", "aspect_std")
+        names = ("focal_std", "centre_std", "aspect_std", *(("lens_std",) * (best.lens_std > 0)))
         return replace(best, **{name: getattr(self.camera, name) for name in names})
 
     def _sight(self, pair: Pair) -> Sight:
@@ -190,17 +202,29 @@ class ReferenceSearch:
                 camera=self.fitted,
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
-        if not likely:
+        mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
+        none_agree = tuple(replace(reference, agrees=False) for reference in references)
+        nowhere = Location("nowhere", "", none_agree, camera=self.camera)
+        if not likely or mirrored >= len(likely):
             reason = f"none of {len(self.pairs)} references has a pose that is likely"
-            return Location("nowhere", reason, references, camera=self.camera)
+            if mirrored:
+                reason = f"the mirror image of the photograph has a pose with {mirrored} references"
+            return replace(nowhere, reason=reason)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
         assert best.pose.R is not None and best.pose.t is not None  # of a success
         R, t, camera = best.pose.R @ self.model.poses[best.name][:, :3], best.pose.t, self.camera
         why = f"{best.name} alone has a pose"
         if len(likely) > 1:
             if pose is None or not self._is_claimed():
-                reason = f"the poses of {len(likely)} references do not agree"
-                return Location("nowhere", reason, references, camera=self.camera)
+                poses = [(pair.pose.R, self.model.poses[pair.name][:, :3]) for pair in likely]
+                turned = [R @ of_reference for R, of_reference in poses if R is not None]
+                angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(turned, 2)]
+                reason = (
+                    f"the poses of {len(likely)} references do not agree: the rotations between "
+                    "them, by their pairs with the photograph, differ from those of the model by "
+                    f"{np.median(angles):.0f} degrees"
+                )
+                return replace(nowhere, reason=reason)
             R, t = pose.R, self.sights[best.name].pair_pose(pose)[1]
             camera, why = self.fitted, "they lie on one line of sight"
         return Location(
@@ -230,10 +254,11 @@ class ReferenceSearch:
 
     def _probability(self) -> float:
         """That the location is right: the pairs that agree with it are, and the others are not; or
-        all of them are wrong, and agree by chance."""
+        all of them are wrong, and agree by chance. A mirror image with a pose is against it."""
         log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
         for pair in self.pairs:
-            right = min(max(pair.probability, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
+            likely = 1.0 if pair.pose.status == "mirrored" else pair.probability
+            right = min(max(likely, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
             log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)
         return 1 / (1 + math.exp(-log_odds))
 

@@ -144,12 +144,17 @@ class PointSight:
         by_rotation = np.cross(seen[:, None], by_seen)
         by_centre = -by_seen @ pose.R
         by_camera = -deviated_slopes(self.places, self.lens, pose.deviations)
-        slopes = np.concatenate([by_rotation, by_centre, by_camera @ spread.basis[SIZE:]], axis=2)
+        growth = math.exp(pose.deviations[0])
+        by_camera[:, :, 0] += offset / growth
+        by_camera = by_camera @ spread.basis[SIZE:]
+        slopes = growth * np.concatenate([by_rotation, by_centre, by_camera], axis=2)
         return offset.T.ravel(), slopes.transpose(1, 0, 2).reshape(2 * len(offset), -1)
 
     def _offset(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
-        """Reprojection errors (N, 2), and the points (N, 3) in the camera's axes."""
+        """Reprojection errors (N, 2), in the same unit at all focal lengths, and the points (N, 3)
+        in the camera's axes."""
         seen = (self.points - pose.centre) @ pose.R.T
         with np.errstate(divide="ignore", invalid="ignore"):
             projected = seen[:, :2] / seen[:, 2:]
-        return projected - deviated(self.places, self.lens, pose.deviations), seen
+        offset = projected - deviated(self.places, self.lens, pose.deviations)
+        return offset * math.exp(pose.deviations[0]), seen

@@ -96,7 +96,13 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
         assert_refused(locate(folder, *words, *given), expected)
     assert_refused(locate(folder, *given, photo="absent.png"), "absent.png")
     inside = locate(folder, *given, "--K", K_text(), photo="images/view2.png")
-    assert_refused(inside, "--add", "has an image view2.png of the model already")
+    assert_refused(inside, "--add", "has an image view2.png already")
+    copy = tmp_path / "copy" / "photo.png"
+    copy.parent.mkdir()
+    copy.write_bytes((folder / "photo.png").read_bytes())
+    assert_refused(locate(folder, copy, *given), "--add", "has an image photo.png already")
+    copy.unlink()
+    copy.parent.rmdir()
     several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
     assert_refused(several, "--plot", "draws a single photograph, not 2")
     assert contents(tmp_path) == {} and contents(folder) == before

@@ -5,14 +5,16 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import PIL.Image
 import pycolmap
 import pytest
 from world_scene import CAMERA, IMAGE, WorldScene, world_scene, write_colmap
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.rotation import quaternion_wxyz
-from dgc_pose.localization.adding import write_model_with
+from dgc_pose.localization.adding import extensible, write_model_with
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.model import load_model
 
@@ -103,6 +105,8 @@ def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
     zero = tmp_path / "zero.csv"
     row = _table(SCENE, zero).read_text().splitlines()
     zero.write_text("\n".join([row[0], "r0.jpg,0,0,0,0" + row[1].split(",", 5)[5].join([",", ""])]))
+    single = tmp_path / "single.csv"
+    single.write_text("\n".join(row[:2]))
     for source, words in (
         (tmp_path / "two", "model .*two has the models 0, 1"),
         (cameras, "model .* has no poses of images"),
@@ -110,6 +114,7 @@ def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
         (zero, "a quaternion without a length"),
         (tmp_path / "absent", "model .*absent: no such file or folder"),
         (images, "holds no model of COLMAP"),
+        (single, "model .*single.csv has the pose of one image, two are needed"),
     ):
         with pytest.raises(DgcPoseError, match=words):
             load_model(source, images)
@@ -139,6 +144,68 @@ def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) 
     assert written.num_points3D() == (20 if is_colmap else 0)
     again = load_model(tmp_path / "out", images)
     assert sorted(again.poses) == SCENE.names  # the photograph is in another folder
-    with pytest.raises(InputError, match="the model has an image r0.jpg"):
+    with pytest.raises(InputError, match="add has an image r0.jpg already"):
         write_model_with(tmp_path / "other", model, {str(images / "r0.jpg"): location})
     assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
+    orientation: int, images: Path, tmp_path: Path
+) -> None:
+    """Points of the world are where they are in the file, by Pillow's own turn of the pixels."""
+    stored = PIL.Image.fromarray(np.arange(120 * 160, dtype=np.int32).reshape(120, 160))
+    exif = PIL.Image.Exif()
+    exif[0x112] = orientation
+    photo = tmp_path / "new.jpg"
+    PIL.Image.new("L", stored.size).save(photo, exif=exif)
+    turn = {3: 3, 6: 4, 8: 2}.get(orientation)  # PIL.Image.Transpose
+    upright = np.asarray(stored if turn is None else stored.transpose(PIL.Image.Transpose(turn)))
+    lens = Distortion("OPENCV", (0.05, -0.02, 0.01, -0.02))
+    matrix = np.array([[100.0, 0, 70], [0, 110, 65], [0, 0, 1]])
+    camera = Camera(matrix, upright.shape[::-1], lens, orientation=orientation)
+    location = Location("located", "", (), SCENE.R, SCENE.centre, camera=camera)
+    write_model_with(
+        tmp_path / "out",
+        load_model(write_colmap(SCENE, tmp_path / "m"), images),
+        {str(photo): location},
+    )
+    model = pycolmap.Reconstruction(tmp_path / "out")
+    added = model.find_image_with_name("new.jpg")
+    assert added is not None
+    as_stored = model.cameras[added.camera_id]
+    assert (as_stored.width, as_stored.height) == (160, 120)
+    for point in SCENE.points:
+        x, y = (
+            SCENE.R
+            @ (point - SCENE.centre)
+            @ np.eye(3)[:, :2]
+            / (SCENE.R @ (point - SCENE.centre))[2]
+        )
+        at = camera.project(np.array([[x, y]]))[0]
+        in_file = as_stored.img_from_cam(added.cam_from_world() * point) - 0.5
+        column, line = np.round(at).astype(int)
+        if 0 <= column < upright.shape[1] and 0 <= line < upright.shape[0]:
+            y, x = divmod(int(upright[line, column]), 160)
+            assert np.abs(in_file - (x, y)).max() <= 0.5 + 1e-6
+
+
+def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path) -> None:
+    source = write_colmap(SCENE, tmp_path / "m")
+    (images / SCENE.names[-1]).rename(tmp_path / SCENE.names[-1])  # the model has it all the same
+    model = load_model(source, images)
+    first, second = tmp_path / "a" / "new.png", tmp_path / "b" / "new.png"
+    for path in (first, second):
+        path.parent.mkdir()
+        cv2.imwrite(str(path), np.zeros((12, 16), np.uint8))
+    exif = PIL.Image.Exif()
+    exif[0x112] = 5
+    PIL.Image.new("L", (16, 12)).save(tmp_path / "mirrored.jpg", exif=exif)
+    for paths, words in (
+        ([first, second], r"add has an image new.png already, not .*b.new.png too"),
+        ([tmp_path / SCENE.names[-1]], f"add has an image {SCENE.names[-1]} already"),
+        ([tmp_path / "mirrored.jpg"], "by EXIF orientation 5 its pixels are a mirror image"),
+    ):
+        with pytest.raises(InputError, match=words):
+            extensible(tmp_path / "out", model, list(map(str, paths)))
+    assert extensible(tmp_path / "out", model, [str(first)]).num_images() == 5

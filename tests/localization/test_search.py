@@ -1,18 +1,23 @@
 """The choice of references, and the verdict."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
-from world_scene import OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
+from scipy.spatial.transform import Rotation
+from world_scene import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
-from dgc_pose.estimation import RelativePose
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import CYLINDER, Distortion
+from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import MAX_REFERENCES, ReferenceSearch
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 NO_POINTS = np.zeros((0, 3)), np.zeros((0, 2))
 NO_POSE = RelativePose("too_few_matches", "few", np.zeros(0, bool), 0)
+MIRRORED = RelativePose("mirrored", "the mirror image has a pose", np.zeros(300, bool), 300)
 
 
 def _searched(scene: WorldScene, **pair: float | None) -> tuple[Location, list[str]]:
@@ -118,3 +123,99 @@ def test_improbable_pairs_place_nothing(probability: float, status: str) -> None
             pose = replace(pose, status="improbable")
         search.add(name, pose, scene.matches(number), *NO_POINTS)
     assert search.location().status == status
+    agreeing = [reference.agrees for reference in search.location().references]
+    assert agreeing == [status == "located"] * 2
+
+
+@pytest.mark.parametrize(("width", "height"), [(1.0, 1.0), (1.25, 1.0)])
+def test_the_camera_of_a_part_of_a_picture_is_fitted(width: float, height: float) -> None:
+    """The principal point of a picture without EXIF data may be far from its middle, and its pixels
+    need not be square: references of known cameras determine both."""
+    scene = world_scene()
+    f, x, y = PHOTO_CAMERA.focal, *PHOTO_CAMERA.K[:2, 2]
+    middle = np.array([[f * width, 0, x + 110], [0, f * height, y - 80], [0, 0, 1]])
+    stds = {"focal_std": 0.45, "centre_std": 5.0, "lens_std": 0.1}
+    assumed = Camera(middle, IMAGE, focal_source="size", **stds).with_focal(1.1 * f)
+    search = ReferenceSearch(scene.model(), assumed, OPTIONS, scene.names)
+    for number, name in enumerate(scene.names):
+        matches = scene.matches(number)
+        pose = estimate_pose(matches, CAMERA, search.pair_camera, OPTIONS)
+        search.add(name, pose, matches, *NO_POINTS)
+    location = search.location()
+    assert location.success and location.R is not None and location.camera is not None
+    assert rotation_error_deg(location.R, scene.R) < 0.5
+    assert np.linalg.norm(location.centre - scene.centre) < 0.05
+    np.testing.assert_allclose(location.camera.K, PHOTO_CAMERA.K, atol=20)
+
+
+@pytest.mark.parametrize(("right", "status"), [(0, "nowhere"), (1, "nowhere"), (5, "located")])
+def test_mirror_images_that_have_a_pose_are_against_the_location(right: int, status: str) -> None:
+    scene = world_scene()
+    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
+    for number, name in enumerate(scene.names):
+        pose = scene.pair_pose(number) if number < right else MIRRORED
+        search.add(name, pose, scene.matches(number), *NO_POINTS)
+    location = search.location()
+    assert location.status == status
+    if status == "nowhere":
+        count = 5 - right
+        assert location.reason == (
+            f"the mirror image of the photograph has a pose with {count} references"
+        )
+
+
+def test_as_many_mirror_images_as_poses_place_nothing() -> None:
+    scene = world_scene(np.array([[1.2, 0, 0], [-1.2, 0.4, 0], [0.5, 0.2, 0.1], [-0.6, 0, 0.2]]))
+    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
+    for number, name in enumerate(scene.names):
+        pose = MIRRORED if number > 1 else scene.pair_pose(number, probability=0.7)
+        search.add(name, pose, scene.matches(number), *NO_POINTS)
+    location = search.location()
+    assert location.status == "nowhere" and "mirror image" in location.reason
+
+
+def test_a_model_that_contradicts_its_images_is_told() -> None:
+    """With world_from_cam in place of cam_from_world, the angles between the references are as
+    observed here by SciPy."""
+    scene = world_scene(np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]]))
+    model = scene.model()
+    inverse = {name: np.column_stack([p[:, :3].T, p[:, 3]]) for name, p in model.poses.items()}
+    wrong = replace(model, poses=inverse)
+    search = ReferenceSearch(wrong, PHOTO_CAMERA, OPTIONS, scene.names)
+    for number, name in enumerate(scene.names):
+        search.add(name, scene.pair_pose(number), scene.matches(number), *NO_POINTS)
+    location = search.location()
+    turned = [
+        Rotation.from_matrix(scene.R @ model.poses[name][:, :3].T @ inverse[name][:, :3])
+        for name in scene.names
+    ]
+    angles = [(a * b.inv()).magnitude() for a, b in combinations(turned, 2)]
+    assert location.status == "nowhere" and np.median(angles) > np.radians(20)
+    assert location.reason == (
+        "the poses of 4 references do not agree: the rotations between them, by their pairs with "
+        "the photograph, differ from those of the model by "
+        f"{np.degrees(np.median(angles)):.0f} degrees"
+    )
+
+
+def test_a_camera_that_contradicts_most_pairs_is_not_that_of_the_next() -> None:
+    scene = world_scene(np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]]))
+    model = scene.model()
+    inverse = {name: np.column_stack([p[:, :3].T, p[:, 3]]) for name, p in model.poses.items()}
+    unknown = replace(PHOTO_CAMERA, focal_std=0.4, focal_source="size")
+    for poses, is_stated in ((inverse, True), (model.poses, False)):
+        search = ReferenceSearch(replace(model, poses=poses), unknown, OPTIONS, scene.names)
+        for number, name in enumerate(scene.names):
+            search.add(name, scene.pair_pose(number), scene.matches(number), *NO_POINTS)
+        assert (search.pair_camera is unknown) == is_stated
+
+
+def test_a_pair_may_have_a_lens_without_coefficients() -> None:
+    scene = world_scene()
+    unknown = replace(PHOTO_CAMERA, focal_std=0.4, lens_std=0.1, focal_source="size")
+    search = ReferenceSearch(scene.model(), unknown, OPTIONS, scene.names)
+    fitted = replace(PHOTO_CAMERA, distortion=Distortion(CYLINDER), focal_std=0.02)
+    for number, name in enumerate(scene.names[:2]):
+        pose = replace(scene.pair_pose(number), camera2=fitted)
+        search.add(name, pose, scene.matches(number), *NO_POINTS)
+    assert search.camera.distortion == fitted.distortion and search.camera.focal_std == 0.4

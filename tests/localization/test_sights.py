@@ -9,6 +9,7 @@ from world_scene import CAMERA, PHOTO_CAMERA, world_scene
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
+from dgc_pose.localization.fit import fitted
 from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 
 STEP = 1e-6
@@ -64,3 +65,17 @@ def test_a_reference_at_the_same_place_has_a_finite_pose() -> None:
     scene = world_scene(np.array([[0.1, -0.2, 0.15], [1.0, 0, 0]]))
     R, t = scene.sight(1).pair_pose(replace(scene.pose, centre=scene.references[1][1]))
     assert np.isfinite(R).all() and np.linalg.norm(t) == pytest.approx(1)
+
+
+def test_points_do_not_bias_the_focal_length() -> None:
+    """The errors are of the image: a shorter focal length makes none of them smaller."""
+    photo = replace(PHOTO_CAMERA, focal_std=0.45)
+    spread = CameraSpread.of(CAMERA, photo)
+    off = []
+    for seed in range(30):
+        scene = world_scene(seed=seed)
+        pixels = scene.pixels(PHOTO_CAMERA, scene.R, scene.centre)
+        pixels += np.random.default_rng(seed).normal(0, 3, pixels.shape)
+        shown = PointSight(scene.points, photo.normalise(pixels), None, 12 / photo.focal)
+        off.append(fitted([shown], scene.pose, spread).deviations[0])
+    assert abs(np.mean(off)) < 3.5 * np.std(off) / len(off) ** 0.5

@@ -124,7 +124,6 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         centre_std=float(data.get("centre_std_px") or 0),
         lens_std=float(data.get("lens_std") or 0),
         aspect_std=float(data.get("aspect_std") or 0),
-        aspect_std=float(data.get("aspect_std") or 0),
         identity=None if identity is None else str(identity),
     )
 

@@ -1,0 +1,32 @@
+"""What a locator keeps of images."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from multi_view import SIZE, K, render_views, write_views
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.localization import locate
+from dgc_pose.localization.model import PosedModel
+from dgc_pose.matchers import MatcherCaches, MatcherOptions
+
+
+def test_features_go_with_their_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the photograph's nor those of references that left the memory are kept."""
+    photo, *views = render_views(4, step=0.5)
+    poses = {
+        name: np.column_stack([view.R, view.t])
+        for name, view in zip(write_views(tmp_path, views), views, strict=True)
+    }
+    monkeypatch.setattr(locate, "_IMAGE_BYTES", 1)
+    model = PosedModel(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
+    caches = MatcherCaches()
+    options = EstimationOptions(effort="fast", runs=2, iterations=200)
+    locator = locate.Locator(model, MatcherOptions().load(caches), options)
+    location = locator.locate(photo.pixels, K)
+    assert location.success and caches.features.made > 4
+    for cache in (caches.features, caches.native):
+        assert len({key[0].name for key in cache._kept} - {"photo"}) <= 1
+        assert "photo" not in {key[0].name for key in cache._kept}
