@@ -8,8 +8,8 @@ photograph has that camera after all.
 """
 
 import math
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +50,7 @@ def folder_cameras(
     """
     pairs = fitted_pairs(store.blocks())
     start = _by_models(cameras, pairs)
-    pooled, _ = pool(start, pairs)
+    pooled, _ = pool(start, _within(pairs, sharing(start)))
     if start != cameras or centre_moved(start, pooled):
         start = {name: replace(c, K=pooled[name].K) for name, c in start.items()}
         pairs = fitted_pairs(poses.estimated(store.blocks(), start, fit=True))
@@ -84,7 +84,7 @@ def _together(
     pairs: Sequence[FittedPair],
     own: Mapping[str, PooledCamera],
     known: Cameras,
-    certain: Collection[str],
+    certain: set[str],
 ) -> tuple[dict[str, Camera], list[PooledCamera]]:
     """The cameras of the groups, and those of the photographs that agree with none of them.
 
@@ -107,8 +107,7 @@ def _together(
         if groups[name] != groups[other]:
             size = start[name].size
             assert size is not None
-            resized = cameras[other].resized(size)
-            cameras[name] = replace(resized, identity=start[name].identity)
+            cameras[name] = cameras[other].resized(size)  # which is off by the same factor
             listed = [one for one in listed if one.names != (name,)]
             listed.append(PooledCamera((name,), cameras[name], own[name].pairs, f"as {other}"))
     for name in apart:
@@ -120,17 +119,16 @@ def _together(
 def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     """The cameras before the fit by the model that most of their pairs agree with."""
     groups = sharing(cameras)
-    votes: dict[str, Counter[ModelName]] = {name: Counter() for name in groups}
-    for pair in pairs:
-        for name in groups.keys() & set(pair.names):
-            votes[groups[name][0]][pair.row.camera_model] += (
-                (pair.row.probability or 0.0) if pair.row.success else 0.0
-            )
+    votes: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
+    for row in (pair.row for pair in pairs if pair.row.success):
+        for name in {groups[n][0] for n in (row.name1, row.name2) if n in groups}:
+            votes[name][row.camera_model] += row.probability or 0.0
     changed = dict(cameras)
     for name, names in groups.items():
-        ((model, weight),) = votes[names[0]].most_common(1) or [("assumed", 0.0)]
-        if weight > votes[names[0]].total() / 2 and model != "zoomed":
-            changed[name] = with_model(cameras[name], model)
+        of_group = votes[names[0]]
+        for model, weight in of_group.items():
+            if weight > sum(of_group.values()) / 2 and model != "zoomed":
+                changed[name] = with_model(cameras[name], model)
     return changed if any(changed[n] is not c for n, c in cameras.items()) else cameras
 
 
@@ -179,8 +177,9 @@ def _exact(camera: Camera) -> Camera:
 def _agrees(camera: Camera, other: Camera) -> bool:
     """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
     assert camera.size is not None and other.size is not None
-    shapes = (math.log(size[0] / size[1]) for size in (camera.size, other.size))
-    if camera.focal_std > _TELLING_FOCAL_STD or abs(np.subtract(*shapes)) > _SAME_SHAPE:
+    (width, height), (width2, height2) = camera.size, other.size
+    shape = math.log(width * height2 / (height * width2))
+    if camera.focal_std > _TELLING_FOCAL_STD or abs(shape) > _SAME_SHAPE:
         return False
     other = other.resized(camera.size)
     off = abs(math.log(camera.focal / other.focal))
