@@ -85,8 +85,9 @@ class Worker:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.caches = MatcherCaches()
-        for cache in (self.caches.features, self.caches.native, self.caches.key_points):
-            cache.limit_bytes = job.memory_bytes
+        caches = self.caches.features, self.caches.native, self.caches.key_points
+        for cache in caches:
+            cache.limit_bytes = job.memory_bytes // len(caches)
         self.matcher = job.matcher.load(self.caches)
         self._images: BoundedCache[str, Image | str] = BoundedCache(
             _bytes, job.memory_bytes, self._forget
@@ -119,15 +120,11 @@ class Worker:
 
         def posed() -> tuple[PairRow, PairMatches]:
             camera1, camera2 = (self.job.cameras[name] for name in names)
-            if not (camera1.exact and camera2.exact):
-                # As it will be when the pose is estimated again.
-                result = self.matcher.match(image1, image2)
-                return self._estimated(
-                    names, pair_matches(result, estimable=True), self.job.cameras
-                )
             search = self.matcher.search(image1, image2)
             pose = pose_of_pair(search, camera1, camera2, self.job.estimation)
-            stored = pair_matches(search.last, estimable=False)
+            # Of a mirror image no camera makes a pose.
+            again = not (camera1.exact and camera2.exact) and pose.status != "mirrored"
+            stored = pair_matches(search.last, estimable=again)
             return _posed(names, stored, pose, search.last.matches.error_px)
 
         return _attempt(names, posed)
@@ -148,7 +145,7 @@ class Worker:
         names: tuple[str, str],
         stored: PairMatches,
         cameras: Mapping[str, Camera],
-        fit_cameras: bool = True,
+        fit_cameras: bool,
     ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair, by the pose of the matches as they are stored."""
         matches, map_matches = stored.estimable()

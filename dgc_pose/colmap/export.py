@@ -1,13 +1,17 @@
 """From a finished batch to a COLMAP database."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.batch.matches_file import PairMatches
+from dgc_pose.batch.pooling import as_fitted
 from dgc_pose.batch.result import Batch
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
@@ -52,18 +56,29 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
 
-    return track_corners(pairs, batch.plan.final_cameras, load, per_image, progress), pairs
+    return track_corners(pairs, load, per_image, progress), pairs
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
     """The pairs with a pose or a rotation, and the matches that fit it."""
-    geometries = []
+    geometries, final = [], batch.plan.final_cameras
     for row, matches in batch.matches():
         if row.status in CONFIGURATIONS:
             arrays = (matches.points1, matches.points2, matches.scores)
             inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
-            geometries.append(PairGeometry(row, *inliers))
+            geometries.append(PairGeometry(row, _cameras(row, matches, final), *inliers))
     return geometries
+
+
+def _cameras(
+    row: PairRow, matches: PairMatches, final: Mapping[str, Camera]
+) -> tuple[Camera, Camera]:
+    """The cameras of a row: those of the folder, or as it fitted them."""
+    first, second = final[row.name1], final[row.name2]
+    if matches.pose_inputs is None or matches.pose_inputs.camera_fits is None:
+        return first, second
+    fit1, fit2 = matches.pose_inputs.camera_fits
+    return as_fitted(first, row, fit1), as_fitted(second, row, fit2)
 
 
 def write_shared(

@@ -21,6 +21,7 @@ class PairGeometry:
     """A pair whose images show the same scene, with the matches that fit its pose."""
 
     row: PairRow  # of status ok, planar or rotation_only
+    cameras: tuple[Camera, Camera]  # that the pose is of
     points1: np.ndarray  # (N, 2) float64, pixels of image 1
     points2: np.ndarray  # (N, 2) float64
     scores: np.ndarray  # (N,) float64, confidence in [0, 1]
@@ -75,18 +76,12 @@ def _connected(count: int, ends: np.ndarray) -> np.ndarray:
         label = least
 
 
-def epipolar_error_px(
-    row: PairRow, cameras: Mapping[str, Camera], points1: np.ndarray, points2: np.ndarray
-) -> np.ndarray:
-    """Sampson distances (N,) of matches to the pose of a row, pixels of the originals; infinite
-    where distortion cannot be undone, and 0 for a row without a translation. The focal lengths are
-    those of the row, if it has any."""
+def epipolar_error_px(pair: PairGeometry, points1: np.ndarray, points2: np.ndarray) -> np.ndarray:
+    """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
+    where distortion cannot be undone, and 0 without a translation."""
+    row, (camera1, camera2) = pair.row, pair.cameras
     if row.R is None or row.t is None:
         return np.zeros(len(points1))
-    camera1, camera2 = (
-        cameras[name] if focal is None else cameras[name].with_focal(focal)
-        for name, focal in ((row.name1, row.focal1), (row.name2, row.focal2))
-    )
     E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
     focal = (camera1.focal + camera2.focal) / 2
     distance = sampson_distance(camera1.normalise(points1), camera2.normalise(points2), E) * focal

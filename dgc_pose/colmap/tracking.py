@@ -7,14 +7,13 @@ merged, so no match is moved.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import (
     Names,
     PairGeometry,
@@ -50,7 +49,6 @@ class Track:
 
 def track_corners(
     pairs: Sequence[PairGeometry],
-    cameras: Mapping[str, Camera],
     load: Callable[[str], Image],
     per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
@@ -60,23 +58,19 @@ def track_corners(
     load: an image by its name; it is called for neighbouring images again and again, and should
     cache the latest ones. per_image: most corners of an image, evenly spread.
     """
-    builder = _Builder(pairs, cameras)
+    builder = _Builder(pairs)
     pairs_of: defaultdict[str, list[PairGeometry]] = defaultdict(list)
     for pair in pairs:
         for name in pair.names:
             pairs_of[name].append(pair)
     for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
-        builder.add(name, *_tracks_of(name, its_pairs, cameras, load, per_image))
+        builder.add(name, *_tracks_of(name, its_pairs, load, per_image))
         progress(number, len(pairs_of))
     return builder.result()
 
 
 def _tracks_of(
-    name: str,
-    pairs: Sequence[PairGeometry],
-    cameras: Mapping[str, Camera],
-    load: Callable[[str], Image],
-    per_image: int,
+    name: str, pairs: Sequence[PairGeometry], load: Callable[[str], Image], per_image: int
 ) -> tuple[np.ndarray, list[Track]]:
     """The corners (N, 2) of an image, and where each pair has them."""
     image = load(name)
@@ -96,7 +90,7 @@ def _tracks_of(
         if pair.row.name1 == name:
             points1, points2 = points2, points1
         tolerance = _MAX_ERROR_PX * max(1.0, moved.scale)
-        good = epipolar_error_px(pair.row, cameras, points1, points2) <= tolerance
+        good = epipolar_error_px(pair, points1, points2) <= tolerance
         arrays = (moved.corner, moved.points, moved.zncc)
         tracks.append(Track(other, *(array[good] for array in arrays)))
     return corners, tracks
@@ -192,13 +186,12 @@ def _smoothed(grey: np.ndarray, scale: float) -> np.ndarray:
 class _Builder:
     """Puts the tracks of all images together."""
 
-    def __init__(self, pairs: Sequence[PairGeometry], cameras: Mapping[str, Camera]) -> None:
-        self._rows = {pair.names: pair.row for pair in pairs}
-        self._cameras = cameras
+    def __init__(self, pairs: Sequence[PairGeometry]) -> None:
+        self._pairs = {pair.names: pair for pair in pairs}
         self._points: defaultdict[str, list[np.ndarray]] = defaultdict(list)
         # By pair: indices of key points and scores.
         self._matches: dict[Names, list[tuple[np.ndarray, np.ndarray]]] = {
-            names: [] for names in self._rows
+            names: [] for names in self._pairs
         }
 
     def add(self, name: str, corners: np.ndarray, tracks: Sequence[Track]) -> None:
@@ -213,9 +206,9 @@ class _Builder:
         # Two images that share a corner of a third are matched there too, if they are a pair.
         for placed in combinations(zip(tracks, indices, strict=True), 2):
             names = tuple(track.name for track, _ in placed)
-            if names in self._rows:
+            if names in self._pairs:
                 self._add_common(*placed[0], *placed[1])
-            elif names[::-1] in self._rows:
+            elif names[::-1] in self._pairs:
                 self._add_common(*placed[1], *placed[0])
 
     def result(self) -> SharedMatches:
@@ -247,7 +240,7 @@ class _Builder:
             track1.corner, track2.corner, assume_unique=True, return_indices=True
         )
         points = track1.points[in1], track2.points[in2]
-        fits = epipolar_error_px(self._rows[names], self._cameras, *points) <= _MAX_ERROR_PX
+        fits = epipolar_error_px(self._pairs[names], *points) <= _MAX_ERROR_PX
         in1, in2 = in1[fits], in2[fits]
         scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
         self._add_matches(names, index1[in1], index2[in2], scores)
