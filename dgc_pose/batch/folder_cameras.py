@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 
 from dgc_pose.batch.pooling import (
-    KNOWN_FOCAL_STD,
     FittedPair,
     PooledCamera,
     centre_moved,
@@ -36,6 +35,7 @@ _AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is l
 _AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of two cameras
 _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
 _TELLING_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
+_PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
 _SAME_SHAPE = 0.01  # difference of two sizes' aspect ratios, logarithms
 _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
 _MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
@@ -56,12 +56,16 @@ def folder_cameras(
         pairs = fitted_pairs(poses.estimated(store.blocks(), start, fit=True))
     groups = sharing(start)
     known, _ = pool(start, _within(pairs, groups))
-    doubted = [name for name in groups if _is_doubted(name, groups[name], known, pairs)]
+    doubted = {}  # by name whether no pair at all agrees with the camera of the group
+    for name in groups:
+        agreeing, count = _agreement(name, groups[name], known, pairs)
+        if len(groups[name]) >= _MIN_GROUP and agreeing < _AGREEING_SHARE * count:
+            doubted[name] = agreeing == 0
     single = [name for name, names in groups.items() if len(names) == 1]
     certain = {
         name
         for name, camera in known.items()
-        if name not in single and camera.focal_std < KNOWN_FOCAL_STD
+        if name not in single and camera.focal_std < _PARTNER_FOCAL_STD
     }
     own: dict[str, PooledCamera] = {}
     for name in (*doubted, *single):
@@ -76,6 +80,8 @@ def folder_cameras(
         found, (own[name],) = pool(
             {name: tried[name], **exact}, fitted_pairs(poses.estimated(blocks, tried, fit=True))
         )
+        if own[name].camera.focal_std > _TELLING_FOCAL_STD and doubted.get(name) is False:
+            del own[name]  # it does not contradict the pairs that agree
     return _together(start, pairs, own, known, certain)
 
 
@@ -142,12 +148,11 @@ def _within(pairs: Sequence[FittedPair], groups: Mapping[str, tuple[str, ...]]) 
     return inside
 
 
-def _is_doubted(
+def _agreement(
     name: str, names: Sequence[str], known: Cameras, pairs: Sequence[FittedPair]
-) -> bool:
-    """Whether the pairs of an image do not show that it has the camera of its group."""
-    if len(names) < _MIN_GROUP:
-        return False
+) -> tuple[int, int]:
+    """How many pairs of an image with its group agree with the group's camera, and how many ought
+    to tell."""
     camera, agreeing, count = known[name], 0, 0
     for pair in pairs:
         if name in pair.names and set(pair.names) <= set(names):
@@ -157,7 +162,7 @@ def _is_doubted(
                 off = abs(value - math.log(camera.focal))
                 std = math.hypot(math.sqrt(covariance[0]), camera.focal_std, _SAME_FOCAL)
                 agreeing += off < _AGREEING_STDS * std and pair.row.camera_model == "assumed"
-    return agreeing < _AGREEING_SHARE * count
+    return agreeing, count
 
 
 def _own(camera: Camera, *, doubted: bool) -> Camera:

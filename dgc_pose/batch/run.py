@@ -2,7 +2,8 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, write_cameras
 from dgc_pose.batch.poses import Poses
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import FAILED
+from dgc_pose.batch.rows import FAILED, PairRow
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import PairStore
@@ -109,6 +110,8 @@ def run_batch(
                 pooled, cameras = folder_cameras(store, plan.cameras, poses)
                 plan = replace(plan, pooled=pooled)
                 blocks = _counted(poses.estimated(blocks, pooled, fit=False), plan, progress)
+            mirrored = _mirrored(row for block in store.blocks() for row in block.rows)
+            blocks = (_without_poses(block, mirrored) for block in blocks)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
@@ -200,6 +203,29 @@ def _match(
         store.add(outcome)
         progress("pairs", len(store), len(plan.pairs))
     return len(left)
+
+
+def _mirrored(rows: Iterable[PairRow]) -> set[str]:
+    """The photographs of which more pairs are of a mirror image than have a pose."""
+    votes = Counter[str]()
+    for row in rows:
+        vote = (row.status == "mirrored") - row.success
+        votes.update({row.name1: vote, row.name2: vote})
+    return {name for name, vote in votes.items() if vote > 0}
+
+
+def _without_poses(block: Matched, mirrored: set[str]) -> Matched:
+    """The block, in which no pose is of a mirrored photograph and of another."""
+    rows, matches = list(block.rows), list(block.matches)
+    for number, row in enumerate(rows):
+        one = mirrored & {row.name1, row.name2}
+        if len(one) == 1 and row.t is not None:
+            reason = f"most pairs of {one.pop()} are of its mirror image"
+            names = row.name1, row.name2
+            rows[number] = PairRow(*names, "mirrored", False, reason, num_matches=row.num_matches)
+            none = np.zeros_like(matches[number].inliers)
+            matches[number] = replace(matches[number], inliers=none)
+    return replace(block, rows=rows, matches=matches)
 
 
 def _counted(blocks: Iterator[Matched], plan: Plan, progress: Progress) -> Iterator[Matched]:
