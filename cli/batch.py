@@ -120,7 +120,8 @@ def report(batch: Batch) -> None:
         else:
             unknown = ": no pair determines it" * (std > 0)
             source = f"from the {_SOURCES[camera['focal_source']]}{unknown}"
-        lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}"))
+        why = f" ({camera['first_image']}: {camera['why']})" if camera["why"] else ""
+        lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}{why}"))
     echo_each_camera(lines, "cameras.csv")
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
     click.echo(

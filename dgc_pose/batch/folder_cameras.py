@@ -57,19 +57,19 @@ def folder_cameras(
     groups = sharing(start)
     known, _ = pool(start, _within(pairs, groups))
     doubted = {}  # by name whether no pair at all agrees with the camera of the group
-    for name in groups:
+    for name in (n for n, c in start.items() if c.focal_source != "given" and n in groups):
         agreeing, count = _agreement(name, groups[name], known, pairs)
         if len(groups[name]) >= _MIN_GROUP and agreeing < _AGREEING_SHARE * count:
             doubted[name] = agreeing == 0
     single = [name for name, names in groups.items() if len(names) == 1]
-    certain = {
+    certain = [
         name
         for name, camera in known.items()
         if name not in single and camera.focal_std < _PARTNER_FOCAL_STD
-    }
+    ]
     own: dict[str, PooledCamera] = {}
     for name in (*doubted, *single):
-        partners = certain - {name}
+        partners = {*certain} - {name}
         chosen = [p for p in pairs if name in p.names and partners.intersection(p.names)]
         chosen.sort(key=lambda pair: -pair.row.num_inliers)
         if not chosen:
@@ -77,11 +77,12 @@ def folder_cameras(
         tried = known | {name: _own(start[name], doubted=name in doubted)}
         blocks = store.blocks(only={pair.index for pair in chosen[:_MOST_PAIRS]})
         exact = {n: _exact(c) for n, c in tried.items() if n != name}
-        found, (own[name],) = pool(
+        _, (found,) = pool(
             {name: tried[name], **exact}, fitted_pairs(poses.estimated(blocks, tried, fit=True))
         )
-        if own[name].camera.focal_std > _TELLING_FOCAL_STD and doubted.get(name) is False:
-            del own[name]  # it does not contradict the pairs that agree
+        # A fit that tells nothing does not contradict the pairs that agree.
+        if found.camera.focal_std < _TELLING_FOCAL_STD or doubted.get(name, True):
+            own[name] = found
     return _together(start, pairs, own, known, certain)
 
 
@@ -90,35 +91,44 @@ def _together(
     pairs: Sequence[FittedPair],
     own: Mapping[str, PooledCamera],
     known: Cameras,
-    certain: set[str],
+    certain: Sequence[str],
 ) -> tuple[dict[str, Camera], list[PooledCamera]]:
     """The cameras of the groups, and those of the photographs that agree with none of them.
 
     own: of photographs by themselves. known: of the groups; certain: whose cameras are that.
     """
     groups = sharing(start)
-    same: dict[str, str] = {}  # a photograph, and one whose camera it has
-    for name, found in own.items():
-        for other in (n for n in (*groups[name], *certain) if n in certain and n != name):
-            if _agrees(found.camera, known[other]):
-                same[name] = other
-                break
-    apart = own.keys() - same.keys()
+    found: dict[tuple[str, ...], PooledCamera] = {(name,): own[name] for name in own}
+    for names in dict.fromkeys(groups[n] for n in certain if n in groups):
+        found[names] = PooledCamera(names, known[names[0]], 0)
+    same: dict[tuple[str, ...], str] = {}  # photographs, and another whose camera they have
+    for names, one in found.items():
+        for other in certain:
+            of_other = groups.get(other, (other,))
+            if names[0] in of_other and len(names) > 1 or names == (other,):
+                continue
+            larger = len(names) == 1 or (len(of_other), names) > (len(names), of_other)
+            if larger and names not in same and _agrees(one.camera, known[other]):
+                same[names] = other
+    apart = {name for name in own if (name,) not in same}
     rest = [p for p in pairs if not apart.intersection(p.names)]
-    members = {name: c for name, c in start.items() if name not in apart}
     if certain:
-        rest = _within(rest, groups) + [p for p in rest if not certain.intersection(p.names)]
-    cameras, listed = pool(members, rest)
-    for name, other in same.items():
-        if groups[name] != groups[other]:
+        rest = _within(rest, groups) + [p for p in rest if not {*certain}.intersection(p.names)]
+    cameras, listed = pool({n: c for n, c in start.items() if n not in apart}, rest)
+    for names, other in same.items():
+        if names[0] in groups.get(other, ()):
+            continue
+        for name in names:
             size = start[name].size
             assert size is not None
             cameras[name] = cameras[other].resized(size)  # which is off by the same factor
-            listed = [one for one in listed if one.names != (name,)]
-            listed.append(PooledCamera((name,), cameras[name], own[name].pairs, f"as {other}"))
-    for name in apart:
+        listed = [pooled for pooled in listed if pooled.names != names]
+        why = f"the camera of {other}, resized"
+        listed.append(PooledCamera(names, cameras[names[0]], found[names].pairs, why))
+    for name in sorted(apart):
         cameras[name] = own[name].camera
-        listed.append(replace(own[name], why="its pairs agree with no camera of others"))
+        why = "" if start[name].focal_source == "given" else "its pairs agree with no other camera"
+        listed.append(replace(own[name], why=why))
     return {name: cameras[name] for name in start}, listed
 
 

@@ -16,7 +16,7 @@ from dgc_pose.errors import ArgumentName, InputError, reason, shortened
 from dgc_pose.files.json_files import read_json
 from dgc_pose.files.outputs import write_text
 
-_VERSION = 5
+_VERSION = 6
 _RESUME = ArgumentName("resume")
 
 

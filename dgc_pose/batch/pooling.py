@@ -44,7 +44,7 @@ class PooledCamera:
     names: tuple[str, ...]  # its images
     camera: Camera  # of its first image
     pairs: int  # whose fits enter its focal length
-    why: str = ""  # its images share it, or its only image has it alone
+    why: str = ""  # its images have it, unless by their sizes and EXIF data or the K given
 
 
 @dataclass(frozen=True, eq=False)

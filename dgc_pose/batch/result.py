@@ -103,6 +103,7 @@ def summary_of(
                 "centre_std_px": pooled.camera.centre_std,
                 "lens_std": pooled.camera.lens_std,
                 "pairs": pooled.pairs,
+                "why": pooled.why,
             }
             for pooled in cameras
         ],

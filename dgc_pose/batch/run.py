@@ -32,6 +32,7 @@ from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
+from dgc_pose.runtime.load import default_runtime, device_type
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
@@ -75,7 +76,8 @@ def run_batch(
         "masks": masks and str(masks),
         "weights": matcher.weights,
         "weights_sha256": _weights_hash(matcher.weights),
-        "runtime": matcher.runtime,
+        "runtime": default_runtime() if matcher.runtime == "auto" else matcher.runtime,
+        "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
         "refinement": asdict(matcher.refinement),
