@@ -13,7 +13,7 @@ from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import is_of_upright, with_orientation
 from dgc_pose.errors import ArgumentName, ImageError, InputError
-from dgc_pose.images.folder import left_out_line, search_images
+from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import image_header, upright_header
 from dgc_pose.images.mask import mask_file
@@ -80,7 +80,8 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
 
 
 def _of_folder(root: Path, masks: Path | None) -> Source:
-    """The photographs below a folder, without masks and results of `batch` and `reconstruct`."""
+    """The photographs below a folder, without masks, copies, and results of `batch` and
+    `reconstruct`."""
 
     def is_result(name: str) -> bool:
         path = root / name
@@ -93,12 +94,12 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     results = [name for name in content.names if is_result(name)]
     files = {os.path.realpath(file) for n in content.names if (file := mask_file(masks, n))}
     others = {n for n in content.names if files and os.path.realpath(root / n) in files}
-    others.update(results)
-    names = tuple(name for name in content.names if name not in others)
-    left_out = content.left_out
-    if results:
-        left_out += (left_out_line("file", results, f"results, told by their {PLAN}"),)
-    return Source(root, names, None, {}, left_out)
+    names = [name for name in content.names if name not in others.union(results)]
+    copies = copies_of_others(root, names)
+    why = {f"results, told by their {PLAN}": results, "copies of other photographs": copies}
+    lines = [left_out_line("file", found, reason) for reason, found in why.items() if found]
+    kept = tuple(name for name in names if name not in copies)
+    return Source(root, kept, None, {}, (*content.left_out, *lines))
 
 
 def survey(

@@ -1,15 +1,23 @@
 """The images below a folder by their content, and what is left out."""
 
+import filecmp
 import os
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass
+from itertools import permutations
 from pathlib import Path
+
+import cv2
+import numpy as np
 
 from dgc_pose.errors import ImageError
 from dgc_pose.files.inputs import read_start
 from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_format
+from dgc_pose.images.image import image_header, load_image, resize, upright_header
 
 _PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
+_SAME_PICTURE = 0.002  # of thumbnails: the mean square difference over the variance
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,36 @@ def search_images(folder: str | Path) -> FolderImages:
     return FolderImages(tuple(sorted(names)), tuple(lines))
 
 
-def left_out_line(kind: str, names: Sequence[str], why: str) -> str:
+def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
+    """The images that have the bytes of another, but the first by name; and of one name, but for
+    its folder and ending, the smaller ones with the same picture."""
+    groups = defaultdict[Hashable, list[str]](list)
+    for name in names:
+        groups[Path(name).stem].append(name)
+        groups[os.path.getsize(root / name), hash(read_start(root / name, 2**16))].append(name)
+    copies = set[str]()
+    for other, name in (pair for group in groups.values() for pair in permutations(group, 2)):
+        if name not in copies and _is_copy(root / name, root / other):
+            copies.add(name)
+    return copies
+
+
+def _is_copy(path: Path, of: Path) -> bool:
+    if filecmp.cmp(path, of, shallow=False):
+        return path > of
+    try:
+        (w, h), (W, H) = (upright_header(image_header(file)).size for file in (path, of))
+        if w >= W or abs(w * H - h * W) > max(W, H):  # of another shape, by more than a pixel
+            return False
+        small, large = (load_image(file, upright=True).pixels for file in (path, of))
+    except ImageError:
+        return False
+    images = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small, resize(large, (w, h))))
+    first, second = (resize(grey, (32, 32)).astype(np.float32) for grey in images)
+    return bool(np.square(first - second).mean() < _SAME_PICTURE * second.var())
+
+
+def left_out_line(kind: str, names: Collection[str], why: str) -> str:
     """How many files or folders are left out, the first of them, and the reason."""
     return f"{len(names)} {kind}{'s' * (len(names) > 1)} left out (first: {min(names)}): {why}"
 

@@ -71,6 +71,16 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | N
     )
 
 
+def test_copies_of_photographs_are_left_out(tmp_path: Path) -> None:
+    for i, name in enumerate(("1.png", "2.png", "sub/1.png")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        _save(tmp_path / name, "PNG", i)
+    (tmp_path / "3.png").write_bytes((tmp_path / "1.png").read_bytes())
+    source = open_source(tmp_path)
+    assert source.names == ("1.png", "2.png", "sub/1.png")
+    assert source.left_out == ("1 file left out (first: 3.png): copies of other photographs",)
+
+
 # fx, fy, cx, cy of an image of 64 x 48, and the same in COLMAP's line and for twice the size.
 K = (50.0, 52.0, 33.0, 23.0)
 KS = {

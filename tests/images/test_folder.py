@@ -4,11 +4,12 @@ import os
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import PIL.Image
 import pytest
 
-from dgc_pose.images.folder import search_images
+from dgc_pose.images.folder import copies_of_others, search_images
 
 _HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
 
@@ -62,6 +63,67 @@ def test_previews_of_devices_are_left_out(tmp_path: Path) -> None:
     images = search_images(tmp_path)
     assert images.names == ("a.jpg",)
     assert images.left_out == ("3 folders left out (first: @eaDir): previews that a device made",)
+
+
+def _picture(seed: int, size: tuple[int, int]) -> np.ndarray:
+    """A smooth pattern (H, W, 3) uint8, with fine noise on it."""
+    rng = np.random.default_rng(seed)
+    coarse = cv2.resize(rng.integers(0, 256, (9, 12, 3), np.uint8), size)
+    noise = rng.integers(-20, 21, coarse.shape)
+    return np.clip(coarse + noise, 0, 255).astype(np.uint8)
+
+
+def _write(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), pixels)
+
+
+def test_copies_are_known_by_their_content(tmp_path: Path) -> None:
+    """Downscaled ones of the same name, in other folders; and equal bytes under any name."""
+    pixels, names = _picture(1, (801, 603)), []
+    for factor in (1, 2, 4):
+        size = 801 // factor, 603 // factor
+        names.append(
+            "images" + f"_{factor}" * (factor > 1) + f"/x.{'jpg' if factor < 4 else 'png'}"
+        )
+        _write(tmp_path / names[-1], cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
+    (tmp_path / "b.jpg").write_bytes((tmp_path / "images/x.jpg").read_bytes())
+    names.append("b.jpg")
+    copies = copies_of_others(tmp_path, names)
+    assert copies == {"images/x.jpg", "images_2/x.jpg", "images_4/x.png"}
+    assert copies_of_others(tmp_path, names[2::-1]) == {"images_2/x.jpg", "images_4/x.png"}
+
+
+def test_a_copy_may_have_lost_its_orientation(tmp_path: Path) -> None:
+    exif = PIL.Image.Exif()
+    exif[274] = 6
+    pixels = _picture(1, (800, 600))
+    PIL.Image.fromarray(pixels).save(tmp_path / "x.jpg", exif=exif)
+    half = cv2.resize(np.rot90(pixels, -1), (300, 400), interpolation=cv2.INTER_AREA)
+    PIL.Image.fromarray(half).save(tmp_path / "x.png")
+    assert copies_of_others(tmp_path, ["x.png", "x.jpg"]) == {"x.png"}
+
+
+def test_different_photographs_are_no_copies(tmp_path: Path) -> None:
+    """Of one size or not: a rig's, those of two days, a crop, and of a camera that moved by 1/50 of
+    the width; nor are the same pictures of other names."""
+    pixels = _picture(1, (800, 600))
+    half = cv2.resize(pixels, (400, 300), interpolation=cv2.INTER_AREA)
+    pictures = {
+        "a/x.png": pixels,
+        "b/x.png": pixels + np.uint8(1),  # as large
+        "c/x.png": cv2.resize(_picture(2, (800, 600)), (400, 300)),
+        "d/x.png": half[:200],
+        "e/x.png": np.roll(half, 8, axis=1),
+        "f/y.png": half,
+        "g/x.png": np.zeros_like(half),
+        "h/x.png": np.zeros((150, 200, 3), np.uint8),
+    }
+    for name, picture in pictures.items():
+        _write(tmp_path / name, picture)
+    (tmp_path / "i").mkdir()
+    (tmp_path / "i" / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(50))
+    assert copies_of_others(tmp_path, [*pictures, "i/x.png"]) == set()
 
 
 def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
