@@ -3,7 +3,7 @@
 import hashlib
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -34,6 +34,7 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 from dgc_pose.runtime.load import default_runtime, device_type
 
+_FEW_LEFT = 0.5  # of the inliers of a pair by itself
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
 
@@ -112,8 +113,8 @@ def run_batch(
                 pooled, cameras = folder_cameras(store, plan.cameras, poses)
                 plan = replace(plan, pooled=pooled)
                 blocks = _counted(poses.estimated(blocks, pooled, fit=False), plan, progress)
-            mirrored = _mirrored(row for block in store.blocks() for row in block.rows)
-            blocks = (_without_poses(block, mirrored) for block in blocks)
+            before = [row for block in store.blocks() for row in block.rows]
+            blocks = _compared(blocks, before)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
@@ -207,27 +208,30 @@ def _match(
     return len(left)
 
 
-def _mirrored(rows: Iterable[PairRow]) -> set[str]:
-    """The photographs of which more pairs are of a mirror image than have a pose."""
-    votes = Counter[str]()
-    for row in rows:
+def _compared(blocks: Iterable[Matched], before: Sequence[PairRow]) -> Iterator[Matched]:
+    """The blocks, in which no pose is of a photograph that more of its pairs show as mirrored than
+    have a pose, and of another; and where few inliers are left, a warning. before: the rows of the
+    pairs by themselves."""
+    votes, inliers = Counter[str](), {}
+    for row in before:
         vote = (row.status == "mirrored") - row.success
         votes.update({row.name1: vote, row.name2: vote})
-    return {name for name, vote in votes.items() if vote > 0}
-
-
-def _without_poses(block: Matched, mirrored: set[str]) -> Matched:
-    """The block, in which no pose is of a mirrored photograph and of another."""
-    rows, matches = list(block.rows), list(block.matches)
-    for number, row in enumerate(rows):
-        one = mirrored & {row.name1, row.name2}
-        if len(one) == 1 and row.t is not None:
-            reason = f"most pairs of {one.pop()} are of its mirror image"
+        inliers[row.name1, row.name2] = row.num_inliers if row.success else 0
+    mirrored = {name for name, vote in votes.items() if vote > 0}
+    for block in blocks:
+        rows, matches = list(block.rows), list(block.matches)
+        for number, row in enumerate(rows):
             names = row.name1, row.name2
-            rows[number] = PairRow(*names, "mirrored", False, reason, num_matches=row.num_matches)
-            none = np.zeros_like(matches[number].inliers)
-            matches[number] = replace(matches[number], inliers=none)
-    return replace(block, rows=rows, matches=matches)
+            one = mirrored.intersection(names)
+            if row.num_inliers < _FEW_LEFT * inliers[names]:
+                few = f"the folder's cameras leave {row.num_inliers} of {inliers[names]} inliers"
+                rows[number] = replace(row, warnings=(*row.warnings, few))
+            if len(one) == 1 and row.t is not None:
+                why = f"most pairs of {one.pop()} are of its mirror image"
+                rows[number] = PairRow(*names, "mirrored", False, why, num_matches=row.num_matches)
+                none = np.zeros_like(matches[number].inliers)
+                matches[number] = replace(matches[number], inliers=none)
+        yield replace(block, rows=rows, matches=matches)
 
 
 def _counted(blocks: Iterator[Matched], plan: Plan, progress: Progress) -> Iterator[Matched]:
