@@ -52,5 +52,5 @@ def cloud_pairs(
         R = R2 @ R1.T
         row = true_row((f"view{i}.png", f"view{j}.png"), R, t2 - R @ t1, count=count)
         noisy = [seen[k] + noise_px * rng.standard_normal((count, 2)) for k in (i, j)]
-        pairs.append(PairGeometry(row, *noisy, np.linspace(1, 0.5, count)))
+        pairs.append(PairGeometry(row, (camera(), camera()), *noisy, np.linspace(1, 0.5, count)))
     return pairs

@@ -22,7 +22,6 @@ from dgc_pose.batch.pooling import (
     sharing,
 )
 from dgc_pose.batch.poses import Poses, fitted_pairs
-from dgc_pose.batch.store import PairStore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
@@ -41,19 +40,17 @@ _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that m
 _MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
 
 
-def folder_cameras(
-    store: PairStore, cameras: Cameras, poses: Poses
-) -> tuple[dict[str, Camera], list[PooledCamera]]:
+def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], list[PooledCamera]]:
     """The cameras by image name, and one by one those that had a deviation.
 
-    store: of the pairs as they are matched, each with its own fit of `cameras`.
+    poses: of pairs that are stored each with its own fit of `cameras`.
     """
-    pairs = fitted_pairs(store.blocks())
+    pairs = fitted_pairs(poses.store.blocks())
     start = _by_models(cameras, pairs)
     pooled, _ = pool(start, _within(pairs, sharing(start)))
     if start != cameras or centre_moved(start, pooled):
         start = {name: replace(c, K=pooled[name].K) for name, c in start.items()}
-        pairs = fitted_pairs(poses.estimated(store.blocks(), start, fit=True))
+        pairs = fitted_pairs(poses.estimated(start, fit=True))
     groups = sharing(start)
     known, _ = pool(start, _within(pairs, groups))
     doubted = {}  # by name whether no pair at all agrees with the camera of the group
@@ -75,11 +72,9 @@ def folder_cameras(
         if not chosen:
             continue
         tried = known | {name: _own(start[name], doubted=name in doubted)}
-        blocks = store.blocks(only={pair.index for pair in chosen[:_MOST_PAIRS]})
+        refit = poses.estimated(tried, fit=True, only={p.index for p in chosen[:_MOST_PAIRS]})
         exact = {n: _exact(c) for n, c in tried.items() if n != name}
-        _, (found,) = pool(
-            {name: tried[name], **exact}, fitted_pairs(poses.estimated(blocks, tried, fit=True))
-        )
+        _, (found,) = pool({name: tried[name], **exact}, fitted_pairs(refit))
         # A fit that tells nothing does not contradict the pairs that agree.
         if found.camera.focal_std < _TELLING_FOCAL_STD or doubted.get(name, True):
             own[name] = found
@@ -138,7 +133,7 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     votes: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
     for row in (pair.row for pair in pairs if pair.row.success):
         for name in {groups[n][0] for n in (row.name1, row.name2) if n in groups}:
-            votes[name][row.camera_model] += row.probability or 0.0
+            votes[name][row.camera_model] += 1.0 if row.probability is None else row.probability
     changed = dict(cameras)
     for name, names in groups.items():
         of_group = votes[names[0]]

@@ -101,7 +101,7 @@ def pool(
     """The cameras by image name as all pairs fit them, and one by one those that had a deviation.
 
     cameras: by name, as the pairs had them; those without a deviation stay as they are. Images of
-    several sizes, and parts of images, share a focal length and no principal point. The same for
+    several sizes, and parts without EXIF data, share a focal length and no principal point. The same for
     any order of the pairs.
     """
     shared = sharing(cameras)
@@ -113,9 +113,8 @@ def pool(
     for names in dict.fromkeys(shared.values()):
         first = cameras[names[0]]
         prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
-        if len({cameras[name].size for name in names}) > 1 or (
-            len(names) > 1 and is_of_part(first)
-        ):
+        cut = first.focal_source == "size" and is_of_part(first) and len(names) > 1
+        if cut or len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted
         widest = (_MAX_STD_SHARE * prior[open_[0]]) ** 2

@@ -1,10 +1,12 @@
 """Poses of pairs that are matched, estimated by other cameras than before."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 
 from dgc_pose.batch.pooling import FittedPair
+from dgc_pose.batch.schedule import block_size
+from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import Estimate, Matched
 from dgc_pose.batch.workers import RunTasks
 from dgc_pose.cameras.camera import Camera
@@ -16,14 +18,17 @@ _BLOCKS_HELD = 4  # of matches in memory, for each worker
 class Poses:
     """Estimates poses by workers."""
 
+    store: PairStore  # of the pairs as they are matched
     run: RunTasks
     workers: int
 
     def estimated(
-        self, blocks: Iterator[Matched], cameras: Mapping[str, Camera], *, fit: bool
+        self, cameras: Mapping[str, Camera], *, fit: bool, only: Collection[int] | None = None
     ) -> Iterator[Matched]:
-        """The blocks with their poses by these cameras. fit: whether each pair fits its cameras;
-        otherwise those alone do whose cameras are not known."""
+        """The pairs with their poses by these cameras. fit: whether each pair fits its cameras;
+        otherwise those alone do whose cameras are not known. only: indices of some pairs."""
+        count = len(self.store if only is None else only)
+        blocks = self.store.blocks(block_size(count, self.workers), only)
         while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
             tasks = []
             for block in held:

@@ -105,16 +105,16 @@ def run_batch(
                 write_plan(out, plan)
             (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
             store = PairStore(out, plan)
-            poses = Poses(run, options.worker_count)
+            poses = Poses(store, run, options.worker_count)
             worked = _match(store, plan, run, options, progress)
             cameras: list[PooledCamera] = []
-            blocks = store.blocks(block_size(len(plan.pairs), options.worker_count))
+            blocks = store.blocks()
             if plan.uncertain:
-                pooled, cameras = folder_cameras(store, plan.cameras, poses)
+                pooled, cameras = folder_cameras(poses, plan.cameras)
                 plan = replace(plan, pooled=pooled)
-                blocks = _counted(poses.estimated(blocks, pooled, fit=False), plan, progress)
-            before = [row for block in store.blocks() for row in block.rows]
-            blocks = _compared(blocks, before)
+                blocks = _counted(poses.estimated(pooled, fit=False), plan, progress)
+            alone = [row for block in store.blocks() for row in block.rows]
+            blocks = _compared(blocks, alone)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
@@ -208,12 +208,12 @@ def _match(
     return len(left)
 
 
-def _compared(blocks: Iterable[Matched], before: Sequence[PairRow]) -> Iterator[Matched]:
+def _compared(blocks: Iterable[Matched], alone: Sequence[PairRow]) -> Iterator[Matched]:
     """The blocks, in which no pose is of a photograph that more of its pairs show as mirrored than
-    have a pose, and of another; and where few inliers are left, a warning. before: the rows of the
+    have a pose, and of another; and where few inliers are left, a warning. alone: the rows of the
     pairs by themselves."""
     votes, inliers = Counter[str](), {}
-    for row in before:
+    for row in alone:
         vote = (row.status == "mirrored") - row.success
         votes.update({row.name1: vote, row.name2: vote})
         inliers[row.name1, row.name2] = row.num_inliers if row.success else 0

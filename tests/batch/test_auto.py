@@ -25,7 +25,7 @@ LAST = f"view{COUNT - 1}.png"
 def _two_rounds() -> Iterator[None]:
     """The pairs fit again around the pooled camera, as where its principal point is far off."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dgc_pose.batch.run.centre_moved", lambda before, after: True)
+        patch.setattr("dgc_pose.batch.folder_cameras.centre_moved", lambda before, after: True)
         yield
 
 

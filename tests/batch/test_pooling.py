@@ -2,14 +2,14 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 
-from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, PoseInputs
 from dgc_pose.batch.pooling import (
     CameraFit,
+    FittedPair,
+    as_fitted,
     camera_fits,
     centre_moved,
     pool,
@@ -21,7 +21,6 @@ from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import estimate_pose
-from dgc_pose.estimation.evidence import ModelName
 from two_view import two_view_scene
 
 PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
@@ -87,20 +86,18 @@ def _camera(identity: str | None) -> Camera:
         focal_std=PRIOR,
         centre_std=CENTRE,
         lens_std=LENS,
-        focal_source="size",
+        focal_source="exif",
         identity=identity,
     )
 
 
-def _pair(
-    name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01
-) -> tuple[PairRow, PairMatches]:
+def _pair(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> FittedPair:
     """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
     fit = np.zeros((2, 7, 6))
     fit[:, 0] = [(np.log(focal), 51.5, 39.5, 0.05, -0.1, 0.0) for focal in (focal1, focal2)]
     fit[:, 1:] = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4])
     row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
-    return row, replace(NO_MATCHES, pose_inputs=PoseInputs(0.5, False, None, fit))
+    return FittedPair(0, row, fit)
 
 
 def test_each_camera_has_its_pairs() -> None:
@@ -114,8 +111,9 @@ def test_each_camera_has_its_pairs() -> None:
         _pair("a", "c", 121, 99),
         _pair("c", "b", 99, 121),
         _pair("a", "d", 121, 300, std=0.39),
-        (replace(failed[0], success=False), failed[1]),
-        (PairRow("a", "e", "bad_input", False, "too small"), NO_MATCHES),
+        replace(failed, row=replace(failed.row, success=False)),
+        replace(failed, row=replace(failed.row, camera_model="squeezed")),
+        FittedPair(0, PairRow("a", "e", "bad_input", False, "too small"), None),
     ]
     pooled, listed = pool(cameras, pairs)
     assert [one.names for one in listed] == [("a", "b"), ("c",), ("d",)]
@@ -130,7 +128,7 @@ def test_each_camera_has_its_pairs() -> None:
     np.testing.assert_allclose(lens.coefficients, (0.05, -0.1), rtol=0.01)
     assert pooled["d"].distortion is None and pooled["d"].lens_std == LENS
     assert (pooled["d"].focal, pooled["d"].focal_std) == (110, PRIOR)
-    assert pooled["d"].focal_source == "size" and pooled["d"].centre_std == CENTRE
+    assert pooled["d"].focal_source == "exif" and pooled["d"].centre_std == CENTRE
     assert pooled["e"] is cameras["e"]
     backwards, _ = pool(cameras, pairs[::-1])
     for name, camera in pooled.items():
@@ -170,8 +168,8 @@ def test_the_cameras_are_read_back(tmp_path: Path) -> None:
         assert (again[name].centre_std, again[name].lens_std) == (CENTRE, camera.lens_std)
 
 
-def test_cameras_of_another_model_have_no_fit() -> None:
-    """Of the assumed one: the parameters of each, and their block of the covariance."""
+def test_the_fit_of_a_pair_is_its_cameras() -> None:
+    """The parameters of each, and their block of the covariance; and back again."""
     scene = two_view_scene("skew", same_camera=True)
     loose = [replace(camera, focal_std=0.1, lens_std=0.05) for camera in scene.cameras]
     pose = estimate_pose(scene.matches, *loose)
@@ -185,7 +183,8 @@ def test_cameras_of_another_model_have_no_fit() -> None:
         np.testing.assert_allclose(fits[number, 0], [*expected, np.log(fy / fx)])
         rows = slice(6 * number, 6 * number + 6)
         np.testing.assert_array_equal(fits[number, 1:], pose.camera_covariance[rows, rows])
-    for model in get_args(ModelName):
-        other = replace(pose, evidence=replace(pose.evidence, camera_model=model))
-        assert (camera_fits(other) is None) == (model != "assumed")
+        row = PairRow("a", "b", "ok", True, "a pose")
+        back = as_fitted(loose[number], row, fits[number])
+        np.testing.assert_allclose(back.K, camera.K, atol=1e-9)
+        np.testing.assert_allclose(back.distortion.coefficients, camera.distortion.coefficients)
     assert camera_fits(estimate_pose(scene.matches, *scene.cameras)) is None

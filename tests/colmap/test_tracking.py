@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
-from colmap_scene import camera, cloud_pairs, project
+from colmap_scene import cloud_pairs, project
 from multi_view import SIZE, render_views
 from scipy.spatial import cKDTree
 
@@ -36,22 +36,20 @@ def _shared(
         points1, points2 = project(points, view1.R, view1.t), project(points, view2.R, view2.t)
         points1 += noise_px * rng.standard_normal(points1.shape)
         points2[:wrong] += 30
-        made.append(type(pair)(pair.row, points1, points2, np.ones(300)))
-    cameras = {name: camera() for name in names}
-    return track_corners(made, cameras, images.__getitem__, per_image=200), made
+        made.append(type(pair)(pair.row, pair.cameras, points1, points2, np.ones(300)))
+    return track_corners(made, images.__getitem__, per_image=200), made
 
 
 def test_corners_are_located_better_than_the_matches() -> None:
     """Matches with noise of 0.5 px give key points within a fraction of that, in tracks of all
     four views."""
     shared, pairs = _shared(0.5)
-    cameras = {name: camera() for name in shared.key_points}
     errors = []
     for pair in pairs:
         index = shared.pairs[pair.names]
         assert len(index) > 50
         points = [shared.key_points[name][index[:, k]] for k, name in enumerate(pair.names)]
-        errors.append(np.median(epipolar_error_px(pair.row, cameras, *points)))
+        errors.append(np.median(epipolar_error_px(pair, *points)))
     assert np.mean(errors) < 0.05
     assert (shared.track_lengths() == 4).sum() > 100
 

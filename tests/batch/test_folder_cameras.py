@@ -1,0 +1,150 @@
+"""Which photographs of a folder share a camera: pairs of points that known cameras see."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from camera_scene import camera_scene, pinhole
+
+from dgc_pose.batch.folder_cameras import folder_cameras
+from dgc_pose.batch.matches_file import PairMatches, PoseInputs
+from dgc_pose.batch.plan import Plan
+from dgc_pose.batch.pooling import PooledCamera
+from dgc_pose.batch.poses import Poses
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.store import PairStore
+from dgc_pose.batch.work import Estimate, Job, Matched, Outcome, Task, Worker
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import FISHEYE, Distortion
+from dgc_pose.cameras.prior import auto_camera
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.images.header import Exif, Header
+from dgc_pose.matchers import MatcherOptions
+
+SIZE, FOCAL, COUNT = (1200, 800), 1100.0, 4
+TURNS = ((8, 15, 12), (-9, 14, -10), (10, -16, 9), (7, 13, -14), (-8, -15, 11), (9, 12, 13))
+CENTRES = ((1.5, 1.2, 0.3), (1.4, -1.3, 0.2), (-1.5, 1.1, -0.3))
+SECOND = "1.png"
+
+
+def _prior(camera: Camera, exif: Exif = Exif()) -> Camera:  # noqa: B008, it is frozen
+    assert camera.size is not None
+    return auto_camera(Header("JPEG", camera.size, 1, exif))
+
+
+def _folder(
+    out: Path, true: Sequence[Camera], priors: Mapping[str, Camera] | None = None
+) -> tuple[dict[str, Camera], list[PooledCamera], list[Task]]:
+    """The cameras of photographs 0.png, 1.png and so on, those one by one, and the tasks that they
+    took after each pair was fitted alone."""
+    names = tuple(f"{i}.png" for i in range(len(true)))
+    priors = priors or {name: _prior(c) for name, c in zip(names, true, strict=True)}
+    pairs = np.array(list(combinations(range(len(true)), 2)))
+    worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=3), 2**20))
+    rows, matches = [], []
+    for k, (i, j) in enumerate(pairs):
+        scene = camera_scene(
+            true[i],
+            true[j],
+            seed=k,
+            outliers=0.1,
+            turn_deg=TURNS[k % len(TURNS)],
+            centre=CENTRES[k % len(CENTRES)],
+        )
+        points = (scene.matches.points1, scene.matches.points2, scene.matches.confidence)
+        first, second, scores = (array.astype(np.float32) for array in points)
+        rows.append(PairRow(names[i], names[j], "ok", True, ""))
+        inputs = PoseInputs(0.5, False, None)
+        matches.append(PairMatches(first, second, scores, np.zeros(len(first), bool), inputs))
+    alone = Matched(tuple(range(len(pairs))), rows, matches, {})
+    store = PairStore(out, Plan(out, priors, {}, {}, names, pairs, {}))
+    outcome = worker.do(Estimate(alone, priors, True))
+    assert isinstance(outcome, Matched)
+    store.add(outcome)
+    done: list[Task] = []
+
+    def run(tasks: Sequence[Task]) -> Iterator[Outcome]:
+        done.extend(tasks)
+        return map(worker.do, tasks)
+
+    return *folder_cameras(Poses(store, run, 1), priors), done
+
+
+def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path: Path) -> None:
+    cameras, (one,), tasks = _folder(tmp_path, [pinhole(FOCAL, SIZE)] * COUNT)
+    assert one.names == tuple(cameras) and one.why == "" and not tasks
+    assert all(camera.focal == pytest.approx(FOCAL, rel=0.02) for camera in cameras.values())
+
+
+@pytest.mark.parametrize(
+    ("focal", "centre"), [(1.5 * FOCAL, (0.0, 0.0)), (1.3 * FOCAL, (170.0, -110.0))]
+)
+def test_a_zoomed_or_cut_photograph_has_a_camera_of_its_own(
+    tmp_path: Path, focal: float, centre: tuple[float, float]
+) -> None:
+    """Of the same size, without EXIF data: its pairs alone tell."""
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true[1] = pinhole(focal, SIZE, centre=centre)
+    cameras, listed, _ = _folder(tmp_path, true)
+    assert [len(one.names) for one in listed] == [COUNT - 1, 1]
+    assert listed[1].names == (SECOND,) and listed[1].why
+    own = cameras.pop(SECOND)
+    assert own.identity is None and own.focal == pytest.approx(focal, rel=0.05)
+    off = np.abs(own.K[:2, 2] - true[1].K[:2, 2])
+    assert (off < 3 * own.centre_std).all() and own.centre_std < 0.08 * SIZE[0]
+    for camera in cameras.values():
+        assert camera.focal == pytest.approx(FOCAL, rel=0.02)
+        assert np.abs(camera.K[:2, 2] - true[0].K[:2, 2]).max() < 0.02 * SIZE[0]
+
+
+@pytest.mark.parametrize("resized", [(1,), (3, 4, 5)])
+def test_a_resized_photograph_has_the_camera_of_the_others(
+    tmp_path: Path, resized: tuple[int, ...]
+) -> None:
+    """Off by the same factor as they are: a single one, and a group of its own."""
+    half = SIZE[0] // 2, SIZE[1] // 2
+    true = [pinhole(FOCAL, SIZE)] * (3 + len(resized))
+    for i in resized:
+        true[i] = true[i].resized(half)
+    cameras, listed, _ = _folder(tmp_path, true)
+    assert len(listed) == 2 and "resized" in listed[1].why
+    whole, small = cameras["0.png"], cameras[f"{resized[0]}.png"]
+    assert small.size == half and small.identity == whole.identity is not None
+    assert small.focal == pytest.approx(whole.focal / 2)
+    assert small.focal == pytest.approx(FOCAL / 2, rel=0.02)
+
+
+def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path: Path) -> None:
+    """The lower right three quarters of a photograph, as they are."""
+    part = (900, 600)
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true[1] = pinhole(FOCAL, part, centre=(-150.0, -100.0))
+    cameras, listed, _ = _folder(tmp_path, true)
+    assert listed[-1].names == (SECOND,)
+    own = cameras[SECOND]
+    assert own.focal == pytest.approx(FOCAL, rel=0.08)
+    assert (np.abs(own.K[:2, 2] - true[1].K[:2, 2]) < 3 * own.centre_std).all()
+    assert cameras["0.png"].focal == pytest.approx(FOCAL, rel=0.02)
+
+
+def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path: Path) -> None:
+    """An action camera's fisheye, of which no file says anything."""
+    size = (1280, 960)
+    fisheye = pinhole(620.0, size, Distortion(FISHEYE, (0.0,) * 4))
+    cameras, (one,), _ = _folder(tmp_path, [fisheye] * COUNT)
+    for camera in cameras.values():
+        assert camera.distortion is not None and camera.distortion.model == FISHEYE
+        assert camera.focal == pytest.approx(620.0, rel=0.03)
+    assert one.camera.lens_std < 0.1
+
+
+def test_a_stated_camera_stays_that_of_all(tmp_path: Path) -> None:
+    """A K with a deviation, which one photograph contradicts."""
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    stated = replace(true[0], focal_std=0.05, identity="K")
+    true[1] = pinhole(1.5 * FOCAL, SIZE)
+    _, listed, _ = _folder(tmp_path, true, {f"{i}.png": stated for i in range(COUNT)})
+    assert [one.names for one in listed] == [tuple(f"{i}.png" for i in range(COUNT))]
