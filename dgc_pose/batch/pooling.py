@@ -101,8 +101,8 @@ def pool(
     """The cameras by image name as all pairs fit them, and one by one those that had a deviation.
 
     cameras: by name, as the pairs had them; those without a deviation stay as they are. Images of
-    several sizes, and parts without EXIF data, share a focal length and no principal point. The same for
-    any order of the pairs.
+    several sizes, and parts without EXIF data, share a focal length and no principal point. The
+    same for any order of the pairs.
     """
     shared = sharing(cameras)
     fits: dict[tuple[str, ...], list[CameraFit]] = defaultdict(list)

@@ -1,10 +1,14 @@
-"""Poses of pairs that are matched, estimated by other cameras than before."""
+"""Poses of pairs that are matched, estimated by the cameras of their folder."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 
+import numpy as np
+
 from dgc_pose.batch.pooling import FittedPair
+from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.schedule import block_size
 from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import Estimate, Matched
@@ -12,6 +16,7 @@ from dgc_pose.batch.workers import RunTasks
 from dgc_pose.cameras.camera import Camera
 
 _BLOCKS_HELD = 4  # of matches in memory, for each worker
+_FEW_LEFT = 0.5  # of the inliers of a pair by itself
 
 
 @dataclass(frozen=True)
@@ -48,3 +53,29 @@ def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:
             inputs = matches.pose_inputs
             pairs.append(FittedPair(index, row, None if inputs is None else inputs.camera_fits))
     return sorted(pairs, key=lambda pair: pair.index)
+
+
+def compared(blocks: Iterable[Matched], alone: Sequence[PairRow]) -> Iterator[Matched]:
+    """The blocks, in which no pose is of a photograph that more of its pairs show as mirrored than
+    have a pose, and of another; and where few inliers are left, a warning. alone: the rows of the
+    pairs by themselves."""
+    votes, inliers = Counter[str](), {}
+    for row in alone:
+        vote = (row.status == "mirrored") - row.success
+        votes.update({row.name1: vote, row.name2: vote})
+        inliers[row.name1, row.name2] = row.num_inliers if row.success else 0
+    mirrored = {name for name, vote in votes.items() if vote > 0}
+    for block in blocks:
+        rows, matches = list(block.rows), list(block.matches)
+        for number, row in enumerate(rows):
+            names = row.name1, row.name2
+            one = mirrored.intersection(names)
+            if row.num_inliers < _FEW_LEFT * inliers[names]:
+                few = f"the folder's cameras leave {row.num_inliers} of {inliers[names]} inliers"
+                rows[number] = replace(row, warnings=(*row.warnings, few))
+            if len(one) == 1 and row.t is not None:
+                why = f"most pairs of {one.pop()} are of its mirror image"
+                rows[number] = PairRow(*names, "mirrored", False, why, num_matches=row.num_matches)
+                none = np.zeros_like(matches[number].inliers)
+                matches[number] = replace(matches[number], inliers=none)
+        yield replace(block, rows=rows, matches=matches)

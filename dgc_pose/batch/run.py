@@ -2,8 +2,7 @@
 
 import hashlib
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,9 +15,9 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
 from dgc_pose.batch.pooling import PooledCamera, write_cameras
-from dgc_pose.batch.poses import Poses
+from dgc_pose.batch.poses import Poses, compared
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import FAILED, PairRow
+from dgc_pose.batch.rows import FAILED
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import PairStore
@@ -34,7 +33,6 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 from dgc_pose.runtime.load import default_runtime, device_type
 
-_FEW_LEFT = 0.5  # of the inliers of a pair by itself
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
 
@@ -114,7 +112,7 @@ def run_batch(
                 plan = replace(plan, pooled=pooled)
                 blocks = _counted(poses.estimated(pooled, fit=False), plan, progress)
             alone = [row for block in store.blocks() for row in block.rows]
-            blocks = _compared(blocks, alone)
+            blocks = compared(blocks, alone)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
@@ -206,32 +204,6 @@ def _match(
         store.add(outcome)
         progress("pairs", len(store), len(plan.pairs))
     return len(left)
-
-
-def _compared(blocks: Iterable[Matched], alone: Sequence[PairRow]) -> Iterator[Matched]:
-    """The blocks, in which no pose is of a photograph that more of its pairs show as mirrored than
-    have a pose, and of another; and where few inliers are left, a warning. alone: the rows of the
-    pairs by themselves."""
-    votes, inliers = Counter[str](), {}
-    for row in alone:
-        vote = (row.status == "mirrored") - row.success
-        votes.update({row.name1: vote, row.name2: vote})
-        inliers[row.name1, row.name2] = row.num_inliers if row.success else 0
-    mirrored = {name for name, vote in votes.items() if vote > 0}
-    for block in blocks:
-        rows, matches = list(block.rows), list(block.matches)
-        for number, row in enumerate(rows):
-            names = row.name1, row.name2
-            one = mirrored.intersection(names)
-            if row.num_inliers < _FEW_LEFT * inliers[names]:
-                few = f"the folder's cameras leave {row.num_inliers} of {inliers[names]} inliers"
-                rows[number] = replace(row, warnings=(*row.warnings, few))
-            if len(one) == 1 and row.t is not None:
-                why = f"most pairs of {one.pop()} are of its mirror image"
-                rows[number] = PairRow(*names, "mirrored", False, why, num_matches=row.num_matches)
-                none = np.zeros_like(matches[number].inliers)
-                matches[number] = replace(matches[number], inliers=none)
-        yield replace(block, rows=rows, matches=matches)
 
 
 def _counted(blocks: Iterator[Matched], plan: Plan, progress: Progress) -> Iterator[Matched]:

@@ -12,6 +12,7 @@ from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.estimation.camera_spread import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -105,14 +106,14 @@ def _write_images(
     database: pycolmap.Database, names: Sequence[str], cameras: Mapping[str, Camera]
 ) -> dict[str, int]:
     """The id of each image. Images of the same K, size and distortion share a camera, unless each
-    has an uncertain focal length and no identity."""
+    has an uncertain focal length and no identity, or may be a part of another."""
     camera_ids: dict[tuple[object, ...], int] = {}
     ids = {}
     for name in (name for name in names if name in cameras):
         camera = colmap_camera(cameras[name], name)
-        std, identity = cameras[name].focal_std, cameras[name].identity
-        camera.has_prior_focal_length = std < KNOWN_FOCAL_STD
-        alone = name if not cameras[name].exact and identity is None else None
+        ours = cameras[name]
+        camera.has_prior_focal_length = ours.focal_std < KNOWN_FOCAL_STD
+        alone = name if not ours.exact and (ours.identity is None or is_of_part(ours)) else None
         size = (camera.width, camera.height)
         key = (alone, camera.model.name, *size, *camera.params.tolist())
         if key not in camera_ids:

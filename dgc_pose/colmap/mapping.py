@@ -1,6 +1,6 @@
 """A reconstruction from a COLMAP database, by pycolmap's incremental or global mapper."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,26 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> list[
             f"{database}: pycolmap's {options.mapper} mapper made no model of {MIN_IMAGES} images"
         )
     return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+
+
+def refine_centres(model: pycolmap.Reconstruction, names: Collection[str], threads: int) -> None:
+    """Bundle adjustment of a model, which also changes the principal points of these images'
+    cameras, and keeps all other cameras."""
+    images = [image for image in model.images.values() if image.has_pose]
+    cameras = {image.camera_id for image in images if image.name in names}
+    if not cameras:
+        return
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in images:
+        config.add_image(image.image_id)
+    for camera in {*model.cameras} - cameras:
+        config.set_constant_cam_intrinsics(camera)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=True, print_summary=False)
+    options.ceres.solver_options.num_threads = threads
+    options.ceres.use_gpu = False
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
 
 
 def _pipeline_options(options: MappingOptions) -> Any:

@@ -9,11 +9,12 @@ import numpy as np
 
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.export import Exported, share, write_shared
-from dgc_pose.colmap.mapping import MappingError, map_database
+from dgc_pose.colmap.mapping import MappingError, map_database, refine_centres
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.points_file import write_model_points
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.estimation.camera_spread import is_of_part
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
 from dgc_pose.system.colmap_library import pycolmap
@@ -85,6 +86,9 @@ def reconstruct(
             found = map_database(out / DATABASE, batch.plan.root, mapping)
         except (InputError, MappingError) as error:
             raise type(error)(*error.args, *_what_stays(batch)) from error
+        cut = [name for name, c in batch.plan.final_cameras.items() if is_of_part(c)]
+        for model in found:
+            refine_centres(model, cut, mapping.mapper_threads)
         metric = to_metres(found[0], batch.plan.root, batch.plan.names, options)
         # pycolmap raises nothing for a disk that is full.
         points = _POINT_BYTES * sum(model.num_points3D() for model in found)
