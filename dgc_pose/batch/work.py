@@ -85,9 +85,9 @@ class Worker:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.caches = MatcherCaches()
-        caches = self.caches.features, self.caches.native, self.caches.key_points
-        for cache in caches:
-            cache.limit_bytes = job.memory_bytes // len(caches)
+        for cache in (self.caches.features, self.caches.native, self.caches.key_points):
+            # A matcher uses two of them, and those of refinement are the larger.
+            cache.limit_bytes = job.memory_bytes * 2 // 3
         self.matcher = job.matcher.load(self.caches)
         self._images: BoundedCache[str, Image | str] = BoundedCache(
             _bytes, job.memory_bytes, self._forget
