@@ -66,7 +66,8 @@ class BatchChoice(KChoice):
         from dgc_pose.batch.source import open_source
         from dgc_pose.images.video import frames_folder
 
-        frames = out.with_name(f"{out.name}_{self.frames}_frames_of_{Path(source).name}")
+        name = f"{out.resolve().name}_{self.frames}_frames_of_{Path(source).name}"
+        frames = out.resolve().parent / name
         path = frames_folder(Path(source), self.frames, frames)
         return open_source(path, self.root, self.masks)
 

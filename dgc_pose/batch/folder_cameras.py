@@ -23,7 +23,7 @@ from dgc_pose.batch.pooling import (
 )
 from dgc_pose.batch.poses import Poses, fitted_pairs
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import SIZE_STD
+from dgc_pose.cameras.prior import SHARED, SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.evidence import ModelName
 
@@ -35,7 +35,6 @@ _AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of tw
 _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
 _TELLING_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
 _PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
-_SAME_SHAPE = 0.01  # difference of two sizes' aspect ratios, logarithms
 _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
 _MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
 
@@ -53,30 +52,25 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], l
         pairs = fitted_pairs(poses.estimated(start, fit=True))
     groups = sharing(start)
     known, _ = pool(start, _within(pairs, groups))
-    doubted = {}  # by name whether no pair at all agrees with the camera of the group
-    for name in (n for n, c in start.items() if c.focal_source != "given" and n in groups):
-        agreeing, count = _agreement(name, groups[name], known, pairs)
-        if len(groups[name]) >= _MIN_GROUP and agreeing < _AGREEING_SHARE * count:
-            doubted[name] = agreeing == 0
-    single = [name for name, names in groups.items() if len(names) == 1]
-    certain = [
-        name
-        for name, camera in known.items()
-        if name not in single and camera.focal_std < _PARTNER_FOCAL_STD
-    ]
+    single = {name for name, names in groups.items() if len(names) == 1}
+    certain = [n for n, c in known.items() if n not in single and c.focal_std < _PARTNER_FOCAL_STD]
+    doubted = {}  # whether no pair at all agrees with the camera of the group
+    for name in certain:
+        if start[name].focal_source != "given" and start[name].identity != SHARED:
+            agreeing, count = _agreement(name, groups[name], known, pairs)
+            if len(groups[name]) >= _MIN_GROUP and agreeing < _AGREEING_SHARE * count:
+                doubted[name] = agreeing == 0
     own: dict[str, PooledCamera] = {}
-    for name in (*doubted, *single):
+    for name in (n for n in groups if n in doubted or n in single):
         partners = {*certain} - {name}
         chosen = [p for p in pairs if name in p.names and partners.intersection(p.names)]
         chosen.sort(key=lambda pair: -pair.row.num_inliers)
-        if not chosen:
-            continue
         tried = known | {name: _own(start[name], doubted=name in doubted)}
         refit = poses.estimated(tried, fit=True, only={p.index for p in chosen[:_MOST_PAIRS]})
         exact = {n: _exact(c) for n, c in tried.items() if n != name}
         _, (found,) = pool({name: tried[name], **exact}, fitted_pairs(refit))
-        # A fit that tells nothing does not contradict the pairs that agree.
-        if found.camera.focal_std < _TELLING_FOCAL_STD or doubted.get(name, True):
+        # A fit that tells little does not contradict the pairs that agree.
+        if found.camera.focal_std < _TELLING_FOCAL_STD or (found.pairs and doubted.get(name)):
             own[name] = found
     return _together(start, pairs, own, known, certain)
 
@@ -93,37 +87,36 @@ def _together(
     own: of photographs by themselves. known: of the groups; certain: whose cameras are that.
     """
     groups = sharing(start)
-    found: dict[tuple[str, ...], PooledCamera] = {(name,): own[name] for name in own}
-    for names in dict.fromkeys(groups[n] for n in certain if n in groups):
-        found[names] = PooledCamera(names, known[names[0]], 0)
-    same: dict[tuple[str, ...], str] = {}  # photographs, and another whose camera they have
-    for names, one in found.items():
+    alone = {name: one.camera for name, one in own.items()}
+    whose: dict[str, str] = {}  # camera a photograph has, where it is that of another
+    for name, camera in ({n: known[n] for n in certain if n in groups} | alone).items():
         for other in certain:
-            of_other = groups.get(other, (other,))
-            if names[0] in of_other and len(names) > 1 or names == (other,):
-                continue
-            larger = len(names) == 1 or (len(of_other), names) > (len(names), of_other)
-            if larger and names not in same and _agrees(one.camera, known[other]):
-                same[names] = other
-    apart = {name for name in own if (name,) not in same}
-    rest = [p for p in pairs if not apart.intersection(p.names)]
-    if certain:
-        rest = _within(rest, groups) + [p for p in rest if not {*certain}.intersection(p.names)]
-    cameras, listed = pool({n: c for n, c in start.items() if n not in apart}, rest)
-    for names, other in same.items():
-        if names[0] in groups.get(other, ()):
-            continue
-        for name in names:
-            size = start[name].size
-            assert size is not None
-            cameras[name] = cameras[other].resized(size)  # which is off by the same factor
-        listed = [pooled for pooled in listed if pooled.names != names]
-        why = f"the camera of {other}, resized"
-        listed.append(PooledCamera(names, cameras[names[0]], found[names].pairs, why))
-    for name in sorted(apart):
-        cameras[name] = own[name].camera
-        why = "" if start[name].focal_source == "given" else "its pairs agree with no other camera"
-        listed.append(replace(own[name], why=why))
+            ranks = [(-len(groups.get(n, ())), groups.get(n, (n,))) for n in (other, name)]
+            may_be = other not in own and (name in own or ranks[0] < ranks[1])
+            if may_be and start[name].focal_source != "given" and _agrees(camera, known[other]):
+                whose[name] = other
+                break
+    apart = [n for n in own if n not in whose or groups[n] != groups.get(whose[n])]
+    members = {n: c for n, c in start.items() if n not in apart}
+    kept = [pair for pair in pairs if not {*apart}.intersection(pair.names)]
+    pooled, listed = pool(members, _within(kept, groups))
+    rest, others = pool(members, kept)  # of cameras that their group does not determine
+    cameras = {name: (pooled if name in certain else rest)[name] for name in members}
+    listed = [one for one in listed if one.names[0] in certain]
+    listed += [one for one in others if one.names[0] not in certain]
+    listed += [replace(own[n], why="its pairs agree with no other camera") for n in apart]
+    cameras |= {name: own[name].camera for name in apart}
+    for name, other in whose.items():
+        size = start[name].size
+        assert size is not None
+        if groups[name] != groups.get(other):  # off by the same factor
+            warnings = start[name].warnings
+            cameras[name] = replace(cameras[other].resized(size), warnings=warnings)
+    for number, one in enumerate(listed):
+        first = one.names[0]
+        if first in whose and (first in apart or first not in own):
+            why = f"the camera of {whose[first]}, resized"
+            listed[number] = replace(one, camera=cameras[first], why=why)
     return {name: cameras[name] for name in start}, listed
 
 
@@ -132,7 +125,7 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     groups = sharing(cameras)
     votes: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
     for row in (pair.row for pair in pairs if pair.row.success):
-        for name in {groups[n][0] for n in (row.name1, row.name2) if n in groups}:
+        for name in {groups[n][0] for n in row.names if n in groups}:
             votes[name][row.camera_model] += 1.0 if row.probability is None else row.probability
     changed = dict(cameras)
     for name, names in groups.items():
@@ -140,7 +133,7 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
         for model, weight in of_group.items():
             if weight > sum(of_group.values()) / 2 and model != "zoomed":
                 changed[name] = with_model(cameras[name], model)
-    return changed if any(changed[n] is not c for n, c in cameras.items()) else cameras
+    return changed
 
 
 def _within(pairs: Sequence[FittedPair], groups: Mapping[str, tuple[str, ...]]) -> list[FittedPair]:
@@ -161,7 +154,8 @@ def _agreement(
     camera, agreeing, count = known[name], 0, 0
     for pair in pairs:
         if name in pair.names and set(pair.names) <= set(names):
-            count += pair.row.num_inliers >= _MIN_INLIERS
+            tells = pair.row.status not in ("rotation_only", "same_picture", "mirrored")
+            count += tells and pair.row.num_inliers >= _MIN_INLIERS
             if pair.row.success and pair.fits is not None:
                 value, *covariance = pair.fits[pair.names.index(name)][:, 0]
                 off = abs(value - math.log(camera.focal))
@@ -188,8 +182,8 @@ def _agrees(camera: Camera, other: Camera) -> bool:
     """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
     assert camera.size is not None and other.size is not None
     (width, height), (width2, height2) = camera.size, other.size
-    shape = math.log(width * height2 / (height * width2))
-    if camera.focal_std > _TELLING_FOCAL_STD or abs(shape) > _SAME_SHAPE:
+    is_scaled = abs(width * height2 - height * width2) <= max(width, width2, height, height2)
+    if camera.focal_std > _TELLING_FOCAL_STD or not is_scaled:  # within a pixel
         return False
     other = other.resized(camera.size)
     off = abs(math.log(camera.focal / other.focal))

@@ -117,6 +117,8 @@ def pool(
         if cut or len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted
+        if not len(open_):
+            continue
         widest = (_MAX_STD_SHARE * prior[open_[0]]) ** 2
         useful = [
             CameraFit(fit.value[open_], fit.covariance[np.ix_(open_, open_)], fit.weight)

@@ -1,6 +1,6 @@
 """Poses of pairs that are matched, estimated by the cameras of their folder."""
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -37,7 +37,7 @@ class Poses:
         while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
             tasks = []
             for block in held:
-                names = {name for row in block.rows for name in (row.name1, row.name2)}
+                names = {name for row in block.rows for name in row.names}
                 of_block = {name: cameras[name] for name in names & cameras.keys()}
                 tasks.append(Estimate(block, of_block, fit))
             for outcome in self.run(tasks):
@@ -56,26 +56,43 @@ def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:
 
 
 def compared(blocks: Iterable[Matched], alone: Sequence[PairRow]) -> Iterator[Matched]:
-    """The blocks, in which no pose is of a photograph that more of its pairs show as mirrored than
-    have a pose, and of another; and where few inliers are left, a warning. alone: the rows of the
-    pairs by themselves."""
-    votes, inliers = Counter[str](), {}
-    for row in alone:
-        vote = (row.status == "mirrored") - row.success
-        votes.update({row.name1: vote, row.name2: vote})
-        inliers[row.name1, row.name2] = row.num_inliers if row.success else 0
-    mirrored = {name for name, vote in votes.items() if vote > 0}
+    """The blocks, in which no pose is of a mirrored photograph and one that is not; and where few
+    inliers are left, a warning. alone: the rows of the pairs by themselves."""
+    mirrored = _mirrored(alone)
+    inliers = {row.names: row.num_inliers if row.success else 0 for row in alone}
     for block in blocks:
         rows, matches = list(block.rows), list(block.matches)
         for number, row in enumerate(rows):
-            names = row.name1, row.name2
-            one = mirrored.intersection(names)
-            if row.num_inliers < _FEW_LEFT * inliers[names]:
-                few = f"the folder's cameras leave {row.num_inliers} of {inliers[names]} inliers"
+            one = mirrored.intersection(row.names)
+            if row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
+                few = f"the folder's cameras leave {row.num_inliers} of {before} inliers"
                 rows[number] = replace(row, warnings=(*row.warnings, few))
             if len(one) == 1 and row.t is not None:
-                why = f"most pairs of {one.pop()} are of its mirror image"
-                rows[number] = PairRow(*names, "mirrored", False, why, num_matches=row.num_matches)
+                why = f"by most pairs {one.pop()} is a mirror image of the other photographs"
+                rows[number] = PairRow(
+                    *row.names, "mirrored", False, why, num_matches=row.num_matches
+                )
                 none = np.zeros_like(matches[number].inliers)
                 matches[number] = replace(matches[number], inliers=none)
         yield replace(block, rows=rows, matches=matches)
+
+
+def _mirrored(rows: Sequence[PairRow]) -> set[str]:
+    """The photographs on one of two sides, by which fewest pairs are contradicted: those with a
+    pose are of one side, and those that are `mirrored` of both."""
+    signs: dict[str, list[tuple[str, int]]] = defaultdict(list)
+    for row in rows:
+        if row.success or row.status == "mirrored":
+            for name, other in (row.names, row.names[::-1]):
+                signs[name].append((other, 1 if row.success else -1))
+    side = dict.fromkeys(signs, 1)
+    while side:
+        agreement = {
+            name: side[name] * sum(sign * side[other] for other, sign in of_name)
+            for name, of_name in signs.items()
+        }
+        worst = min(agreement, key=lambda name: agreement[name])
+        if agreement[worst] >= 0:
+            break
+        side[worst] = -side[worst]
+    return {name for name in side if side[name] < 0}

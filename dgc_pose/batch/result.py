@@ -41,7 +41,7 @@ class Batch:
         """Each row with its matches. Raises InputError if the file is cut short."""
         with open_matches(self.folder / MATCHES) as file:
             for row in self.rows:
-                yield row, read_matches(file, group_name(row.name1, row.name2))
+                yield row, read_matches(file, group_name(*row.names))
 
 
 def is_finished(out: Path) -> bool:
@@ -78,7 +78,7 @@ def write_pairs(out: Path, blocks: Iterable[Matched], size: int) -> list[PairRow
             for block in blocks:
                 by_index |= zip(block.indices, block.rows, strict=True)
                 for row, of_pair in zip(block.rows, block.matches, strict=True):
-                    write_matches(file.create_group(group_name(row.name1, row.name2)), of_pair)
+                    write_matches(file.create_group(group_name(*row.names)), of_pair)
         rows = [by_index[index] for index in sorted(by_index)]
         write_rows(pairs, rows)
     return rows

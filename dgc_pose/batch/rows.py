@@ -64,6 +64,10 @@ class PairRow:
     alternatives: tuple[HypothesisRow, ...] = ()  # if ambiguous all poses, the likeliest first
     warnings: tuple[str, ...] = ()  # about the images, the cameras and the pose
 
+    @property
+    def names(self) -> tuple[str, str]:
+        return self.name1, self.name2
+
 
 # Fields that a row has as `RelativePose.to_dict` has them.
 _OF_POSE = (

@@ -75,7 +75,7 @@ def run_batch(
         "masks": masks and str(masks),
         "weights": matcher.weights,
         "weights_sha256": _weights_hash(matcher.weights),
-        "runtime": default_runtime() if matcher.runtime == "auto" else matcher.runtime,
+        "runtime": _runtime(matcher),
         "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
@@ -111,8 +111,7 @@ def run_batch(
                 pooled, cameras = folder_cameras(poses, plan.cameras)
                 plan = replace(plan, pooled=pooled)
                 blocks = _counted(poses.estimated(pooled, fit=False), plan, progress)
-            alone = [row for block in store.blocks() for row in block.rows]
-            blocks = compared(blocks, alone)
+            blocks = compared(blocks, store.rows)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)
@@ -220,6 +219,13 @@ def _capacity(plan: Plan, options: BatchOptions) -> int:
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)
     return max(2, options.worker_bytes // (largest + FEATURE_BYTES))
+
+
+def _runtime(matcher: MatcherOptions) -> str:
+    """What runs the matcher: "auto" differs from machine to machine."""
+    if matcher.runtime != "auto" or _weights_hash(matcher.weights) is None:
+        return matcher.runtime
+    return default_runtime(matcher.weights, matcher.device)
 
 
 def _weights_hash(weights: str) -> str | None:

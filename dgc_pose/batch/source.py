@@ -124,16 +124,18 @@ def survey(
             headers[name] = image_header(path)
         except ImageError as error:
             bad[name] = str(error)
-    size = _size_of_common(calibration, headers.values())
+    common = {n: h for n, h in headers.items() if calibration.named(source.root, n) is None}
+    size = _size_of_common(calibration, common.values())
     for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)
         if listed is not None and calibration.lacks(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
-        camera = of_image.camera(source.root, name, replace(header, size=size or header.size))
-        if size is not None and size != header.size:
-            camera = camera.turned(size, header.orientation)
+        of_K = size if size is not None and name in common else header.size
+        camera = of_image.camera(source.root, name, replace(header, size=of_K))
+        if of_K != header.size:
+            camera = camera.turned(of_K, header.orientation)
         cameras[name] = replace(with_orientation(camera, header), size=header.size)
     return cameras, bad, states
 

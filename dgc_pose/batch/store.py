@@ -50,6 +50,11 @@ class PairStore:
         return [index for index in range(len(self._plan.pairs)) if index not in self._done]
 
     @property
+    def rows(self) -> list[PairRow]:
+        """The rows of the pairs that are done, in their order."""
+        return [self._done[index].row for index in sorted(self._done)]
+
+    @property
     def bad(self) -> dict[str, str]:
         """The reasons of all images that cannot be used, by name."""
         reasons = dict(self._plan.bad)
@@ -68,11 +73,10 @@ class PairStore:
         with writing(self._matches), self._matches.open("ab") as file:
             for index, row, matches in zip(block.indices, block.rows, block.matches, strict=True):
                 packed = pack(matches)
-                names = (row.name1, row.name2)
-                bad = {name: block.bad[name] for name in names if name in block.bad}
+                bad = {name: block.bad[name] for name in row.names if name in block.bad}
                 done = _Done(row, bad, file.tell(), len(packed))
                 file.write(packed)
-                states = {name: self._plan.states.get(name) for name in names}
+                states = {name: self._plan.states.get(name) for name in row.names}
                 data = {"pair": index, "states": states, **asdict(done)}
                 lines.append(json.dumps(data, allow_nan=False) + "\n")
                 self._done[index] = done

@@ -133,8 +133,8 @@ class Worker:
         def estimated(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
             if stored.pose_inputs is None:
                 return row, stored
-            names = (row.name1, row.name2)
-            fit = task.fit_cameras or not all(is_known(task.cameras[n]) for n in names)
+            fit = task.fit_cameras or not all(is_known(task.cameras[n]) for n in row.names)
+            names = row.names
             return _attempt(names, lambda: self._estimated(names, stored, task.cameras, fit))
 
         rows, matches = zip(*map(estimated, task.block.rows, task.block.matches), strict=True)

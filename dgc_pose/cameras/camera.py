@@ -121,7 +121,8 @@ class Camera:
         scale = np.array([size[0] / self.size[0], size[1] / self.size[1], 1.0])
         K = self.K * scale[:, None]
         K[:2, 2] = rescale(self.K[:2, 2], self.size, size)
-        return replace(self, K=K, size=(int(size[0]), int(size[1])))
+        centre_std = self.centre_std * float(scale[:2].mean())
+        return replace(self, K=K, size=(int(size[0]), int(size[1])), centre_std=centre_std)
 
     def turned(self, size: tuple[int, int], orientation: int) -> Camera:
         """The camera of photographs of `size` (width, height) that are stored turned by 90 degrees,

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dgc_pose.images.image import Image
 
 Sharing = Literal["files", "shared", "two"]
+SHARED = "shared"  # the identity of a camera that took all images, as stated
 SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
 SIZE_STD = 0.45  # deviation of their logarithm
 # Deviations of the first radial coefficient of a lens: of photographs, and of action cameras.
@@ -117,7 +118,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         centre_std=mean * math.hypot(CENTRE_STD * max(square), margin / math.sqrt(12)),
         lens_std=_ACTION_LENS_STD if _ACTION.search(f"{exif.make} {exif.model}") else LENS_STD,
         focal_source=source,
-        identity={"files": identity, "shared": "shared", "two": None}[sharing],
+        identity={"files": identity, "shared": SHARED, "two": None}[sharing],
         projection=image.projection,
     )
 

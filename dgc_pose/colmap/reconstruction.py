@@ -105,7 +105,8 @@ def reconstruct(
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
     """Whether bundle adjustment changes the cameras."""
-    return options.mapping.refine_intrinsics or batch.plan.uncertain
+    stds = ((c.focal_std, c.lens_std, c.aspect_std) for c in batch.plan.cameras.values())
+    return options.mapping.refine_intrinsics or any(map(any, stds))
 
 
 def _what_stays(batch: Batch) -> tuple[str, ...]:
@@ -177,7 +178,7 @@ def write_summary(
     left_out = {}
     for name in names:
         if not any(name in each.poses for each in models):
-            posed = [row.success for row in batch.rows if name in (row.name1, row.name2)]
+            posed = [row.success for row in batch.rows if name in row.names]
             left_out[name] = f"a pose in {sum(posed)} of its {len(posed)} pairs"
     data = {
         "images": len(names),

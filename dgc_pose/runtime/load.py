@@ -53,10 +53,9 @@ def load_engine(
     return load_torch_engine(path, choose_device(device), half_precision)
 
 
-def default_runtime() -> RuntimeName:
-    """The runtime that "auto" is here for the default weights."""
-    onnx = _prefers_onnx(DEFAULT_WEIGHTS, find_weights(DEFAULT_WEIGHTS), "auto")
-    return "onnx" if onnx else "torch"
+def default_runtime(weights: str = DEFAULT_WEIGHTS, device: str = "auto") -> RuntimeName:
+    """The runtime that "auto" is here for weights."""
+    return "onnx" if _prefers_onnx(weights, find_weights(weights), device) else "torch"
 
 
 def _prefers_onnx(name: str, path: Path, device: str) -> bool:
