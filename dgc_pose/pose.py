@@ -169,8 +169,9 @@ def pose_of_pair(
             continue
         start = time.perf_counter()
         if step == "mirrored":
-            probability = _mirror_image_probability(search, camera1, camera2, options)
-            if pose is None or probability < max(_LIKELY, pose.any_probability or 0.0):
+            assert pose is not None  # a step before has one
+            probability = _mirror_image_probability(search, pose, camera1, camera2, options)
+            if probability < max(_LIKELY, pose.any_probability or 0.0):
                 continue
             reason = (
                 f"the mirror image of image 2 has a pose, {percent_text(probability)} probable, "
@@ -208,17 +209,25 @@ def _matches_of(
 
 
 def _mirror_image_probability(
-    search: PairSearch, camera1: Camera, camera2: Camera, options: EstimationOptions
+    search: PairSearch,
+    pose: RelativePose,
+    camera1: Camera,
+    camera2: Camera,
+    options: EstimationOptions,
 ) -> float:
-    """The probability of the pose of image 1 and image 2 flipped left to right, by a quick pass; 0
-    without one."""
-    image2 = search.image2.oriented(2)
+    """The probability of the pose of image 1 and image 2 flipped left to right, or top to bottom if
+    its pose is upside down, by a quick pass; 0 without one."""
+    flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
+    image2 = search.image2.oriented(4 if flips else 2)
     result = search.matcher.search(search.image1, image2).quick()
     search.matcher.forget(image2)  # no other pair has it
     if result is None:
         return 0.0
     K = camera2.K.copy()
-    K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
+    if flips:
+        K[:2, 1:] = [[-K[0, 1], K[0, 2]], [K[1, 1], image2.size[1] - 1 - K[1, 2]]]
+    else:
+        K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
     cameras = camera1, replace(camera2, K=K)
     pose = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
     return (pose.probability or 0.0) if pose.success else 0.0

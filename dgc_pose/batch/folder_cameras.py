@@ -22,12 +22,14 @@ from dgc_pose.batch.pooling import (
     sharing,
 )
 from dgc_pose.batch.poses import Poses, fitted_pairs
+from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SHARED, SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.evidence import ModelName
 
-Cameras = Mapping[str, Camera]  # by image name
+Cameras = Mapping[str, Camera]  # by image name, with the image's size
+Size = tuple[int, int]
 _MIN_GROUP = 3  # images of a camera that one of them can be told from
 _MIN_INLIERS = 50  # of a pair that ought to determine its cameras
 _AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is looked at by itself
@@ -36,6 +38,7 @@ _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
 _TELLING_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
 _PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
 _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
+_AS_MANY = 0.97  # of the inliers of a free fit, that those of a squeezed camera are
 _MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
 
 
@@ -66,12 +69,20 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], l
         chosen = [p for p in pairs if name in p.names and partners.intersection(p.names)]
         chosen.sort(key=lambda pair: -pair.row.num_inliers)
         tried = known | {name: _own(start[name], doubted=name in doubted)}
-        refit = poses.estimated(tried, fit=True, only={p.index for p in chosen[:_MOST_PAIRS]})
+        some = {pair.index for pair in chosen[:_MOST_PAIRS]}
+        refit = poses.estimated(tried, fit=True, only=some)
         exact = {n: _exact(c) for n, c in tried.items() if n != name}
-        _, (found,) = pool({name: tried[name], **exact}, fitted_pairs(refit))
-        # A fit that tells little does not contradict the pairs that agree.
-        if found.camera.focal_std < _TELLING_FOCAL_STD or (found.pairs and doubted.get(name)):
+        refitted = fitted_pairs(refit)
+        _, (found,) = pool({name: tried[name], **exact}, refitted)
+        # A fit that tells little does not contradict pairs that agree, or tell as little.
+        contradicts = doubted.get(name, True) and any(_ought_to_tell(p.row) for p in chosen)
+        if found.camera.focal_std < _TELLING_FOCAL_STD or contradicts:
             own[name] = found
+        if squeezed := _squeezed(start[name], known, certain if name in single else ()):
+            other, camera = squeezed
+            fixed = poses.estimated(known | {name: camera}, fit=False, only=some)
+            if _inliers(fitted_pairs(fixed)) > _AS_MANY * _inliers(refitted):
+                own[name] = replace(found, camera=camera, why=f"the camera of {other}, squeezed")
     return _together(start, pairs, own, known, certain)
 
 
@@ -104,7 +115,8 @@ def _together(
     cameras = {name: (pooled if name in certain else rest)[name] for name in members}
     listed = [one for one in listed if one.names[0] in certain]
     listed += [one for one in others if one.names[0] not in certain]
-    listed += [replace(own[n], why="its pairs agree with no other camera") for n in apart]
+    why = "its pairs agree with no other camera"
+    listed += [replace(own[n], why=own[n].why or why) for n in apart]
     cameras |= {name: own[name].camera for name in apart}
     for name, other in whose.items():
         size = start[name].size
@@ -115,7 +127,7 @@ def _together(
     for number, one in enumerate(listed):
         first = one.names[0]
         if first in whose and (first in apart or first not in own):
-            why = f"the camera of {whose[first]}, resized"
+            why = f"the camera of {whose[first]}, at its size"
             listed[number] = replace(one, camera=cameras[first], why=why)
     return {name: cameras[name] for name in start}, listed
 
@@ -131,7 +143,7 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     for name, names in groups.items():
         of_group = votes[names[0]]
         for model, weight in of_group.items():
-            if weight > sum(of_group.values()) / 2 and model != "zoomed":
+            if weight > sum(of_group.values()) / 2 and (model != "zoomed" or len(names) == 1):
                 changed[name] = with_model(cameras[name], model)
     return changed
 
@@ -154,8 +166,7 @@ def _agreement(
     camera, agreeing, count = known[name], 0, 0
     for pair in pairs:
         if name in pair.names and set(pair.names) <= set(names):
-            tells = pair.row.status not in ("rotation_only", "same_picture", "mirrored")
-            count += tells and pair.row.num_inliers >= _MIN_INLIERS
+            count += _ought_to_tell(pair.row)
             if pair.row.success and pair.fits is not None:
                 value, *covariance = pair.fits[pair.names.index(name)][:, 0]
                 off = abs(value - math.log(camera.focal))
@@ -164,11 +175,30 @@ def _agreement(
     return agreeing, count
 
 
+def _squeezed(camera: Camera, known: Cameras, certain: Sequence[str]) -> tuple[str, Camera] | None:
+    """The first photograph of another shape, and its camera with each side resized by itself."""
+    for other in certain:
+        if camera.size and not _is_scaled(camera.size, known[other].size):
+            return other, known[other].resized(camera.size)
+    return None
+
+
+def _ought_to_tell(row: PairRow) -> bool:
+    """Whether a pair has what it takes to determine its cameras."""
+    no_cameras = ("rotation_only", "same_picture", "mirrored")
+    return row.num_inliers >= _MIN_INLIERS and row.status not in no_cameras
+
+
+def _inliers(pairs: Sequence[FittedPair]) -> int:
+    """Of all pairs with a pose."""
+    return sum(pair.row.num_inliers for pair in pairs if pair.row.success)
+
+
 def _own(camera: Camera, *, doubted: bool) -> Camera:
     """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data say what it
     is and nothing contradicts them."""
     camera = replace(camera, identity=None)
-    if not doubted and camera.focal_source != "size":
+    if not doubted and camera.focal_source != "size" and camera.focal_std < SIZE_STD:
         return camera
     centre_std = _CENTRE_OF_PART * max(camera.size or (0,))
     return replace(camera, focal_std=SIZE_STD, centre_std=centre_std)
@@ -180,14 +210,18 @@ def _exact(camera: Camera) -> Camera:
 
 def _agrees(camera: Camera, other: Camera) -> bool:
     """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
-    assert camera.size is not None and other.size is not None
-    (width, height), (width2, height2) = camera.size, other.size
-    is_scaled = abs(width * height2 - height * width2) <= max(width, width2, height, height2)
-    if camera.focal_std > _TELLING_FOCAL_STD or not is_scaled:  # within a pixel
+    if camera.focal_std > _TELLING_FOCAL_STD or not _is_scaled(camera.size, other.size):
         return False
+    assert camera.size is not None
     other = other.resized(camera.size)
     off = abs(math.log(camera.focal / other.focal))
     shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())
     return off < _SAME_STDS * math.hypot(
         camera.focal_std, other.focal_std, _SAME_FOCAL
     ) and shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
+
+
+def _is_scaled(size: Size | None, other: Size | None) -> bool:
+    """Whether two sizes have one shape, within a pixel."""
+    assert size is not None and other is not None
+    return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)

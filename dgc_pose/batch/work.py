@@ -133,7 +133,9 @@ class Worker:
         def estimated(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
             if stored.pose_inputs is None:
                 return row, stored
-            fit = task.fit_cameras or not all(is_known(task.cameras[n]) for n in row.names)
+            first, second = (task.cameras[name] for name in row.names)
+            known = is_known(first) and is_known(second) and first.identity == second.identity
+            fit = task.fit_cameras or not known  # two cameras err each by itself
             names = row.names
             return _attempt(names, lambda: self._estimated(names, stored, task.cameras, fit))
 

@@ -180,6 +180,8 @@ def write_summary(
         if not any(name in each.poses for each in models):
             posed = [row.success for row in batch.rows if name in row.names]
             left_out[name] = f"a pose in {sum(posed)} of its {len(posed)} pairs"
+            if flipped := sum(row.status == "mirrored" for row in batch.rows if name in row.names):
+                left_out[name] += f", mirrored in {flipped}"
     data = {
         "images": len(names),
         "registered": len(model.poses),
