@@ -115,8 +115,8 @@ def report(batch: Batch) -> None:
         say(f"warning: {warnings[0]}{more}")
     told = [row for row in batch.rows if row.warnings]
     if told:
-        first = f"{' '.join(told[0].names)}: {told[0].warnings[0]}"
-        say(f"warning: {counted(len(told), 'pair')} with warnings (first: {first})")
+        line = f"{' '.join(told[0].names)}: {told[0].warnings[0]}"
+        say(f"warning: {counted(len(told), 'pair')} with warnings (first: {line})")
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]

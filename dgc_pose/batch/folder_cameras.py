@@ -78,7 +78,7 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], l
         contradicts = doubted.get(name, True) and any(_ought_to_tell(p.row) for p in chosen)
         if found.camera.focal_std < _TELLING_FOCAL_STD or contradicts:
             own[name] = found
-        if squeezed := _squeezed(start[name], known, certain if name in single else ()):
+        if squeezed := _squeezed(start[name], known, certain if name in single else []):
             other, camera = squeezed
             fixed = poses.estimated(known | {name: camera}, fit=False, only=some)
             if _inliers(fitted_pairs(fixed)) > _AS_MANY * _inliers(refitted):
@@ -177,7 +177,7 @@ def _agreement(
 
 def _squeezed(camera: Camera, known: Cameras, certain: Sequence[str]) -> tuple[str, Camera] | None:
     """The first photograph of another shape, and its camera with each side resized by itself."""
-    for other in certain:
+    for other in certain if camera.focal_source != "given" else ():
         if camera.size and not _is_scaled(camera.size, known[other].size):
             return other, known[other].resized(camera.size)
     return None

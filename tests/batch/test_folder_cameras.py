@@ -110,7 +110,7 @@ def test_a_resized_photograph_has_the_camera_of_the_others(
     for i in resized:
         true[i] = true[i].resized(half)
     cameras, listed, _ = _folder(tmp_path, true)
-    assert len(listed) == 2 and "resized" in listed[1].why
+    assert len(listed) == 2 and "at its size" in listed[1].why
     whole, small = cameras["0.png"], cameras[f"{resized[0]}.png"]
     assert small.size == half and small.identity == whole.identity is not None
     assert small.focal == pytest.approx(whole.focal / 2)
@@ -148,3 +148,12 @@ def test_a_stated_camera_stays_that_of_all(tmp_path: Path) -> None:
     true[1] = pinhole(1.5 * FOCAL, SIZE)
     _, listed, _ = _folder(tmp_path, true, {f"{i}.png": stated for i in range(COUNT)})
     assert [one.names for one in listed] == [tuple(f"{i}.png" for i in range(COUNT))]
+
+
+def test_a_squeezed_photograph_has_the_camera_of_the_others(tmp_path: Path) -> None:
+    """To three quarters of the width, which no pair alone tells from another focal length."""
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true[1] = true[0].resized((900, 800))
+    cameras, listed, _ = _folder(tmp_path, true)
+    assert "squeezed" in listed[-1].why and listed[-1].names == (SECOND,)
+    np.testing.assert_allclose(cameras[SECOND].K[[0, 1], [0, 1]], (825.0, 1100.0), rtol=0.02)
