@@ -204,13 +204,14 @@ def test_a_likely_pose_of_the_mirror_image_ends_the_search(
         assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
 
 
-def test_a_mirrored_photograph_is_recognised() -> None:
-    """The bundled pair: the second image as selfie cameras store it."""
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirrored_photograph_is_recognised(axis: int) -> None:
+    """The bundled pair: the second image as selfie cameras store it, and upside down."""
     pair = rendered_pair()
     second = load_image(pair.path2)
     K2 = pair.camera2.K.copy()
-    K2[0, 2] = second.size[0] - 1 - K2[0, 2]
-    mirrored = np.ascontiguousarray(second.pixels[:, ::-1])
+    K2[axis, 2] = second.size[axis] - 1 - K2[axis, 2]
+    mirrored = np.ascontiguousarray(np.flip(second.pixels, 1 - axis))
     pose = estimate_relative_pose(pair.path1, mirrored, pair.camera1, K2)
     assert pose.status == "mirrored", pose
 

@@ -38,7 +38,7 @@ class Plan:
 
     @property
     def uncertain(self) -> bool:
-        """Whether a focal length or a lens is estimated from the pairs."""
+        """Whether a part of a camera is estimated from the pairs."""
         return any(not camera.exact for camera in self.cameras.values())
 
     @property
