@@ -75,7 +75,9 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], l
         refitted = fitted_pairs(refit)
         _, (found,) = pool({name: tried[name], **exact}, refitted)
         # A fit that tells little does not contradict pairs that agree, or tell as little.
-        contradicts = doubted.get(name, True) and any(_ought_to_tell(p.row) for p in chosen)
+        contradicts = doubted.get(name, True) and any(
+            _ought_to_tell(p.row) for p in refitted if p.row.status != "mirrored"
+        )
         if found.camera.focal_std < _TELLING_FOCAL_STD or contradicts:
             own[name] = found
         if squeezed := _squeezed(start[name], known, certain if name in single else []):
@@ -185,8 +187,9 @@ def _squeezed(camera: Camera, known: Cameras, certain: Sequence[str]) -> tuple[s
 
 def _ought_to_tell(row: PairRow) -> bool:
     """Whether a pair has what it takes to determine its cameras."""
-    no_cameras = ("rotation_only", "same_picture", "mirrored")
-    return row.num_inliers >= _MIN_INLIERS and row.status not in no_cameras
+    if row.status == "mirrored":  # perhaps because of a wrong camera
+        return row.num_matches >= _MIN_INLIERS
+    return row.num_inliers >= _MIN_INLIERS and row.status not in ("rotation_only", "same_picture")
 
 
 def _inliers(pairs: Sequence[FittedPair]) -> int:

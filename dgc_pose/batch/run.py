@@ -106,12 +106,16 @@ def run_batch(
             poses = Poses(store, run, options.worker_count)
             worked = _match(store, plan, run, options, progress)
             cameras: list[PooledCamera] = []
-            blocks = store.blocks()
+            blocks, alone = store.blocks(), store.rows
             if plan.uncertain:
                 pooled, cameras = folder_cameras(poses, plan.cameras)
                 plan = replace(plan, pooled=pooled)
+                flipped = {i for i, row in enumerate(alone) if row.status == "mirrored"}
+                for block in poses.estimated(pooled, fit=False, only=flipped):
+                    for index, row in zip(block.indices, block.rows, strict=True):
+                        alone[index] = row
                 blocks = _counted(poses.estimated(pooled, fit=False), plan, progress)
-            blocks = compared(blocks, store.rows)
+            blocks = compared(blocks, alone)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
             write_cameras(out, plan.final_cameras)

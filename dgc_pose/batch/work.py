@@ -107,10 +107,14 @@ class Worker:
 
     def _match(self, task: Match) -> Matched:
         bad: dict[str, str] = {}
-        rows, matches = zip(*(self._pair(names, bad) for names in task.pairs), strict=True)
+        rows, matches = zip(
+            *(self._pair(names, bad, self.job.cameras) for names in task.pairs), strict=True
+        )
         return Matched(task.indices, rows, matches, bad)
 
-    def _pair(self, names: tuple[str, str], bad: dict[str, str]) -> tuple[PairRow, PairMatches]:
+    def _pair(
+        self, names: tuple[str, str], bad: dict[str, str], cameras: Mapping[str, Camera]
+    ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair; the reasons of bad images are added to `bad`."""
         image1, image2 = (self._image(name) for name in names)
         reasons = {n: i for n, i in zip(names, (image1, image2), strict=True) if isinstance(i, str)}
@@ -119,7 +123,7 @@ class Worker:
             return PairRow(*names, BAD_INPUT, False, "; ".join(reasons.values())), NO_MATCHES
 
         def posed() -> tuple[PairRow, PairMatches]:
-            camera1, camera2 = (self.job.cameras[name] for name in names)
+            camera1, camera2 = (cameras[name] for name in names)
             search = self.matcher.search(image1, image2)
             pose = pose_of_pair(search, camera1, camera2, self.job.estimation)
             # Of a mirror image no camera makes a pose.
@@ -131,9 +135,12 @@ class Worker:
 
     def _estimate(self, task: Estimate) -> Matched:
         def estimated(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
-            if stored.pose_inputs is None:
+            if stored.pose_inputs is None and row.status != "mirrored":
                 return row, stored
             first, second = (task.cameras[name] for name in row.names)
+            if stored.pose_inputs is None:  # by cameras that were perhaps wrong
+                exact = first.exact and second.exact
+                return (row, stored) if exact else self._pair(row.names, {}, task.cameras)
             known = is_known(first) and is_known(second) and first.identity == second.identity
             fit = task.fit_cameras or not known  # two cameras err each by itself
             names = row.names
