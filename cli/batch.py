@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -66,8 +67,8 @@ class BatchChoice(KChoice):
         from dgc_pose.batch.source import open_source
         from dgc_pose.images.video import frames_folder
 
-        name = f"{out.resolve().name}_{self.frames}_frames_of_{Path(source).name}"
-        frames = out.resolve().parent / name
+        out = Path(os.path.abspath(out))  # which has a name, also of "."
+        frames = out.with_name(f"{out.name}_{self.frames}_frames_of_{Path(source).name}")
         path = frames_folder(Path(source), self.frames, frames)
         return open_source(path, self.root, self.masks)
 
