@@ -114,10 +114,6 @@ def report(batch: Batch) -> None:
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         say(f"warning: {warnings[0]}{more}")
-    told = [row for row in batch.rows if row.warnings]
-    if told:
-        line = f"{' '.join(told[0].names)}: {told[0].warnings[0]}"
-        say(f"warning: {counted(len(told), 'pair')} with warnings (first: {line})")
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]

@@ -49,7 +49,7 @@ def test_what_a_command_lacks_is_told_with_the_command_that_installs_it(
     (tmp_path / "plan.json").write_text(_PLAN)
     (tmp_path / "1.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(2000))
     for k in (1, 2):
-        (tmp_path / f"{k}.jpg").symlink_to(_PAIR[0])
+        (tmp_path / f"{k}.jpg").symlink_to(_PAIR[k - 1])
     environment = without(tmp_path / "site", *EXTRAS)
     done = run_in(environment, *(word.replace("{}", str(tmp_path)) for word in words))
     lines = [line for line in done.stderr.splitlines() if not line.startswith("warning: ")]
