@@ -27,9 +27,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SHARED, SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.evidence import ModelName
+from dgc_pose.geometry.pixels import same_shape
 
 Cameras = Mapping[str, Camera]  # by image name, with the image's size
-Size = tuple[int, int]
 _MIN_GROUP = 3  # images of a camera that one of them can be told from
 _MIN_INLIERS = 50  # of a pair that ought to determine its cameras
 _AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is looked at by itself
@@ -71,7 +71,7 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], l
         tried = known | {name: _own(start[name], doubted=name in doubted)}
         some = {pair.index for pair in chosen[:_MOST_PAIRS]}
         refit = poses.estimated(tried, fit=True, only=some)
-        exact = {n: _exact(c) for n, c in tried.items() if n != name}
+        exact = {n: c.as_exact() for n, c in tried.items() if n != name}
         refitted = fitted_pairs(refit)
         _, (found,) = pool({name: tried[name], **exact}, refitted)
         # A fit that tells little does not contradict pairs that agree, or tell as little.
@@ -137,13 +137,13 @@ def _together(
 def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     """The cameras before the fit by the model that most of their pairs agree with."""
     groups = sharing(cameras)
-    votes: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
+    weights: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
     for row in (pair.row for pair in pairs if pair.row.success):
         for name in {groups[n][0] for n in row.names if n in groups}:
-            votes[name][row.camera_model] += 1.0 if row.probability is None else row.probability
+            weights[name][row.camera_model] += 1.0 if row.probability is None else row.probability
     changed = dict(cameras)
     for name, names in groups.items():
-        of_group = votes[names[0]]
+        of_group = weights[names[0]]
         for model, weight in of_group.items():
             if weight > sum(of_group.values()) / 2 and (model != "zoomed" or len(names) == 1):
                 changed[name] = with_model(cameras[name], model)
@@ -180,7 +180,8 @@ def _agreement(
 def _squeezed(camera: Camera, known: Cameras, certain: Sequence[str]) -> tuple[str, Camera] | None:
     """The first photograph of another shape, and its camera with each side resized by itself."""
     for other in certain if camera.focal_source != "given" else ():
-        if camera.size and not _is_scaled(camera.size, known[other].size):
+        size = known[other].size
+        if camera.size and size and not same_shape(camera.size, size):
             return other, known[other].resized(camera.size)
     return None
 
@@ -207,24 +208,14 @@ def _own(camera: Camera, *, doubted: bool) -> Camera:
     return replace(camera, focal_std=SIZE_STD, centre_std=centre_std)
 
 
-def _exact(camera: Camera) -> Camera:
-    return replace(camera, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
-
-
 def _agrees(camera: Camera, other: Camera) -> bool:
     """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
-    if camera.focal_std > _TELLING_FOCAL_STD or not _is_scaled(camera.size, other.size):
+    assert camera.size is not None and other.size is not None
+    if camera.focal_std > _TELLING_FOCAL_STD or not same_shape(camera.size, other.size):
         return False
-    assert camera.size is not None
     other = other.resized(camera.size)
     off = abs(math.log(camera.focal / other.focal))
     shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())
     return off < _SAME_STDS * math.hypot(
         camera.focal_std, other.focal_std, _SAME_FOCAL
     ) and shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
-
-
-def _is_scaled(size: Size | None, other: Size | None) -> bool:
-    """Whether two sizes have one shape, within a pixel."""
-    assert size is not None and other is not None
-    return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)

@@ -81,6 +81,10 @@ class Camera:
         """Whether the focal lengths, the principal point and the lens are known exactly."""
         return not (self.focal_std or self.centre_std or self.lens_std or self.aspect_std)
 
+    def as_exact(self) -> Camera:
+        """The camera without its standard deviations."""
+        return replace(self, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
+
     @property
     def focal(self) -> float:
         """Mean of the focal lengths along x and y, pixels."""

@@ -15,6 +15,11 @@ def rescale(points: np.ndarray, size: ArrayLike, other: ArrayLike) -> np.ndarray
     return (points + 0.5) * np.divide(other, size) - 0.5
 
 
+def same_shape(size: Size, other: Size) -> bool:
+    """Whether two sizes, of any scale, have one aspect ratio, within a pixel."""
+    return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)
+
+
 def pixel_grid(size: Size) -> np.ndarray:
     """The pixels (H, W, 2) float64 of an image of size (width, height): x and y of each."""
     x, y = np.meshgrid(np.arange(size[0], dtype=np.float64), np.arange(size[1], dtype=np.float64))

@@ -13,6 +13,7 @@ import numpy as np
 
 from dgc_pose.errors import ImageError
 from dgc_pose.files.inputs import read_start
+from dgc_pose.geometry.pixels import same_shape
 from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_format
 from dgc_pose.images.image import image_header, load_image, resize, upright_header
 
@@ -86,13 +87,13 @@ def _is_copy(path: Path, of: Path) -> bool:
     if filecmp.cmp(path, of, shallow=False):
         return path > of
     try:
-        (w, h), (W, H) = (upright_header(image_header(file)).size for file in (path, of))
-        if w >= W or abs(w * H - h * W) > max(W, H):  # of another shape, by more than a pixel
+        size, larger = (upright_header(image_header(file)).size for file in (path, of))
+        if size[0] >= larger[0] or not same_shape(size, larger):
             return False
         small, large = (load_image(file, upright=True).pixels for file in (path, of))
     except ImageError:
         return False
-    images = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small, resize(large, (w, h))))
+    images = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small, resize(large, size)))
     first, second = (resize(grey, (32, 32)).astype(np.float32) for grey in images)
     return bool(np.square(first - second).mean() < _SAME_PICTURE * second.var())
 

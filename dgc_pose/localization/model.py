@@ -91,7 +91,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             header = image_header(root / name)
             stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
             camera = replace(calibration, by_name=stated_camera).camera(root, name, header)
-            exact = replace(with_orientation(camera, header), focal_std=0, centre_std=0, lens_std=0)
+            exact = with_orientation(camera, header).as_exact()
             cameras[name] = replace(exact, size=header.size)  # the poses are of these
             poses[name] = pose
     points = {

@@ -133,7 +133,7 @@ class ReferenceSearch:
             return self.stated
         if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
             return self.fitted
-        return replace(self.fitted, focal_std=0.0, centre_std=0.0, lens_std=0.0, aspect_std=0.0)
+        return self.fitted.as_exact()
 
     def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
         """The camera that the problems are normalised by: that of the pair that is likeliest."""
