@@ -39,7 +39,6 @@ def write_database(
     Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
     DgcPoseError if pycolmap fails.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     # pycolmap leaves out the system's error, and SQLite may lose its log without one.
     key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
     require_room(path, _EMPTY_BYTES + _KEY_POINT_BYTES * key_points + _MATCH_BYTES * matches)

@@ -38,13 +38,19 @@ def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputEr
     """The first `count` bytes of a regular file, or all of a smaller one. Raises as
     `read_bytes` does."""
     with open_regular(path, error) as stream, writing(path):
-        return stream.read(count)
+        return stream.read(count) or b""  # None where there is nothing yet
 
 
 def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
     """A regular file to read piece by piece. Raises as `read_bytes` does."""
     _regular_size(path, error)
-    return open(path, "rb")
+    return open(path, "rb", opener=_open_at_once)
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    """No reading waits: the kernel's log, /proc/kmsg, is a regular file whose next line may never
+    come."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> None:

@@ -35,7 +35,7 @@ def _write(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def test_key_points_are_half_a_pixel_more(tmp_path: Path) -> None:
     """The centre of the top-left pixel, our (0, 0), is COLMAP's (0.5, 0.5)."""
-    path = tmp_path / "d" / "database.db"
+    path = tmp_path / "database.db"
     _write(path)
     with pycolmap.Database.open(path) as database:
         image = database.read_image_with_name("b.png")

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,12 @@ def test_an_error_of_the_reading_names_the_file() -> None:
     """A fault that root meets too: the memory begins with a page that is not there."""
     with pytest.raises(OSError, match="Input/output error: '/proc/self/mem'"):
         read_start("/proc/self/mem", 8)
+
+
+@pytest.mark.skipif(not os.access("/proc/kmsg", os.R_OK), reason="the kernel's log is closed")
+def test_a_regular_file_that_waits_for_its_next_line_is_not_waited_for() -> None:
+    read_start("/proc/kmsg", 2**26)  # more than the log holds
+    assert len(read_start("/proc/kmsg", 2**26)) < 2**26
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """What every command refuses, and what it never destroys."""
 
-import faulthandler
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ import dense_scene
 import pytest
 from command_line import assert_refused, contents, run
 from fuzz.bad_values import command_lines, make_files
+from fuzz.hang import no_hang
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -52,9 +52,8 @@ def test_bad_values_are_refused_in_one_line_and_change_nothing(
 ) -> None:
     folder, before = bad
     monkeypatch.chdir(folder)
-    faulthandler.dump_traceback_later(HANG_S, exit=True)
-    result = run(*words)
-    faulthandler.cancel_dump_traceback_later()
+    with no_hang(HANG_S):
+        result = run(*words)
     assert_refused(result)
     assert contents(folder) == before
 

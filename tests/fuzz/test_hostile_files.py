@@ -1,6 +1,5 @@
 """What a stranger's file may not do: run code, lead elsewhere, take memory or time without end."""
 
-import faulthandler
 import io
 import os
 import sqlite3
@@ -14,6 +13,7 @@ import numpy as np
 import pycolmap
 import pytest
 import torch
+from fuzz.hang import no_hang
 from fuzz.readers import make_batch
 from safetensors.torch import load_file, save_file
 
@@ -32,11 +32,10 @@ from dgc_pose.training.run import save_weights
 
 
 @pytest.fixture(autouse=True)
-def no_hang() -> Iterator[None]:
-    """Ends the tests where one waits for a pipe."""
-    faulthandler.dump_traceback_later(100, exit=True)
-    yield
-    faulthandler.cancel_dump_traceback_later()
+def _no_hang() -> Iterator[None]:
+    """Fails a test that waits for a pipe."""
+    with no_hang(100):
+        yield
 
 
 @pytest.mark.parametrize("read", [load_image, read_pairs, read_bytes, read_array, load_network])
