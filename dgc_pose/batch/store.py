@@ -5,7 +5,6 @@ written after them, so a kill leaves every line with its matches, but for a last
 """
 
 import json
-import os
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -38,6 +37,7 @@ class PairStore:
         self._plan = plan
         self._lines, self._matches = out / "matched.jsonl", out / "matched.bin"
         self._done: dict[int, _Done] = {}
+        self._whole = 0  # bytes of the lines without one that a kill cut short
         if self._lines.exists():
             self._read()
 
@@ -81,7 +81,9 @@ class PairStore:
                 lines.append(json.dumps(data, allow_nan=False) + "\n")
                 self._done[index] = done
         with writing(self._lines), self._lines.open("a", encoding="utf-8") as stream:
+            stream.truncate(self._whole)
             stream.writelines(lines)
+            self._whole = stream.tell()
 
     def blocks(self, size: int = BLOCK, only: Collection[int] | None = None) -> Iterator[Matched]:
         """The pairs that are done, in their order, so many at a time; only: the indices of some."""
@@ -99,17 +101,16 @@ class PairStore:
         for path in (self._lines, self._matches):
             path.unlink(missing_ok=True)
         self._done.clear()
+        self._whole = 0
 
     def _read(self) -> None:
-        whole, byte_count = 0, self.byte_count
+        byte_count = self.byte_count
         with read_as("the pairs that a batch has done", self._lines):
             with open_regular(self._lines) as stream:
                 for number, line in enumerate(stream, start=1):
                     if line.endswith(b"\n"):
-                        whole += len(line)
+                        self._whole += len(line)
                         self._hold(line, f"{self._lines}:{number}", byte_count)
-            if whole < self._lines.stat().st_size:  # a line that a kill cut short
-                os.truncate(self._lines, whole)
 
     def _hold(self, line: bytes, where: str, byte_count: int) -> None:
         """Take a pair that need not be done again. Raises anything for another line."""
