@@ -80,9 +80,9 @@ class PairStore:
                 data = {"pair": index, "states": states, **asdict(done)}
                 lines.append(json.dumps(data, allow_nan=False) + "\n")
                 self._done[index] = done
-        with writing(self._lines), self._lines.open("a", encoding="utf-8") as stream:
+        with writing(self._lines), self._lines.open("ab") as stream:
             stream.truncate(self._whole)
-            stream.writelines(lines)
+            stream.write("".join(lines).encode())
             self._whole = stream.tell()
 
     def blocks(self, size: int = BLOCK, only: Collection[int] | None = None) -> Iterator[Matched]:
