@@ -1,17 +1,14 @@
 """From a finished batch to a COLMAP database."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import PairMatches
 from dgc_pose.batch.pooling import as_fitted
 from dgc_pose.batch.result import Batch
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
@@ -60,25 +57,20 @@ def share(
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
-    """The pairs with a pose or a rotation, and the matches that fit it."""
+    """The pairs with a pose or a rotation, the matches that fit it, and the cameras: those of the
+    folder, or as the pair fitted them."""
     geometries, final = [], batch.plan.final_cameras
     for row, matches in batch.matches():
         if row.status in CONFIGURATIONS:
+            cameras = [final[name] for name in row.names]
+            inputs = matches.pose_inputs
+            if inputs is not None and inputs.camera_fits is not None:
+                fitted = zip(cameras, inputs.camera_fits, strict=True)
+                cameras = [as_fitted(camera, row, fit) for camera, fit in fitted]
             arrays = (matches.points1, matches.points2, matches.scores)
             inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
-            geometries.append(PairGeometry(row, _cameras(row, matches, final), *inliers))
+            geometries.append(PairGeometry(row, (cameras[0], cameras[1]), *inliers))
     return geometries
-
-
-def _cameras(
-    row: PairRow, matches: PairMatches, final: Mapping[str, Camera]
-) -> tuple[Camera, Camera]:
-    """The cameras of a row: those of the folder, or as it fitted them."""
-    first, second = final[row.name1], final[row.name2]
-    if matches.pose_inputs is None or matches.pose_inputs.camera_fits is None:
-        return first, second
-    fit1, fit2 = matches.pose_inputs.camera_fits
-    return as_fitted(first, row, fit1), as_fitted(second, row, fit2)
 
 
 def write_shared(

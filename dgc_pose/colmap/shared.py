@@ -28,7 +28,7 @@ class PairGeometry:
 
     @property
     def names(self) -> Names:
-        return self.row.name1, self.row.name2
+        return self.row.names
 
     def towards(self, name: str) -> tuple[str, np.ndarray, np.ndarray]:
         """The name of the other image, the points in it, and those in the image `name`."""

@@ -7,9 +7,9 @@ merged, so no match is moved.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import permutations
 
 import cv2
 import numpy as np
@@ -24,7 +24,7 @@ from dgc_pose.colmap.shared import (
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.refinement.align import locate, nearby_corners, spread
+from dgc_pose.refinement.align import MIN_ZNCC, PATCH_RADIUS, locate, nearby_corners, spread
 from dgc_pose.refinement.consistency import LocalMatches, consistent
 
 _AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
@@ -32,18 +32,15 @@ _AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
 _MAX_DISTANCE_TO_MATCH = 0.015
 _MAX_UNSMOOTHED_SCALE = 1.5  # scale between images up to which neither is smoothed
 _MAX_SHIFT_PX = 3.0  # by alignment, pixels of the other image
-_PATCH_RADIUS = 7  # pixels
-_MIN_ZNCC = 0.8  # of aligned patches
 _MAX_ERROR_PX = 1.0  # Sampson distance to the pose of the pair
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
-    """Corners of one image, and where they lie in one other image."""
+class Transferred:
+    """Corners of image 2 in image 1."""
 
-    name: str  # of the other image
     corner: np.ndarray  # (M,) int, which corners
-    points: np.ndarray  # (M, 2) float64, pixels of the other image
+    points: np.ndarray  # (M, 2) float64, pixels of image 1
     zncc: np.ndarray  # (M,) float64
 
 
@@ -71,8 +68,8 @@ def track_corners(
 
 def _tracks_of(
     name: str, pairs: Sequence[PairGeometry], load: Callable[[str], Image], per_image: int
-) -> tuple[np.ndarray, list[Track]]:
-    """The corners (N, 2) of an image, and where each pair has them."""
+) -> tuple[np.ndarray, dict[str, Transferred]]:
+    """The corners (N, 2) of an image, and where each other image of a pair has them."""
     image = load(name)
     grey = _grey(image)
     matches_of_pairs = []  # with the image `name` as image 2
@@ -82,48 +79,38 @@ def _tracks_of(
         matches_of_pairs.append(consistent(raw, _AFFINITY_MATCHES))
     corners = _choose(grey, matches_of_pairs, per_image)
     corners = corners[~image.is_masked(corners)]
-    tracks = []
+    tracks = {}
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
         other, *_ = pair.towards(name)
-        moved = transferred(image, load(other), matches, corners)
+        moved, scale = transferred(image, load(other), matches, corners)
         points1, points2 = moved.points, corners[moved.corner]
         if pair.row.name1 == name:
             points1, points2 = points2, points1
-        tolerance = _MAX_ERROR_PX * max(1.0, moved.scale)
+        tolerance = _MAX_ERROR_PX * max(1.0, scale)
         good = epipolar_error_px(pair, points1, points2) <= tolerance
-        arrays = (moved.corner, moved.points, moved.zncc)
-        tracks.append(Track(other, *(array[good] for array in arrays)))
+        tracks[other] = Transferred(moved.corner[good], moved.points[good], moved.zncc[good])
     return corners, tracks
-
-
-@dataclass(frozen=True, eq=False)
-class Transferred:
-    """Corners of image 2 in image 1."""
-
-    corner: np.ndarray  # (M,) int, which corners
-    points: np.ndarray  # (M, 2) float64, pixels of image 1
-    zncc: np.ndarray  # (M,) float64
-    scale: float  # of image 1 over image 2
 
 
 def transferred(
     image2: Image, image1: Image, matches: LocalMatches, corners: np.ndarray
-) -> Transferred:
+) -> tuple[Transferred, float]:
     """Where corners (N, 2) of image 2 lie in image 1: of those that have a match near, and whose
-    patches can be aligned. matches: consistent ones of both images."""
+    patches can be aligned; and the scale of image 1 over image 2. matches: consistent ones of both
+    images."""
     start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(image2.size))
     if len(start.index) == 0:
-        return Transferred(start.index, start.points1, np.zeros(0), 1.0)
+        return Transferred(start.index, start.points1, np.zeros(0)), 1.0
     scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
     aligned = locate(
         _smoothed(_grey(image1), scale),
         _smoothed(_grey(image2), 1 / scale),
         start,
-        radius=_PATCH_RADIUS,
+        radius=PATCH_RADIUS,
         max_shift=_MAX_SHIFT_PX * max(1.0, scale),
     )
-    good = aligned.converged & (aligned.zncc >= _MIN_ZNCC) & ~image1.is_masked(aligned.points1)
-    return Transferred(aligned.index[good], aligned.points1[good], aligned.zncc[good], scale)
+    good = aligned.converged & (aligned.zncc >= MIN_ZNCC) & ~image1.is_masked(aligned.points1)
+    return Transferred(aligned.index[good], aligned.points1[good], aligned.zncc[good]), scale
 
 
 def points_in(
@@ -135,7 +122,7 @@ def points_in(
     """
     turned = replace(matches, points1=matches.points2, points2=matches.points1)
     local = consistent(turned, _AFFINITY_MATCHES)
-    moved = transferred(reference, image, local, corners)
+    moved, _ = transferred(reference, image, local, corners)
     return moved.corner, moved.points
 
 
@@ -162,8 +149,6 @@ def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: in
 def _predicted(corners: np.ndarray, matches: LocalMatches, reach: float) -> LocalMatches:
     """Where corners of image 2 are expected in image 1, of those with a match within `reach`;
     `index` is that of the corners."""
-    if len(matches.index) == 0 or len(corners) == 0:
-        return LocalMatches(corners[:0], corners[:0], np.zeros((0, 2, 2)), np.zeros(0, np.int64))
     distance, nearest = nearest_to(corners, matches.points2)
     index = np.flatnonzero(distance <= reach)
     near = matches.subset(nearest[index])
@@ -194,28 +179,33 @@ class _Builder:
             names: [] for names in self._pairs
         }
 
-    def add(self, name: str, corners: np.ndarray, tracks: Sequence[Track]) -> None:
+    def add(self, name: str, corners: np.ndarray, tracks: Mapping[str, Transferred]) -> None:
         """The corners of an image: key points of it, and of each image that has them."""
-        used = [track.corner for track in tracks]
-        seen = np.isin(np.arange(len(corners)), np.concatenate([np.zeros(0, int), *used]))
+        used = np.concatenate([track.corner for track in tracks.values()])
+        seen = np.isin(np.arange(len(corners)), used)
         key_point = np.full(len(corners), -1)
         key_point[seen] = self._add_points(name, corners[seen])
-        indices = [self._add_points(track.name, track.points) for track in tracks]
-        for track, index in zip(tracks, indices, strict=True):
-            self._add_matches((name, track.name), key_point[track.corner], index, track.zncc)
+        indices = {other: self._add_points(other, track.points) for other, track in tracks.items()}
+        for other, track in tracks.items():
+            self._add_matches((name, other), key_point[track.corner], indices[other], track.zncc)
         # Two images that share a corner of a third are matched there too, if they are a pair.
-        for placed in combinations(zip(tracks, indices, strict=True), 2):
-            names = tuple(track.name for track, _ in placed)
+        for names in permutations(tracks, 2):
             if names in self._pairs:
-                self._add_common(*placed[0], *placed[1])
-            elif names[::-1] in self._pairs:
-                self._add_common(*placed[1], *placed[0])
+                track1, track2 = (tracks[name] for name in names)
+                _, in1, in2 = np.intersect1d(
+                    track1.corner, track2.corner, assume_unique=True, return_indices=True
+                )
+                points = track1.points[in1], track2.points[in2]
+                fits = epipolar_error_px(self._pairs[names], *points) <= _MAX_ERROR_PX
+                in1, in2 = in1[fits], in2[fits]
+                scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
+                self._add_matches(names, indices[names[0]][in1], indices[names[1]][in2], scores)
 
     def result(self) -> SharedMatches:
         pairs = {}
         for names, parts in self._matches.items():
-            if any(len(index) for index, _ in parts):
-                index, scores = map(np.concatenate, zip(*parts, strict=True))
+            index, scores = map(np.concatenate, zip(*parts, strict=True))
+            if len(index):
                 pairs[names] = one_to_one(index.astype(np.uint32), scores)
         return SharedMatches({k: np.concatenate(v) for k, v in self._points.items()}, pairs)
 
@@ -231,16 +221,3 @@ class _Builder:
         if names not in self._matches:
             names, index1, index2 = names[::-1], index2, index1
         self._matches[names].append((np.column_stack([index1, index2]), scores))
-
-    def _add_common(
-        self, track1: Track, index1: np.ndarray, track2: Track, index2: np.ndarray
-    ) -> None:
-        names = (track1.name, track2.name)
-        _, in1, in2 = np.intersect1d(
-            track1.corner, track2.corner, assume_unique=True, return_indices=True
-        )
-        points = track1.points[in1], track2.points[in2]
-        fits = epipolar_error_px(self._pairs[names], *points) <= _MAX_ERROR_PX
-        in1, in2 = in1[fits], in2[fits]
-        scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
-        self._add_matches(names, index1[in1], index2[in2], scores)
