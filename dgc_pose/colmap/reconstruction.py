@@ -131,42 +131,36 @@ def require_model_folder(folder: Path, *, several: bool = False) -> None:
 
 
 def sparse_model(reconstruction: pycolmap.Reconstruction) -> SparseModel:
-    """COLMAP's model as arrays."""
+    """COLMAP's model as arrays, with the cameras that took an image of it."""
     points = list(reconstruction.points3D.values())
     images = [image for image in reconstruction.images.values() if image.has_pose]
+    taken: dict[int, list[str]] = {}  # the images of each camera
+    for image in images:
+        taken.setdefault(image.camera_id, []).append(image.name)
     return SparseModel(
         poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
         points=np.array([point.xyz for point in points]).reshape(-1, 3),
         colours=np.array([point.color for point in points], dtype=np.uint8).reshape(-1, 3),
         mean_track_length=float(reconstruction.compute_mean_track_length()),
         reprojection_error_px=float(reconstruction.compute_mean_reprojection_error()),
-        cameras=_cameras(reconstruction),
+        cameras=tuple(
+            ModelCamera(
+                camera.model.name,
+                int(camera.width),
+                int(camera.height),
+                tuple(camera.params.tolist()),
+                float(camera.mean_focal_length()),
+                len(taken[number]),
+                min(taken[number]),
+            )
+            for number, camera in sorted(reconstruction.cameras.items())
+            if number in taken
+        ),
         shapes={
             image.name: np.divide([camera.width, camera.height], camera.mean_focal_length())
             for image in images
-            for camera in [reconstruction.cameras[image.camera_id]]
+            for camera in [image.camera]
         },
-    )
-
-
-def _cameras(reconstruction: pycolmap.Reconstruction) -> tuple[ModelCamera, ...]:
-    """The cameras that took an image of the model."""
-    names: dict[int, list[str]] = {}
-    for image in reconstruction.images.values():
-        if image.has_pose:
-            names.setdefault(image.camera_id, []).append(image.name)
-    return tuple(
-        ModelCamera(
-            camera.model.name,
-            int(camera.width),
-            int(camera.height),
-            tuple(camera.params.tolist()),
-            float(camera.mean_focal_length()),
-            len(names[number]),
-            min(names[number]),
-        )
-        for number, camera in sorted(reconstruction.cameras.items())
-        if number in names
     )
 
 

@@ -37,7 +37,7 @@ def search_images(folder: str | Path) -> FolderImages:
     """
     root = Path(folder)
     names: list[str] = []
-    left_out: dict[tuple[str, str], list[str]] = {}
+    left_out = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
     searched: set[str] = set()
     # Links to folders come last, so that a file has the name of the folder that it lies in.
     folders, links = [root], list[Path]()
@@ -53,18 +53,17 @@ def search_images(folder: str | Path) -> FolderImages:
             if parent == root:
                 raise
             name = parent.relative_to(root).as_posix()
-            left_out.setdefault(("folder", failure.strerror or str(failure)), []).append(name)
+            left_out["folder", failure.strerror or str(failure)].append(name)
             continue
         for path in (parent / entry for entry in entries if not entry.startswith(".")):
             name = path.relative_to(root).as_posix()
-            if (is_folder := os.path.isdir(path)) and path.name.lower() in _PREVIEWS:
-                left_out.setdefault(("folder", "previews that a device made"), []).append(name)
-            elif is_folder:
-                (links if path.is_symlink() else folders).append(path)
-            elif (why := _why_not(path, name)) is None:
-                names.append(name)
+            if not os.path.isdir(path):
+                why = _why_not(path, name)
+                (names if why is None else left_out["file", why]).append(name)
+            elif path.name.lower() in _PREVIEWS:
+                left_out["folder", "previews that a device made"].append(name)
             else:
-                left_out.setdefault(("file", why), []).append(name)
+                (links if path.is_symlink() else folders).append(path)
     lines = (left_out_line(kind, paths, why) for (kind, why), paths in left_out.items())
     return FolderImages(tuple(sorted(names)), tuple(lines))
 
