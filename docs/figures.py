@@ -13,7 +13,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from PIL import Image
@@ -21,7 +21,6 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PICTURE = ROOT / "docs" / "demo.png"
-DEMO = "dgc-pose demo"
 TOP = 0.358  # of the plot's height: the headline and the matches
 PALETTE = 256  # colours of the picture: a quarter of the bytes
 RELATIVE, PLACES = 0.01, 2  # between processors: a share, and units of the last place printed
@@ -47,13 +46,12 @@ def quoted(text: str) -> Iterator[tuple[str, str, str]]:
         yield marker, command, block
 
 
-def renewed(text: str, run: Callable[[str], str]) -> str:
-    """A page with each block of output that does not agree replaced by what `run` prints of its
-    command."""
+def renewed(text: str) -> str:
+    """A page with each block of output that does not agree replaced by what its command prints."""
 
     def renew(block: re.Match[str]) -> str:
         start, marker, command, old, end = block.groups()
-        new = run(command)
+        new = output(command)
         # Not for times and last digits.
         return start + (old if agree(old, new, marker) else new) + end
 
@@ -83,21 +81,16 @@ def _words(text: str) -> str:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder, "demo.png")
-        outputs = {DEMO: output(f"{DEMO} --plot {drawn} --plot-dpi 120")}
+        output(f"dgc-pose demo --plot {drawn} --plot-dpi 120")
         with Image.open(drawn) as picture:
             top = picture.crop((0, 0, picture.width, round(TOP * picture.height)))
             # FASTOCTREE keeps the colours of lines.
             colours = top.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
         colours.save(PICTURE, optimize=True)
 
-    def run(command: str) -> str:
-        if command not in outputs:
-            outputs[command] = output(command)
-        return outputs[command]
-
     for page in PAGES:
         before = page.read_text(encoding="utf-8")
-        page.write_text(renewed(before, run), encoding="utf-8")
+        page.write_text(renewed(before), encoding="utf-8")
 
 
 if __name__ == "__main__":
