@@ -21,7 +21,7 @@ let drawn = 150; // matches, as chosen; a result may have fewer
 const view = new View(at("view"), at("pointed"));
 const scene = new Scene(at("scene"));
 
-/** Tell what is being done and what is wrong, besides the photographs that were refused. */
+/** Show what is being done, and what is wrong after the photographs that were refused. */
 function begin(text, error = "") {
   at("error").textContent = [...refused, error].filter(Boolean).join("; ");
   at("error").hidden = !at("error").textContent;
