@@ -6,7 +6,6 @@ import re
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.colmap.points_file import write_model_points
@@ -14,7 +13,7 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import require_room, save_text
-from dgc_pose.images.image import image_header
+from dgc_pose.images.image import image_header, read_pixels
 from dgc_pose.localization.model import model_path
 from dgc_pose.system.colmap_library import pycolmap
 
@@ -92,7 +91,7 @@ def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: 
         if header.orientation != 1 and header.format == "JPEG":
             path.write_bytes(_ORIENTATION.sub(b"\\1\x01", path.read_bytes(), count=1))
         elif header.orientation != 1:  # a PNG
-            cv2.imwrite(str(path), np.asarray(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)))
+            cv2.imwrite(str(path), read_pixels(path))
 
 
 def tum(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path) -> None:

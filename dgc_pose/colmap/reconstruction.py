@@ -172,9 +172,10 @@ def write_summary(
     left_out = {}
     for name in names:
         if not any(name in each.poses for each in models):
-            posed = [row.success for row in batch.rows if name in row.names]
-            left_out[name] = f"a pose in {sum(posed)} of its {len(posed)} pairs"
-            if flipped := sum(row.status == "mirrored" for row in batch.rows if name in row.names):
+            rows = [row for row in batch.rows if name in row.names]
+            posed = sum(row.success for row in rows)
+            left_out[name] = f"a pose in {posed} of its {len(rows)} pairs"
+            if flipped := sum(row.status == "mirrored" for row in rows):
                 left_out[name] += f", mirrored in {flipped}"
     data = {
         "images": len(names),
