@@ -135,7 +135,7 @@ def survey(
         of_K = size if size is not None and name in common else header.size
         camera = of_image.camera(source.root, name, replace(header, size=of_K))
         if of_K != header.size:
-            camera = camera.turned(of_K, header.orientation)
+            camera = camera.turned(header.size, header.orientation)
         cameras[name] = replace(with_orientation(camera, header), size=header.size)
     return cameras, bad, states
 
