@@ -115,6 +115,16 @@ def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
     return _undone(_moved(points, lens, deviations), lens, deviations)
 
 
+def deviated_points(
+    problem: TwoViewProblem, deviations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The points (N, 2) of both images as cameras with deviations (2 * SIZE,) normalise them."""
+    return (
+        deviated(problem.points1, problem.lenses[0], deviations[:SIZE]),
+        deviated(problem.points2, problem.lenses[1], deviations[SIZE:]),
+    )
+
+
 def deviated_slopes(
     points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
 ) -> np.ndarray:
@@ -230,7 +240,7 @@ def _lens_slopes(
         (problem.points1, problem.lenses[0], deviations[:SIZE]),
         (problem.points2, problem.lenses[1], deviations[SIZE:]),
     )
-    points1, points2 = (deviated(*side) for side in sides)
+    points1, points2 = deviated_points(problem, deviations)
     moved = replace(problem, points1=points1, points2=points2)
     error, of_pose, tangent = error_slopes(moved, R, t)
     E = essential_from_pose(R, t)
