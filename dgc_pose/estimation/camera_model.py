@@ -232,7 +232,7 @@ def _is_open(camera: Camera) -> bool:
     return camera.focal_source != "given" and camera.distortion is None
 
 
-def _is_edited(camera: Camera) -> bool:
+def is_edited(camera: Camera) -> bool:
     """Whether the picture may be squeezed, or a part: no EXIF data say that a camera wrote it."""
     return _is_open(camera) and (camera.focal_source == "size" or is_of_part(camera))
 
@@ -240,7 +240,7 @@ def _is_edited(camera: Camera) -> bool:
 def with_model(camera: Camera, name: ModelName) -> Camera:
     """A camera that is not fitted yet by another model; itself if it cannot be of that."""
     longer = max(camera.size or (0,))
-    if not (_is_edited(camera) if name in ("squeezed", "off_centre") else _is_open(camera)):
+    if not (is_edited(camera) if name in ("squeezed", "off_centre") else _is_open(camera)):
         return camera
     if name == "squeezed":
         return replace(camera, aspect_std=_ASPECT_STD)

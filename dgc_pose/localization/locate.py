@@ -149,11 +149,8 @@ class Locator:
         return points[which], seen
 
     def _image(self, name: str) -> Image:
-        def read() -> Image:
-            image = masked(load_image(self.model.root / name), mask_file(self.masks, name))
-            return image.oriented(self.model.cameras[name].orientation)
-
-        return self._images.get(name, read)
+        path, mask = self.model.root / name, mask_file(self.masks, name)
+        return self._images.get(name, lambda: masked(load_image(path), mask))
 
 
 def _same_file(first: Path, second: Path) -> bool:
