@@ -9,7 +9,6 @@ camera by its prior, so that the costs of all models can be compared.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -26,13 +25,13 @@ from dgc_pose.estimation.camera_fit import (
     of_focals,
     start_at,
 )
-from dgc_pose.estimation.camera_spread import FOCALS, CameraSpread, is_of_part
+from dgc_pose.estimation.camera_spread import FOCALS, is_of_part
 from dgc_pose.estimation.competition import choice_shares
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.hypothesis import error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.robust_fit import run_seeds
+from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
@@ -67,8 +66,7 @@ class CameraModel:
 
     name: ModelName
     cameras: tuple[Camera, Camera]  # before the fit
-    starts: Sequence[np.ndarray] = ()  # deviations (2 * SIZE,), see `CameraSpread`
-    pose: JointPose | None = None  # where a fit starts as well; then the fit; None if it failed
+    pose: JointPose | None = None  # the fit; None if it failed
     cost: float = math.inf
     # (6, 6), rad^2: by how much the poses of the other models differ, by their probabilities.
     pose_spread: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
@@ -88,19 +86,25 @@ def likeliest_model(
     assumed = CameraModel("assumed", stated, pose=pose)
     if not any(map(_is_open, stated)):
         return assumed
-    order = np.random.default_rng(options.seed).permutation(len(problem))
-    drawn = matches.subset(problem.index[np.sort(order[:_SAMPLED])])
+    drawn = matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
     pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
     sample = _Sample(drawn, pixels, replace(options, iterations=_ITERATIONS))
-    error = sample.errors(sample.joint(stated), pose)
+    joint = sample.joint(stated)
+    error = sample.errors(joint, pose)
     near = error[error < 1]
     scale = error_scale(near, 1.0) if len(near) else 1.0
     cost = float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
     assumed = replace(assumed, cost=cost)
-    others = _others(stated, pose)
-    if len(near) / len(error) > _EXPLAINED and scale < _CLOSE:
-        others = [replace(model, starts=()) for model in others]
-    models = [assumed, *in_threads(lambda m: sample.fitted(m, stated, error, scale), others)]
+    names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
+    if any(camera.focal_source == "exif" for camera in stated):
+        names += ("zoomed",)
+    others = [
+        CameraModel(name, (with_model(stated[0], name), with_model(stated[1], name)))
+        for name in names
+    ]
+    at = joint.deviations(pose)
+    fits = in_threads(lambda model: sample.fitted(model, pose, at, error, scale), others)
+    models = [assumed, *fits]
     before = max(map(_log_odds, stated))
     odds = np.array([assumed.cost - model.cost + before for model in models])
     odds[0] = 0.0
@@ -141,30 +145,30 @@ class _Sample:
     def fitted(
         self,
         model: CameraModel,
-        stated: tuple[Camera, Camera],
-        of_stated: np.ndarray,
+        pose: JointPose,
+        at: np.ndarray,
+        error: np.ndarray,
         scale: float,
     ) -> CameraModel:
-        """The model with the likeliest of its fits. of_stated: errors (N,) with the assumed
-        cameras. scale: of these, for the costs."""
-        joint = self.joint(model.cameras)
-        seeds = run_seeds(replace(self.options, runs=max(1, len(model.starts))))
-        rough, start = float(cauchy_losses(of_stated, 1.0).sum()) + _WORSE, None
-        for at, seed in zip(model.starts, seeds, strict=False):
-            run = start_at(joint, at, self.options, seed)
+        """The model with the likeliest of its fits. pose: with the assumed cameras, which deviate
+        by `at` (2 * SIZE,). error: (N,), with these. scale: of the losses."""
+        joint, near = self.joint(model.cameras), error < 1
+        is_explained = near.mean() > _EXPLAINED and scale < _CLOSE
+        starts = [] if is_explained else _starts(model, at[FOCALS])
+        seeds = run_seeds(replace(self.options, runs=max(1, len(starts))))
+        rough, start = float(cauchy_losses(error, 1.0).sum()) + _WORSE, None
+        for deviations, seed in zip(starts, seeds, strict=False):
+            run = start_at(joint, deviations, self.options, seed)
             if run is None:
                 continue
             loss = float(cauchy_losses(self.errors(joint, run), 1.0).sum())
             if loss < rough:
                 rough, start = loss, run
         fits = [] if start is None else [joint.fitted(start, _OF_START, _FIT_ITERATIONS)]
-        if model.pose is not None:
-            deviations = CameraSpread.of(*stated).basis @ model.pose.z
-            z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
-            start = replace(model.pose, z=z)
+        if model.name not in _WIDE:
+            start = replace(pose, z=np.linalg.lstsq(joint.spread.basis, at, rcond=None)[0])
             fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
-        near, best = of_stated < 1, replace(model, pose=None)
-        most = cauchy_losses(of_stated, scale)[near].sum() + _AS_WELL
+        best, most = model, cauchy_losses(error, scale)[near].sum() + _AS_WELL
         for fit in fits:
             losses = cauchy_losses(self.errors(joint, fit), scale)
             cost = float(losses.sum() + fit.z @ fit.z / 2)
@@ -200,31 +204,22 @@ def _log_odds(camera: Camera) -> float:
     return _LOG_ODDS if camera.focal_source == "size" else _LOG_ODDS_OF_EXIF
 
 
-def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]:
-    """The other models. pose: fitted with the cameras as stated."""
-    names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
-    if any(camera.focal_source == "exif" for camera in stated):
-        names += ("zoomed",)
-    focals = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
-    others = []
-    for name in names:
-        cameras = with_model(stated[0], name), with_model(stated[1], name)
-        starts = []
-        if name == "squeezed":
-            aspects = np.array([camera.aspect_std for camera in cameras])
-            starts = [
-                of_focals(focals + fewer * np.abs(k * aspects), k * aspects)
-                for k in (-1.5, -0.75, 0.75, 1.5)
-                for fewer in (0.0, -0.5)
-            ]
-        elif name == "zoomed":
-            apart = np.array([-1, 1])
-            starts = [of_focals(focals + k * apart) for k in (-0.25, -0.125, 0.125, 0.25)]
-        elif name in _WIDE:
-            stds = np.array([camera.focal_std for camera in cameras])
-            starts = [of_focals(k * stds) for k in _STEPS]
-        others.append(CameraModel(name, cameras, starts, None if name in _WIDE else pose))
-    return others
+def _starts(model: CameraModel, focals: np.ndarray) -> list[np.ndarray]:
+    """Deviations (2 * SIZE,) of the model's cameras that RANSAC is run at. focals: those of ln f
+    (2,) with the assumed cameras."""
+    if model.name in _WIDE:
+        stds = np.array([camera.focal_std for camera in model.cameras])
+        return [of_focals(k * stds) for k in _STEPS]
+    if model.name == "squeezed":
+        stds = np.array([camera.aspect_std for camera in model.cameras])
+        return [
+            of_focals(focals + fewer * np.abs(k * stds), k * stds)
+            for k in (-1.5, -0.75, 0.75, 1.5)
+            for fewer in (0.0, -0.5)
+        ]
+    if model.name == "zoomed":
+        return [of_focals(focals + (-k, k)) for k in (-0.25, -0.125, 0.125, 0.25)]
+    return []
 
 
 def _is_open(camera: Camera) -> bool:

@@ -21,6 +21,7 @@ from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import CONTRADICTED_LOG_ODDS, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.robust_fit import draw
 from dgc_pose.matches import Matches
 
 _STD = 0.5  # of ln f: a focal length that is hardly known
@@ -61,7 +62,9 @@ def check_focals(
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
         pose = joint.fitted(other)
     else:
-        pose = _of_sample(joint, stated)
+        # K is right as a rule, which some of the matches show.
+        some = draw(problem, problem.seed, _SAMPLED)
+        pose = replace(joint, problem=some).fitted(stated, LIMITS[:1])
         if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
             pose = joint.fitted(pose)
     scale = pose_error_scale(problem.subset(first.inliers), first.R, first.t)
@@ -78,13 +81,6 @@ def check_focals(
         max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
         log_odds,
     )
-
-
-def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
-    """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
-    shuffled = np.random.default_rng(joint.problem.seed).permutation(len(joint.problem))
-    drawn = joint.problem.subset(np.sort(shuffled[:_SAMPLED]))
-    return replace(joint, problem=drawn).fitted(pose, LIMITS[:1])
 
 
 def focal_warnings(

@@ -129,9 +129,8 @@ class ReferenceSearch:
         """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
         if 2 * len(self.agreeing) < len(self.sights):
             return self.stated
-        if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
-            return self.fitted
-        return self.fitted.as_exact()
+        is_known = 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD
+        return self.fitted.as_exact() if is_known else self.fitted
 
     def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
         """The camera that the problems are normalised by: that of the pair that is likeliest."""
@@ -140,8 +139,13 @@ class ReferenceSearch:
             return self.camera
         best = max(fits, key=lambda pose: pose.probability or 0.0).camera2
         assert best is not None
-        names = ("focal_std", "centre_std", "aspect_std", *(("lens_std",) * (best.lens_std > 0)))
-        return replace(best, **{name: getattr(self.camera, name) for name in names})
+        return replace(
+            best,
+            focal_std=self.camera.focal_std,
+            centre_std=self.camera.centre_std,
+            lens_std=self.camera.lens_std if best.lens_std else 0.0,
+            aspect_std=self.camera.aspect_std,
+        )
 
     def _sight(self, pair: Pair) -> Sight:
         pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]
@@ -158,8 +162,7 @@ class ReferenceSearch:
         """The reference to match next; None if no more is needed, or hoped for."""
         if not self.waiting or len(self.pairs) >= MAX_REFERENCES or self._accurate():
             return None
-        hopeful = any(pair.probability > _LIKELY for pair in self.pairs)
-        if len(self.pairs) >= _HOPELESS and not hopeful:
+        if len(self.pairs) >= _HOPELESS and max(p.probability for p in self.pairs) <= _LIKELY:
             return None
         if self.pose is None or self.covariance is None or len(self.agreeing) < 2:
             return self.waiting[0]
@@ -201,11 +204,16 @@ class ReferenceSearch:
                 camera=self.fitted,
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
-        if reason := self._why_nowhere(likely):
+        # R of the photograph, cam_from_world, by each pair that has a pose.
+        rotations = {
+            pair.name: pair.pose.hypotheses[0].R @ self.model.poses[pair.name][:, :3]
+            for pair in likely
+        }
+        if reason := self._why_nowhere([*rotations.values()]):
             none_agree = tuple(replace(reference, agrees=False) for reference in references)
             return Location("nowhere", reason, none_agree, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
-        R, t, camera = self._rotation(best), best.pose.hypotheses[0].t, self.camera
+        R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
         why = f"{best.name} alone has a pose"
         if pose is not None and len(likely) > 1:
             R, t, camera = pose.R, self.sights[best.name].pair_pose(pose)[1], self.fitted
@@ -220,27 +228,21 @@ class ReferenceSearch:
             camera=camera,
         )
 
-    def _why_nowhere(self, likely: Sequence[Pair]) -> str:
-        """Why the photograph has no rotation; empty if it has. likely: the pairs with a pose."""
+    def _why_nowhere(self, rotations: Sequence[np.ndarray]) -> str:
+        """Why the photograph has no rotation; empty if it has. rotations: (3, 3), of the pairs."""
         mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
-        if mirrored and mirrored >= len(likely):
+        if mirrored and mirrored >= len(rotations):
             return f"the mirror image of the photograph has a pose with {mirrored} references"
-        if not likely:
+        if not rotations:
             return f"none of {len(self.pairs)} references has a pose that is likely"
-        if len(likely) == 1 or (self.pose is not None and self._is_claimed()):
+        if len(rotations) == 1 or (self.pose is not None and self._is_claimed()):
             return ""
-        of_two = combinations(map(self._rotation, likely), 2)
-        angle = np.median([rotation_angle_deg(R1 @ R2.T) for R1, R2 in of_two])
+        angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(rotations, 2)]
         return (
-            f"the poses of {len(likely)} references do not agree: the rotations between them, "
+            f"the poses of {len(rotations)} references do not agree: the rotations between them, "
             "by their pairs with the photograph, differ from those of the model by "
-            f"{angle:.0f} degrees"
+            f"{np.median(angles):.0f} degrees"
         )
-
-    def _rotation(self, pair: Pair) -> np.ndarray:
-        """R (3, 3) of the photograph, cam_from_world, by a pair that has a pose."""
-        R: np.ndarray = pair.pose.hypotheses[0].R @ self.model.poses[pair.name][:, :3]
-        return R
 
     def _is_located(self) -> bool:
         """Whether the location is probable, and its distance from the references determined."""
