@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
@@ -105,10 +105,7 @@ class JointFit:
         return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
 
     def fitted(
-        self,
-        pose: JointPose,
-        limits: Sequence[float] = LIMITS,
-        iterations: int = _ITERATIONS,
+        self, pose: JointPose, limits: Sequence[float] = LIMITS, iterations: int = _ITERATIONS
     ) -> JointPose:
         """The pose after fits to its inliers, which are chosen anew before each.
 
@@ -239,13 +236,12 @@ def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | Non
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
     seeds = run_seeds(replace(options, runs=count + 1))
     less = replace(options, iterations=max(1, options.iterations // _SHARE))
-
-    def run(number: int) -> JointPose | None:
-        if number == count:
-            return solved_start(joint, options, seeds[number])
-        return start_at(joint, of_focals(tried[number]), less, seeds[number])
-
-    return in_threads(run, list(range(count, -1, -1)))  # the longest first
+    runs = [
+        partial(start_at, joint, of_focals(at), less, seed)
+        for at, seed in zip(tried, seeds[:-1], strict=True)
+    ]
+    runs.append(partial(solved_start, joint, options, seeds[-1]))
+    return in_threads(lambda run: run(), runs[::-1])  # the longest first
 
 
 def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:

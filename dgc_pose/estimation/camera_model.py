@@ -143,12 +143,7 @@ class _Sample:
         return np.minimum(error, MOST_ERROR)
 
     def fitted(
-        self,
-        model: CameraModel,
-        pose: JointPose,
-        at: np.ndarray,
-        error: np.ndarray,
-        scale: float,
+        self, model: CameraModel, pose: JointPose, at: np.ndarray, error: np.ndarray, scale: float
     ) -> CameraModel:
         """The model with the likeliest of its fits. pose: with the assumed cameras, which deviate
         by `at` (2 * SIZE,). error: (N,), with these. scale: of the losses."""

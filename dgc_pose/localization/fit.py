@@ -88,10 +88,8 @@ def _starts(
             lambda seed: generalized_pose(problems, references, options, seed), run_seeds(options)
         )
     if sum(map(len, points)) >= _MIN_INLIERS:
-        places, world = (
-            np.concatenate([getattr(sight, name) for sight in points])
-            for name in ("places", "points")
-        )
+        places = np.concatenate([sight.places for sight in points])
+        world = np.concatenate([sight.points for sight in points])
         runs.append(absolute_pose(places, world, points[0].threshold, options))
     return [*poses, *(WorldPose(*run, np.zeros(SIZE)) for run in runs if run is not None)]
 
@@ -116,10 +114,7 @@ def _of_two(first: Sight, second: Sight) -> list[WorldPose]:
 
 def _explained(sight: Sight) -> Sight:
     """The matches that a hypothesis of the pair explains, an even sample."""
-    explained = np.zeros(len(sight), dtype=bool)
-    for hypothesis in sight.hypotheses:
-        explained |= hypothesis.inliers_in_front
-    chosen = np.flatnonzero(explained)
+    chosen = np.flatnonzero(np.any([h.inliers_in_front for h in sight.hypotheses], axis=0))
     return sight.subset(chosen[_even(len(chosen), _SAMPLED)])
 
 
