@@ -8,11 +8,12 @@ from pathlib import Path
 
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import Size, times
+from dgc_pose.cameras.checks import times
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import is_of_upright, with_orientation
 from dgc_pose.errors import ArgumentName, ImageError, InputError
+from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import image_header, upright_header

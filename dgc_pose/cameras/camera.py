@@ -140,13 +140,12 @@ class Camera:
         turn[:2, :2] = np.linalg.matrix_power([[0, 1], [-1, 0]], QUARTERS[orientation])
         if orientation != 1 and (self.K[0, 1] or (lens is not None and "PRISM" in lens.model)):
             raise InputError("K has a skew or a prism, which are not turned: give a K as stored")
-        of_pixels = turn.copy()
-        of_pixels[:2, 2] = middle - turn[:2, :2] @ (np.abs(turn[:2, :2]) @ middle)
+        K = turn @ self.K @ turn.T
+        K[:2, 2] += middle - turn[:2, :2] @ np.abs(turn[:2, :2]) @ middle
         if lens is not None and lens.model in ("OPENCV", "FULL_OPENCV"):
             k1, k2, p1, p2, *rest = lens.coefficients
             p2, p1 = (turn[:2, :2] @ (p2, p1)).tolist()
             lens = replace(lens, coefficients=(k1, k2, p1, p2, *rest))
-        K = of_pixels @ self.K @ turn.T
         return replace(self, K=K, size=size, distortion=lens, orientation=1), turn
 
     def turned(self, size: tuple[int, int], orientation: int) -> Camera:
