@@ -92,7 +92,7 @@ def locate(
         image_header(Path(photo))
     model = load_model(place.model, place.images)
     if place.add is not None:
-        extensible(place.add, model, list(dict.fromkeys(photos)))
+        extended = extensible(place.add, model, list(dict.fromkeys(photos)))
     for warning in model.warnings:
         say(f"warning: {warning}")
     locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)
@@ -112,7 +112,7 @@ def locate(
             figure = plot_location(model, photos[0], locations[photos[0]])
             save_figure(figure, stage(place.plot))
         if place.add is not None:
-            write_model_with(place.add, model, locations)
+            write_model_with(place.add, extended, locations)
     if place.json == STDOUT:
         click.echo(data, nl=False)
     return 0 if all(location.success for location in locations.values()) else NO_POSE

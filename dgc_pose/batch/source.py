@@ -8,11 +8,12 @@ from pathlib import Path
 
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import Size, times
+from dgc_pose.cameras.checks import times
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import is_of_upright, with_orientation
 from dgc_pose.errors import ArgumentName, ImageError, InputError
+from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import image_header, upright_header
@@ -135,7 +136,7 @@ def survey(
         of_K = size if size is not None and name in common else header.size
         camera = of_image.camera(source.root, name, replace(header, size=of_K))
         if of_K != header.size:
-            camera = camera.turned(of_K, header.orientation)
+            camera = camera.turned(header.size, header.orientation)
         cameras[name] = replace(with_orientation(camera, header), size=header.size)
     return cameras, bad, states
 

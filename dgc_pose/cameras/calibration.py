@@ -242,21 +242,18 @@ def image_camera(
     Raises InputError, naming the argument `name`, likewise.
     """
     value = "auto" if value is None else value
-    is_auto = isinstance(value, str) and value in _SHARING
-    calibration = _calibration(value, name, KDetails() if is_auto and part else details)
+    if isinstance(value, (str, Path)):
+        is_auto_of_pair = part is not None and value in _SHARING
+        calibration = read_calibration(str(value), name, KDetails() if is_auto_of_pair else details)
+    else:
+        camera = value if isinstance(value, Camera) else matrix_camera(value, name)
+        camera = replace(camera, identity=camera.identity or name)
+        calibration = Calibration(name, common=camera, details=details)
     stated = calibration.stated(Path(), image.name, part)
     if stated is None or is_of_upright(stated, details.size, image):
         camera = calibration.camera(Path(), image.name, upright_header(image), part)
         return replace(camera, orientation=image.orientation)
     return with_orientation(calibration.camera(Path(), image.name, image, part), image)
-
-
-def _calibration(value: Camera | Any, name: str, details: KDetails) -> Calibration:
-    if isinstance(value, (str, Path)):
-        return read_calibration(str(value), name, details)
-    camera = value if isinstance(value, Camera) else matrix_camera(value, name)
-    camera = replace(camera, identity=camera.identity or name)
-    return Calibration(name, common=camera, details=details)
 
 
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:

@@ -20,6 +20,8 @@ from dgc_pose.geometry.pixels import rescale
 from dgc_pose.system.options import check_type
 
 FocalSource = Literal["given", "exif", "size", "matches"]
+# By EXIF orientation, of those that mirror nothing, the turns by 90 degrees that it applies.
+QUARTERS = {1: 0, 3: 2, 6: 1, 8: 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,21 +130,38 @@ class Camera:
         centre_std = self.centre_std * float(scale[:2].mean())
         return replace(self, K=K, size=(int(size[0]), int(size[1])), centre_std=centre_std)
 
+    def as_stored(self, size: tuple[int, int], orientation: int) -> tuple[Camera, np.ndarray]:
+        """The camera of pixels as stored, of `size` (width, height), by that of the image that an
+        EXIF orientation of `QUARTERS` makes of them; and the turn (3, 3) to its axes.
+
+        Raises InputError if K has a skew or the lens a prism, and there is a turn.
+        """
+        turn, middle, lens = np.eye(3), (np.array(size) - 1) / 2, self.distortion
+        turn[:2, :2] = np.linalg.matrix_power([[0, 1], [-1, 0]], QUARTERS[orientation])
+        if orientation != 1 and (self.K[0, 1] or (lens is not None and "PRISM" in lens.model)):
+            raise InputError("K has a skew or a prism, which are not turned: give a K as stored")
+        K = turn @ self.K @ turn.T
+        K[:2, 2] += middle - turn[:2, :2] @ np.abs(turn[:2, :2]) @ middle
+        if lens is not None and lens.model in ("OPENCV", "FULL_OPENCV"):
+            k1, k2, p1, p2, *rest = lens.coefficients
+            p2, p1 = (turn[:2, :2] @ (p2, p1)).tolist()
+            lens = replace(lens, coefficients=(k1, k2, p1, p2, *rest))
+        return replace(self, K=K, size=size, distortion=lens, orientation=1), turn
+
     def turned(self, size: tuple[int, int], orientation: int) -> Camera:
-        """The camera of photographs of `size` (width, height) that are stored turned by 90 degrees,
-        which EXIF orientation 6 or 8 undoes. With any other it is not known in which sense: then
-        the principal point is the middle, with a deviation, and the camera is of its image alone.
-        Raises InputError if the lens is not the same once turned."""
-        (width, height), focals, (cx, cy) = size, self.K.diagonal()[:2], self.K[:2, 2]
-        # Of a normalised point, and of the same point turned.
-        (x, y), turned = (self.project(np.array([[0.3, 0.2], [-0.2, 0.3]])) - (cx, cy)) / focals
-        if not np.allclose(turned, (-y, x)):
+        """The camera of photographs that are stored turned by 90 degrees, with this `size` (width,
+        height); EXIF orientation 6 or 8 undoes it. With any other it is not known in which sense:
+        then the principal point is the middle, with a deviation, and that of an exact camera is of
+        its image alone. Raises InputError as `as_stored`, and if the sense changes the lens."""
+        if orientation in (6, 8):
+            return self.as_stored(size, orientation)[0]
+        camera, _ = self.as_stored(size, 6)
+        if camera.distortion != self.distortion:
             raise InputError("K has another lens in turned photographs: give a K for each image")
-        if (centre := {6: (cy, width - 1 - cx), 8: (height - 1 - cy, cx)}.get(orientation)) is None:
-            std = math.hypot(self.centre_std, cx - (width - 1) / 2, cy - (height - 1) / 2)
-            middle = np.array([*focals[::-1], (height - 1) / 2, (width - 1) / 2])
-            return replace(self, K=middle, size=size[::-1], centre_std=std, identity=None)
-        return replace(self, K=np.array([*focals[::-1], *centre]), size=size[::-1])
+        K, middle = camera.K.copy(), (np.array(size) - 1) / 2
+        std = math.hypot(self.centre_std, *(K[:2, 2] - middle))
+        K[:2, 2] = middle
+        return replace(camera, K=K, centre_std=std, identity=None if self.exact else self.identity)
 
 
 @dataclass(frozen=True, eq=False)

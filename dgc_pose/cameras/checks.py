@@ -6,6 +6,7 @@ from typing import Literal
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
+from dgc_pose.geometry.pixels import Size
 
 MAX_FIELD_OF_VIEW_DEG, MIN_FIELD_OF_VIEW_DEG = 150.0, 1.0  # horizontal, of a pinhole
 _MAX_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
@@ -14,8 +15,6 @@ _MAX_ASPECT_DIFFERENCE = 0.03  # of the logarithms of two aspect ratios that are
 # more cannot be the image's.
 _MAX_SAME_SCALE, _MAX_POSSIBLE_SCALE = 0.1, 0.4
 _WIDER_THAN_PINHOLE = ("FISHEYE", "FOV", "EUCM", "DIVISION")
-
-Size = tuple[int, int]  # (width, height), pixels
 _FACTORS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 2, 2, 3, 4)  # by which images are usually resized
 _MAX_SIZE_DIFFERENCE = 0.03  # of the logarithms of a side that K may be for and that of its middle
 

@@ -14,26 +14,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import cv2
 import numpy as np
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_spread import (
     ASPECTS,
     FOCALS,
     SIZE,
     CameraSpread,
-    deviated,
+    deviated_points,
     deviated_slopes,
+    deviating_pair,
     error_slopes,
     normaliser,
 )
-from dgc_pose.estimation.hypothesis import (
-    ALIKE,
-    EFFICIENT,
-    Hypothesis,
-    error_scale,
-)
+from dgc_pose.estimation.covariance import Covariance, pose_covariance
+from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
@@ -47,6 +46,7 @@ from dgc_pose.estimation.robust_fit import (
 )
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
+from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
@@ -72,10 +72,15 @@ class JointPose:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The least squares of one problem. problem: normalised by two cameras; spread: of these."""
+    """The least squares of one problem, normalised by two cameras that have deviations."""
 
     problem: TwoViewProblem
-    spread: CameraSpread
+    cameras: tuple[Camera, Camera]
+
+    @cached_property
+    def spread(self) -> CameraSpread:
+        """Of the cameras."""
+        return CameraSpread.of(*self.cameras)
 
     def deviations(self, pose: JointPose) -> np.ndarray:
         """(2 * SIZE,) of both cameras, see `CameraSpread`."""
@@ -93,18 +98,14 @@ class JointFit:
         the deviations, up to a constant. scale: of the distribution, the problem's unit."""
         largest = MOST_ERROR * self.problem.threshold
         error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
-        squares = np.log1p((error / scale) ** 2).sum()
-        return -float(EFFICIENT**2 * squares / ALIKE + pose.z @ pose.z) / 2
+        return -float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
 
     def inliers_in_front(self, pose: JointPose) -> np.ndarray:
         """(N,) bool, matches below the threshold and in front of both cameras."""
         return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
 
     def fitted(
-        self,
-        pose: JointPose,
-        limits: Sequence[float] = LIMITS,
-        iterations: int = _ITERATIONS,
+        self, pose: JointPose, limits: Sequence[float] = LIMITS, iterations: int = _ITERATIONS
     ) -> JointPose:
         """The pose after fits to its inliers, which are chosen anew before each.
 
@@ -122,7 +123,7 @@ class JointFit:
             if chosen.sum() <= MINIMAL + len(self.spread):
                 return pose
             scale = error_scale(error[chosen], threshold)
-            part = JointFit(self.problem.subset(chosen), self.spread)
+            part = replace(self, problem=self.problem.subset(chosen))
             pose = part._minimised(pose, scale, iterations)
         return pose
 
@@ -159,25 +160,22 @@ class JointFit:
         return pose
 
     def _loss(self, pose: JointPose, scale: float) -> float:
-        squares = np.log1p((self._errors(pose) / scale) ** 2).sum()
-        return float(EFFICIENT**2 * squares / ALIKE + pose.z @ pose.z) / 2
+        return float(cauchy_losses(self._errors(pose), scale).sum() + pose.z @ pose.z / 2)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
+        deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
         if self.spread.bends(self.problem):
-            points1, points2 = self._points(pose)
-            E = essential_from_pose(pose.R, pose.t)
-            growth = np.exp(self.deviations(pose)[FOCALS].mean())
-            return np.nan_to_num(sampson_distance(points1, points2, E) * growth, nan=np.inf)
-        A1, A2 = self._normalisers(pose)
-        F = A2.T @ essential_from_pose(pose.R, pose.t) @ A1
+            error = sampson_distance(*deviated_points(self.problem, deviations), E)
+            return np.nan_to_num(error * np.exp(deviations[FOCALS].mean()), nan=np.inf)
+        F = normaliser(deviations[SIZE:]).T @ E @ normaliser(deviations[:SIZE])
         return sampson_distance(self.problem.points1, self.problem.points2, F)
 
-    def errors_px(self, pose: JointPose, focals: tuple[float, float]) -> np.ndarray:
+    def errors_px(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a
-        distortion is not undone. focals: of the cameras that normalised the problem, pixels."""
+        distortion is not undone."""
         deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
-        points1, points2 = self._points(pose)
+        points1, points2 = deviated_points(self.problem, deviations)
         lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
         squared = np.zeros(len(points1))
         for number, (seen, lines) in enumerate(
@@ -185,7 +183,7 @@ class JointFit:
         ):
             lens, own = self.problem.lenses[number], deviations[SIZE * number :][:SIZE]
             by_shift = deviated_slopes(seen, lens, own)[:, :, 1:3]
-            by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / focals[number]
+            by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / self.cameras[number].focal
             squared += (by_pixel**2).sum(1)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.abs((homogeneous(points2) * lines2).sum(1)) / np.sqrt(squared)
@@ -193,32 +191,32 @@ class JointFit:
 
     def _in_front(self, pose: JointPose) -> np.ndarray:
         """Whether the points are in front of both cameras, (N,)."""
-        points1, points2 = self._points(pose)
-        depth1, depth2 = depths(points1, points2, pose.R, pose.t)
+        depth1, depth2 = depths(
+            *deviated_points(self.problem, self.deviations(pose)), pose.R, pose.t
+        )
         return (depth1 > 0) & (depth2 > 0)
 
-    def _points(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
-        """The points (N, 2) of both images as the deviating cameras normalise them."""
-        problem, deviations = self.problem, self.deviations(pose)
-        return (
-            deviated(problem.points1, problem.lenses[0], deviations[:SIZE]),
-            deviated(problem.points2, problem.lenses[1], deviations[SIZE:]),
-        )
-
-    def _normalisers(self, pose: JointPose) -> tuple[np.ndarray, np.ndarray]:
-        deviations = self.deviations(pose)
-        return normaliser(deviations[:SIZE]), normaliser(deviations[SIZE:])
+    def covariance(
+        self, pose: JointPose, matches: Matches, options: EstimationOptions
+    ) -> Covariance | None:
+        """`pose_covariance` of a fitted pose and its cameras, by matches in pixels."""
+        cameras = deviating_pair(self.cameras, self.deviations(pose))
+        problem = TwoViewProblem.of(matches, *cameras, options)
+        fitted = Hypothesis.of_pose(problem, pose.R, pose.t)
+        return pose_covariance(problem, fitted, CameraSpread.of(*cameras))
 
 
-def joint_pose(
-    problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions
-) -> JointPose | None:
-    """The most probable pose and cameras; None if RANSAC has no essential matrix.
+def cauchy_losses(error: np.ndarray, scale: float) -> np.ndarray:
+    """Minus the logarithms of the likelihoods (N,) of errors of a Cauchy distribution of this
+    scale, up to a constant, over the number of matches that err alike."""
+    losses: np.ndarray = EFFICIENT**2 / ALIKE / 2 * np.log1p((error / scale) ** 2)
+    return losses
 
-    problem: normalised by the two cameras of the spread, which is the prior.
-    """
-    joint = JointFit(problem, spread)
-    starts = [start for start in _starts(problem, spread, options) if start is not None]
+
+def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:
+    """The most probable pose and cameras, whose prior are those of the fit; None if RANSAC has no
+    essential matrix."""
+    starts = [start for start in _starts(joint, options) if start is not None]
     if not starts:
         return None
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
@@ -226,43 +224,36 @@ def joint_pose(
     return joint.fitted(min(fits, key=joint.cost), LIMITS[-1:])
 
 
-def _starts(
-    problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions
-) -> list[JointPose | None]:
+def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | None]:
     """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
-    stds = np.array([np.linalg.norm(spread.basis[row]) for row in FOCALS])
+    stds = np.array([np.linalg.norm(joint.spread.basis[row]) for row in FOCALS])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
-            JointPose(run.R, run.t, np.zeros(len(spread)))
-            for run in sample(problem, options)[:_MAX_STARTS]
+            JointPose(run.R, run.t, np.zeros(len(joint.spread)))
+            for run in sample(joint.problem, options)[:_MAX_STARTS]
         ]
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
     seeds = run_seeds(replace(options, runs=count + 1))
     less = replace(options, iterations=max(1, options.iterations // _SHARE))
+    runs = [
+        partial(start_at, joint, of_focals(at), less, seed)
+        for at, seed in zip(tried, seeds[:-1], strict=True)
+    ]
+    runs.append(partial(solved_start, joint, options, seeds[-1]))
+    return in_threads(lambda run: run(), runs[::-1])  # the longest first
 
-    def run(number: int) -> JointPose | None:
-        if number == count:
-            return solved_start(problem, spread, options, seeds[number])
-        return start_at(problem, spread, of_focals(tried[number]), less, seeds[number])
 
-    return in_threads(run, list(range(count, -1, -1)))  # the longest first
-
-
-def solved_start(
-    problem: TwoViewProblem, spread: CameraSpread, options: EstimationOptions, seed: int
-) -> JointPose | None:
+def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
-    if spread.shared_focal:
-        result = essential_and_focal(draw(problem, seed), options, seed)
-    elif spread.basis[FOCALS].any(axis=1).all():
-        result = essential_and_focals(draw(problem, seed), options, seed)
+    if joint.spread.shared_focal:
+        result = essential_and_focal(draw(joint.problem, seed), options, seed)
+    elif joint.spread.basis[FOCALS].any(axis=1).all():
+        result = essential_and_focals(draw(joint.problem, seed), options, seed)
     else:
         return None
-    if result is None:
-        return None
-    return _start(problem, spread, result[0], of_focals(np.log(result[1])))
+    return None if result is None else _start(joint, result[0], of_focals(np.log(result[1])))
 
 
 def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
@@ -273,37 +264,23 @@ def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.n
 
 
 def start_at(
-    problem: TwoViewProblem,
-    spread: CameraSpread,
-    deviations: np.ndarray,
-    options: EstimationOptions,
-    seed: int,
+    joint: JointFit, deviations: np.ndarray, options: EstimationOptions, seed: int
 ) -> JointPose | None:
     """The pose of one RANSAC run on cameras with deviations (2 * SIZE,); None if it fails."""
-    drawn = draw(_rescaled(problem, deviations), seed)
+    drawn = draw(_rescaled(joint.problem, deviations), seed)
     E = essential_matrix(drawn, options, seed)
-    return None if E is None else _start(problem, spread, E, deviations)
+    return None if E is None else _start(joint, E, deviations)
 
 
 def _rescaled(problem: TwoViewProblem, deviations: np.ndarray) -> TwoViewProblem:
     """The problem for cameras with deviations (2 * SIZE,); those of a lens must be 0."""
-    points1, points2 = (
-        deviated(points, lens, part)
-        for points, lens, part in zip(
-            (problem.points1, problem.points2),
-            problem.lenses,
-            (deviations[:SIZE], deviations[SIZE:]),
-            strict=True,
-        )
-    )
+    points1, points2 = deviated_points(problem, deviations)
     shrink = float(np.exp(-deviations[FOCALS]).mean())
     moved = replace(problem, points1=points1, points2=points2, threshold=problem.threshold * shrink)
     return moved.subset(np.isfinite(points1).all(1) & np.isfinite(points2).all(1))
 
 
-def _start(
-    problem: TwoViewProblem, spread: CameraSpread, E: np.ndarray, deviations: np.ndarray
-) -> JointPose | None:
-    pose = Hypothesis.of_essential(_rescaled(problem, deviations), E)
-    z = np.linalg.lstsq(spread.basis, deviations, rcond=None)[0]
+def _start(joint: JointFit, E: np.ndarray, deviations: np.ndarray) -> JointPose:
+    pose = Hypothesis.of_essential(_rescaled(joint.problem, deviations), E)
+    z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)

@@ -9,7 +9,6 @@ camera by its prior, so that the costs of all models can be compared.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -18,19 +17,21 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import SIZE_STD
-from dgc_pose.estimation.camera_fit import MOST_ERROR, JointFit, JointPose, of_focals, start_at
-from dgc_pose.estimation.camera_spread import (
-    FOCALS,
-    CameraSpread,
-    deviating_pair,
-    is_of_part,
+from dgc_pose.estimation.camera_fit import (
+    MOST_ERROR,
+    JointFit,
+    JointPose,
+    cauchy_losses,
+    of_focals,
+    start_at,
 )
-from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.camera_spread import FOCALS, is_of_part
+from dgc_pose.estimation.competition import choice_shares
 from dgc_pose.estimation.evidence import ModelName
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
+from dgc_pose.estimation.hypothesis import error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.robust_fit import run_seeds
+from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
@@ -65,8 +66,7 @@ class CameraModel:
 
     name: ModelName
     cameras: tuple[Camera, Camera]  # before the fit
-    starts: Sequence[np.ndarray] = ()  # deviations (2 * SIZE,), see `CameraSpread`
-    pose: JointPose | None = None  # where a fit starts as well; then the fit; None if it failed
+    pose: JointPose | None = None  # the fit; None if it failed
     cost: float = math.inf
     # (6, 6), rad^2: by how much the poses of the other models differ, by their probabilities.
     pose_spread: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
@@ -86,83 +86,91 @@ def likeliest_model(
     assumed = CameraModel("assumed", stated, pose=pose)
     if not any(map(_is_open, stated)):
         return assumed
-    order = np.random.default_rng(options.seed).permutation(len(problem))
-    sample = matches.subset(problem.index[np.sort(order[:_SAMPLED])])
+    drawn = matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
     pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
-    less = replace(options, iterations=_ITERATIONS)
-
-    def joint_of(model: CameraModel) -> JointFit:
-        of_model = TwoViewProblem.of(sample, *model.cameras, options)
-        return JointFit(of_model, CameraSpread.of(*model.cameras))
-
-    def errors(joint: JointFit, pose: JointPose, model: CameraModel) -> np.ndarray:
-        """Errors in the image of all of the sample, thresholds, cut off."""
-        error = np.full(len(sample), MOST_ERROR)  # also where a distortion cannot be undone
-        focals = model.cameras[0].focal, model.cameras[1].focal
-        error[joint.problem.index] = joint.errors_px(pose, focals) / pixels
-        return np.minimum(error, MOST_ERROR)
-
-    def losses(error: np.ndarray, scale: float) -> np.ndarray:
-        return EFFICIENT**2 / ALIKE / 2 * np.log1p((error / scale) ** 2)
-
-    error = errors(joint_of(assumed), pose, assumed)
-    near = error < 1
-    scale = error_scale(error[near], 1.0) if near.any() else 1.0
-    rough, loss = losses(error, 1.0), losses(error, scale)
-    assumed = replace(assumed, cost=float(loss.sum() + pose.z @ pose.z / 2))
-    is_explained = near.mean() > _EXPLAINED and scale < _CLOSE
-
-    def fitted(model: CameraModel) -> CameraModel:
-        joint = joint_of(model)
-        tried = () if is_explained else model.starts
-        seeds = run_seeds(replace(options, runs=max(1, len(tried))))
-        runs = [
-            start_at(joint.problem, joint.spread, at, less, seed)
-            for at, seed in zip(tried, seeds, strict=False)
-        ]
-        roughly = {
-            float(losses(errors(joint, run, model), 1.0).sum()): run
-            for run in runs
-            if run is not None
-        }
-        fits = []
-        if roughly and min(roughly) < rough.sum() + _WORSE:
-            fits = [joint.fitted(roughly[min(roughly)], _OF_START, _FIT_ITERATIONS)]
-        if model.pose is not None:
-            deviations = CameraSpread.of(*stated).basis @ model.pose.z
-            z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
-            start = replace(model.pose, z=z)
-            fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
-        best = replace(model, pose=None)
-        for fit in fits:
-            of_fit = losses(errors(joint, fit, model), scale)
-            cost = float(of_fit.sum() + fit.z @ fit.z / 2)
-            # What is likelier explains the inliers of the assumed cameras as well.
-            if cost < best.cost and of_fit[near].sum() < loss[near].sum() + _AS_WELL:
-                best = replace(model, pose=fit, cost=cost)
-        return best
-
-    models = [assumed, *in_threads(fitted, _others(stated, pose))]
+    sample = _Sample(drawn, pixels, replace(options, iterations=_ITERATIONS))
+    joint = sample.joint(stated)
+    error = sample.errors(joint, pose)
+    near = error[error < 1]
+    scale = error_scale(near, 1.0) if len(near) else 1.0
+    cost = float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
+    assumed = replace(assumed, cost=cost)
+    names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
+    if any(camera.focal_source == "exif" for camera in stated):
+        names += ("zoomed",)
+    others = [
+        CameraModel(name, (with_model(stated[0], name), with_model(stated[1], name)))
+        for name in names
+    ]
+    at = joint.deviations(pose)
+    fits = in_threads(lambda model: sample.fitted(model, pose, at, error, scale), others)
+    models = [assumed, *fits]
     before = max(map(_log_odds, stated))
     odds = np.array([assumed.cost - model.cost + before for model in models])
     odds[0] = 0.0
-    shares = np.exp(odds - odds.max())
-    shares /= shares.sum()
+    shares = choice_shares(odds)
     best = assumed if shares[0] > _MIN_SHARE else models[int(np.argmax(shares))]
+    assert best.pose is not None  # of a finite cost
     spread = np.zeros((6, 6))
     for share, model in zip(shares, models, strict=True):
         if model is best or model.pose is None or share < _MIN_SHOWN:
             continue
-        difference = _difference(best, model)
+        rotation = cv2.Rodrigues(model.pose.R @ best.pose.R.T)[0][:, 0]
+        difference = np.concatenate([rotation, model.pose.t - best.pose.t])
         spread += share * np.outer(difference, difference)
-        joint = joint_of(model)
-        cameras = deviating_pair(model.cameras, joint.deviations(model.pose))
-        problem = TwoViewProblem.of(sample, *cameras, options)
-        hypothesis = Hypothesis.of_pose(problem, model.pose.R, model.pose.t)
-        own = pose_covariance(problem, hypothesis, CameraSpread.of(*cameras))
+        own = sample.joint(model.cameras).covariance(model.pose, drawn, options)
         if own is not None:
             spread += share * own.pose
     return replace(best, pose_spread=spread)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Some of the matches."""
+
+    matches: Matches
+    pixels: float  # the threshold
+    options: EstimationOptions  # of RANSAC
+
+    def joint(self, cameras: tuple[Camera, Camera]) -> JointFit:
+        """The fit of two cameras."""
+        return JointFit(TwoViewProblem.of(self.matches, *cameras, self.options), cameras)
+
+    def errors(self, joint: JointFit, pose: JointPose) -> np.ndarray:
+        """Errors in the image of all matches (N,), thresholds, cut off."""
+        error = np.full(len(self.matches), MOST_ERROR)  # also where a distortion cannot be undone
+        error[joint.problem.index] = joint.errors_px(pose) / self.pixels
+        return np.minimum(error, MOST_ERROR)
+
+    def fitted(
+        self, model: CameraModel, pose: JointPose, at: np.ndarray, error: np.ndarray, scale: float
+    ) -> CameraModel:
+        """The model with the likeliest of its fits. pose: with the assumed cameras, which deviate
+        by `at` (2 * SIZE,). error: (N,), with these. scale: of the losses."""
+        joint, near = self.joint(model.cameras), error < 1
+        is_explained = near.mean() > _EXPLAINED and scale < _CLOSE
+        starts = [] if is_explained else _starts(model, at[FOCALS])
+        seeds = run_seeds(replace(self.options, runs=max(1, len(starts))))
+        rough, start = float(cauchy_losses(error, 1.0).sum()) + _WORSE, None
+        for deviations, seed in zip(starts, seeds, strict=False):
+            run = start_at(joint, deviations, self.options, seed)
+            if run is None:
+                continue
+            loss = float(cauchy_losses(self.errors(joint, run), 1.0).sum())
+            if loss < rough:
+                rough, start = loss, run
+        fits = [] if start is None else [joint.fitted(start, _OF_START, _FIT_ITERATIONS)]
+        if model.name not in _WIDE:
+            start = replace(pose, z=np.linalg.lstsq(joint.spread.basis, at, rcond=None)[0])
+            fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
+        best, most = model, cauchy_losses(error, scale)[near].sum() + _AS_WELL
+        for fit in fits:
+            losses = cauchy_losses(self.errors(joint, fit), scale)
+            cost = float(losses.sum() + fit.z @ fit.z / 2)
+            # What is likelier explains the inliers of the assumed cameras as well.
+            if cost < best.cost and losses[near].sum() < most:
+                best = replace(model, pose=fit, cost=cost)
+        return best
 
 
 def model_warnings(
@@ -191,48 +199,22 @@ def _log_odds(camera: Camera) -> float:
     return _LOG_ODDS if camera.focal_source == "size" else _LOG_ODDS_OF_EXIF
 
 
-def _difference(model: CameraModel, other: CameraModel) -> np.ndarray:
-    """(w, d) (6,) with which the other's pose is exp([w]x) R and t + d."""
-    if model.pose is None or other.pose is None:
-        return np.zeros(6)
-    rotation = cv2.Rodrigues(other.pose.R @ model.pose.R.T)[0][:, 0]
-    return np.concatenate([rotation, other.pose.t - model.pose.t])
-
-
-def _others(stated: tuple[Camera, Camera], pose: JointPose) -> list[CameraModel]:
-    """The other models. pose: fitted with the cameras as stated."""
-
-    def changed(name: ModelName) -> tuple[Camera, Camera]:
-        first, second = (with_model(camera, name) for camera in stated)
-        return first, second
-
-    def wide(name: ModelName) -> CameraModel:
-        cameras = changed(name)
-        stds = np.array([camera.focal_std for camera in cameras])
-        return CameraModel(name, cameras, [of_focals(k * stds) for k in _STEPS])
-
-    focals = CameraSpread.of(*stated).basis[FOCALS] @ pose.z
-    squeezed = changed("squeezed")
-    aspects = np.array([camera.aspect_std for camera in squeezed])
-    others = [
-        CameraModel(
-            "squeezed",
-            squeezed,
-            [
-                of_focals(focals + fewer * np.abs(k * aspects), k * aspects)
-                for k in (-1.5, -0.75, 0.75, 1.5)
-                for fewer in (0.0, -0.5)
-            ],
-            pose,
-        ),
-        CameraModel("off_centre", changed("off_centre"), (), pose),
-        wide("fisheye"),
-        wide("cylinder"),
-    ]
-    if any(camera.focal_source == "exif" for camera in stated):
-        apart = [of_focals(focals + np.array([-k, k])) for k in (-0.25, -0.125, 0.125, 0.25)]
-        others.append(CameraModel("zoomed", changed("zoomed"), apart, pose))
-    return others
+def _starts(model: CameraModel, focals: np.ndarray) -> list[np.ndarray]:
+    """Deviations (2 * SIZE,) of the model's cameras that RANSAC is run at. focals: those of ln f
+    (2,) with the assumed cameras."""
+    if model.name in _WIDE:
+        stds = np.array([camera.focal_std for camera in model.cameras])
+        return [of_focals(k * stds) for k in _STEPS]
+    if model.name == "squeezed":
+        stds = np.array([camera.aspect_std for camera in model.cameras])
+        return [
+            of_focals(focals + fewer * np.abs(k * stds), k * stds)
+            for k in (-1.5, -0.75, 0.75, 1.5)
+            for fewer in (0.0, -0.5)
+        ]
+    if model.name == "zoomed":
+        return [of_focals(focals + (-k, k)) for k in (-0.25, -0.125, 0.125, 0.25)]
+    return []
 
 
 def _is_open(camera: Camera) -> bool:
@@ -240,7 +222,7 @@ def _is_open(camera: Camera) -> bool:
     return camera.focal_source != "given" and camera.distortion is None
 
 
-def _is_edited(camera: Camera) -> bool:
+def is_edited(camera: Camera) -> bool:
     """Whether the picture may be squeezed, or a part: no EXIF data say that a camera wrote it."""
     return _is_open(camera) and (camera.focal_source == "size" or is_of_part(camera))
 
@@ -248,7 +230,7 @@ def _is_edited(camera: Camera) -> bool:
 def with_model(camera: Camera, name: ModelName) -> Camera:
     """A camera that is not fitted yet by another model; itself if it cannot be of that."""
     longer = max(camera.size or (0,))
-    if not (_is_edited(camera) if name in ("squeezed", "off_centre") else _is_open(camera)):
+    if not (is_edited(camera) if name in ("squeezed", "off_centre") else _is_open(camera)):
         return camera
     if name == "squeezed":
         return replace(camera, aspect_std=_ASPECT_STD)

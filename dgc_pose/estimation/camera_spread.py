@@ -73,6 +73,7 @@ SIZE = 6  # deviations of a camera
 FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
 EXACT = CameraSpread(np.zeros((2 * SIZE, 0)))
 _AS_NORMALISED = np.zeros(2 * SIZE)
+_PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
 _OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
 _SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
 
@@ -112,21 +113,32 @@ def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
 def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
     """Normalised points (N, 2) as a camera with deviations (SIZE,) from its K and lens normalises
     them; NaN where its distortion cannot be undone."""
+    lens = lens or _PINHOLE
     return _undone(_moved(points, lens, deviations), lens, deviations)
+
+
+def deviated_points(
+    problem: TwoViewProblem, deviations: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The points (N, 2) of both images as cameras with deviations (2 * SIZE,) normalise them."""
+    return (
+        deviated(problem.points1, problem.lenses[0], deviations[:SIZE]),
+        deviated(problem.points2, problem.lenses[1], deviations[SIZE:]),
+    )
 
 
 def deviated_slopes(
     points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
 ) -> np.ndarray:
     """The derivatives (N, 2, SIZE) of `deviated` by the deviations."""
+    lens = lens or _PINHOLE
     moved = _moved(points, lens, deviations)
-    projection = "plane" if lens is None else lens.projection
-    if projection is not None:
-        coefficients = _coefficients(lens) + deviations[3:5]
+    if lens.projection is not None:
+        coefficients = lens.radial + deviations[3:5]
         ideal = undistorted(moved, coefficients)
         by_seen, by_lens = undistorted_slopes(ideal, coefficients)
-        if projection != "plane":
-            by_ideal = unprojected_slopes(ideal, projection)
+        if lens.projection != "plane":
+            by_ideal = unprojected_slopes(ideal, lens.projection)
             by_seen, by_lens = by_ideal @ by_seen, by_ideal @ by_lens
     else:
         ahead, behind = (
@@ -140,22 +152,16 @@ def deviated_slopes(
     return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)
 
 
-def _moved(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
+def _moved(points: np.ndarray, lens: Distortion, deviations: np.ndarray) -> np.ndarray:
     """Normalised points (N, 2) as the lens shows them and the deviating K normalises them."""
-    seen = points if lens is None else lens.apply(points)
+    seen = points if lens is _PINHOLE else lens.apply(points)
     return (seen - deviations[1:3]) * _shrinks(deviations)
 
 
-def _undone(moved: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
-    projection = "plane" if lens is None else lens.projection
-    if projection is None:
-        assert lens is not None
+def _undone(moved: np.ndarray, lens: Distortion, deviations: np.ndarray) -> np.ndarray:
+    if lens.projection is None:
         return lens.undo(moved)
-    return unprojected(undistorted(moved, _coefficients(lens) + deviations[3:5]), projection)
-
-
-def _coefficients(lens: Distortion | None) -> np.ndarray:
-    return np.zeros(2) if lens is None else np.array(lens.radial)
+    return unprojected(undistorted(moved, lens.radial + deviations[3:5]), lens.projection)
 
 
 def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
@@ -164,8 +170,9 @@ def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
         return camera
     lens = camera.distortion
     if deviations[3:5].any():
-        model, rest = (RADIAL, ()) if lens is None else (lens.model, lens.coefficients[2:])
-        lens = Distortion(model, (*(_coefficients(lens) + deviations[3:5]).tolist(), *rest))
+        lens = lens or _PINHOLE
+        radial = (lens.radial + deviations[3:5]).tolist()
+        lens = replace(lens, coefficients=(*radial, *lens.coefficients[2:]))
     K = camera.K.copy()
     K[0, 2] += deviations[1] * K[0, 0]
     K[1, 2] += deviations[2] * K[1, 1]
@@ -230,7 +237,7 @@ def _lens_slopes(
         (problem.points1, problem.lenses[0], deviations[:SIZE]),
         (problem.points2, problem.lenses[1], deviations[SIZE:]),
     )
-    points1, points2 = (deviated(*side) for side in sides)
+    points1, points2 = deviated_points(problem, deviations)
     moved = replace(problem, points1=points1, points2=points2)
     error, of_pose, tangent = error_slopes(moved, R, t)
     E = essential_from_pose(R, t)

@@ -15,13 +15,13 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import LIMITS, JointFit, JointPose, solved_start
-from dgc_pose.estimation.camera_spread import CameraSpread, deviating_pair
-from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
+from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import FocalCheck
 from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import CONTRADICTED_LOG_ODDS, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.robust_fit import draw
 from dgc_pose.matches import Matches
 
 _STD = 0.5  # of ln f: a focal length that is hardly known
@@ -53,44 +53,34 @@ def check_focals(
         replace(c, focal_std=_STD, centre_std=_CENTRE_STD * c.focal, identity="both")
         for c in cameras
     )
-    spread = CameraSpread.of(loose1, loose2)
-    joint = JointFit(problem, spread)
-    stated = JointPose(first.R, first.t, np.zeros(len(spread)))
+    joint = JointFit(problem, (loose1, loose2))
+    stated = JointPose(first.R, first.t, np.zeros(len(joint.spread)))
     other = None
     if first.num_in_front < _EXPLAINED_SHARE * len(problem):
         # The pose of a wrong K may be a local minimum.
-        other = solved_start(problem, spread, options, options.seed)
+        other = solved_start(joint, options, options.seed)
     if other is not None and joint.inliers_in_front(other).sum() >= _MORE * first.num_in_front:
         pose = joint.fitted(other)
     else:
-        pose = _of_sample(joint, stated)
+        # K is right as a rule, which some of the matches show.
+        some = draw(problem, problem.seed, _SAMPLED)
+        pose = replace(joint, problem=some).fitted(stated, LIMITS[:1])
         if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
             pose = joint.fitted(pose)
     scale = pose_error_scale(problem.subset(first.inliers), first.R, first.t)
     log_odds = joint.log_likelihood(pose, scale) - joint.log_likelihood(stated, scale)
     if is_plane and log_odds < CONTRADICTED_LOG_ODDS:
         return None
-    deviations = joint.deviations(pose)
-    fitted1, fitted2 = deviating_pair((loose1, loose2), deviations)
-    fitted = TwoViewProblem.of(matches, fitted1, fitted2, options)
-    refitted = Hypothesis.of_pose(fitted, pose.R, pose.t)
-    covariance = pose_covariance(fitted, refitted, CameraSpread.of(fitted1, fitted2))
+    covariance = joint.covariance(pose, matches, options)
     if covariance is None:
         return None
     return FocalCheck(
-        math.exp(deviations[0]),
+        math.exp(joint.deviations(pose)[0]),
         _CALIBRATION * covariance.focal_stds[0],
         first.angle_to(pose.R, pose.t),
         max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
         log_odds,
     )
-
-
-def _of_sample(joint: JointFit, pose: JointPose) -> JointPose:
-    """The pose that some of the matches, drawn at random, suggest: K is right as a rule."""
-    shuffled = np.random.default_rng(joint.problem.seed).permutation(len(joint.problem))
-    drawn = joint.problem.subset(np.sort(shuffled[:_SAMPLED]))
-    return JointFit(drawn, joint.spread).fitted(pose, LIMITS[:1])
 
 
 def focal_warnings(

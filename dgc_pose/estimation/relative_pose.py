@@ -12,11 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_fit import (
-    SEARCH_RUNS,
-    JointFit,
-    joint_pose,
-)
+from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, joint_pose
 from dgc_pose.estimation.camera_model import CameraModel, likeliest_model, model_warnings
 from dgc_pose.estimation.camera_spread import (
     SIZE,
@@ -220,16 +216,15 @@ def _sample(
     assumed = CameraModel("assumed", stated)
     if not fitted:
         return problem, stated, sample(problem, options), assumed
-    spread = CameraSpread.of(*stated)
-    pose = joint_pose(problem, spread, options)
+    joint = JointFit(problem, stated)
+    pose = joint_pose(joint, options)
     if pose is None:
         return problem, stated, [], assumed
     model = likeliest_model(problem, matches, stated, pose, options)
     if model.name != "assumed" and model.pose is not None:
-        stated, spread = model.cameras, CameraSpread.of(*model.cameras)
-        problem = TwoViewProblem.of(matches, *stated, options)
-        pose = JointFit(problem, spread).fitted(model.pose)
-    cameras = deviating_pair(stated, spread.basis @ pose.z)
+        joint = JointFit(TwoViewProblem.of(matches, *model.cameras, options), model.cameras)
+        pose = joint.fitted(model.pose)
+    cameras = deviating_pair(joint.cameras, joint.deviations(pose))
     problem = TwoViewProblem.of(matches, *cameras, options)
     rest = replace(options, runs=max(1, options.runs - SEARCH_RUNS))
     runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *sample(problem, rest)]

@@ -55,10 +55,10 @@ def run_seeds(options: EstimationOptions) -> list[int]:
     return [int(seed) % (2**31 - 1) for seed in seeds]
 
 
-def draw(problem: TwoViewProblem, seed: int) -> TwoViewProblem:
-    """At most `MAX_SAMPLED` of the matches, shuffled."""
+def draw(problem: TwoViewProblem, seed: int, most: int = MAX_SAMPLED) -> TwoViewProblem:
+    """At most so many of the matches, shuffled."""
     order = np.random.default_rng(seed).permutation(len(problem))
-    return problem.subset(order[:MAX_SAMPLED])
+    return problem.subset(order[:most])
 
 
 def essential_matrix(

@@ -35,6 +35,7 @@ _FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alik
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # that are fitted
 _ALIKE_DEG = 15.0  # between the rotations of two pairs that may be of one pose
+_PARALLEL = 5e-5  # half of the angle of two rays, radians, up to which they do not meet
 _STEPS, _CONVERGED = 12, 1e-6
 _MIN_KEPT = 0.95  # of the score, or a fit is rejected
 
@@ -87,10 +88,8 @@ def _starts(
             lambda seed: generalized_pose(problems, references, options, seed), run_seeds(options)
         )
     if sum(map(len, points)) >= _MIN_INLIERS:
-        places, world = (
-            np.concatenate([getattr(sight, name) for sight in points])
-            for name in ("places", "points")
-        )
+        places = np.concatenate([sight.places for sight in points])
+        world = np.concatenate([sight.points for sight in points])
         runs.append(absolute_pose(places, world, points[0].threshold, options))
     return [*poses, *(WorldPose(*run, np.zeros(SIZE)) for run in runs if run is not None)]
 
@@ -103,27 +102,19 @@ def _of_two(first: Sight, second: Sight) -> list[WorldPose]:
         R = one.R @ first.R
         if rotation_angle_deg(two.R @ second.R @ R.T) > _ALIKE_DEG:
             continue
-        rays = np.stack([-(h.R @ s.R).T @ h.t for h, s in ((one, first), (two, second))])
-        cosine = float(rays[0] @ rays[1])
-        if cosine**2 > 1 - 1e-8:
-            continue
-        matrix = np.array([[1, -cosine], [-cosine, 1]])
-        between = second.centre - first.centre
-        lengths = np.linalg.solve(matrix, [rays[0] @ between, -rays[1] @ between])
-        if (lengths > 0).all():
-            centre = (
-                first.centre + lengths[0] * rays[0] + second.centre + lengths[1] * rays[1]
-            ) / 2
-            poses.append(WorldPose(R, centre, np.zeros(SIZE)))
+        ray1, ray2 = -(one.R @ first.R).T @ one.t, -(two.R @ second.R).T @ two.t
+        lengths, _, rank, _ = np.linalg.lstsq(
+            np.column_stack([ray1, -ray2]), second.centre - first.centre, rcond=_PARALLEL
+        )
+        if rank == 2 and (lengths > 0).all():
+            end1, end2 = first.centre + lengths[0] * ray1, second.centre + lengths[1] * ray2
+            poses.append(WorldPose(R, (end1 + end2) / 2, np.zeros(SIZE)))
     return poses
 
 
 def _explained(sight: Sight) -> Sight:
     """The matches that a hypothesis of the pair explains, an even sample."""
-    explained = np.zeros(len(sight), dtype=bool)
-    for hypothesis in sight.hypotheses:
-        explained |= hypothesis.inliers_in_front
-    chosen = np.flatnonzero(explained)
+    chosen = np.flatnonzero(np.any([h.inliers_in_front for h in sight.hypotheses], axis=0))
     return sight.subset(chosen[_even(len(chosen), _SAMPLED)])
 
 
@@ -138,8 +129,9 @@ def fitted(sights: Sequence[AnySight], pose: WorldPose, spread: CameraSpread) ->
     anew before each step. The pose itself if the fit has a much worse score."""
     start = pose
     for _ in range(_STEPS):
-        prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
-        information, gradient = prior, prior[:, 6:] @ _z(pose, spread)
+        z = np.linalg.lstsq(spread.basis[SIZE:], pose.deviations, rcond=None)[0]
+        information = np.diag([*np.zeros(6), *np.ones(len(spread))])
+        gradient = np.concatenate([np.zeros(6), z])
         for part in _parts(sights, pose, _FITTED):
             slopes, weights, gradients = _linearised(part, pose, spread)
             information = information + (slopes * weights[:, None]).T @ slopes
@@ -180,12 +172,6 @@ def _linearised(
     if curvature:
         weights = weights * np.maximum(1 - squared, 0) / (1 + squared)
     return slopes, weights, gradients
-
-
-def _z(pose: WorldPose, spread: CameraSpread) -> np.ndarray:
-    """The deviations of the camera in the basis of the spread."""
-    z: np.ndarray = np.linalg.lstsq(spread.basis[SIZE:], pose.deviations, rcond=None)[0]
-    return z
 
 
 def world_covariance(

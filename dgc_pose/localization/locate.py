@@ -31,7 +31,6 @@ from dgc_pose.system.options import check_type
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource
 
-_NO_DETAILS = KDetails()
 _IMAGE_BYTES = 2**29  # of references in memory
 
 
@@ -85,7 +84,7 @@ class Locator:
         self,
         photo: ImageSource,
         K: CameraSource = None,
-        details: KDetails = _NO_DETAILS,
+        details: KDetails | None = None,
         *,
         left_out: Sequence[str] = (),
     ) -> Location:
@@ -95,7 +94,7 @@ class Locator:
         image = load_image(photo, "photo")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
         names, warnings = self._references(image, left_out)
-        camera = image_camera(K, image, "K", details)
+        camera = image_camera(K, image, "K", details or KDetails())
         image = image.oriented(camera.orientation)
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
@@ -149,11 +148,8 @@ class Locator:
         return points[which], seen
 
     def _image(self, name: str) -> Image:
-        def read() -> Image:
-            image = masked(load_image(self.model.root / name), mask_file(self.masks, name))
-            return image.oriented(self.model.cameras[name].orientation)
-
-        return self._images.get(name, read)
+        path, mask = self.model.root / name, mask_file(self.masks, name)
+        return self._images.get(name, lambda: masked(load_image(path), mask))
 
 
 def _same_file(first: Path, second: Path) -> bool:

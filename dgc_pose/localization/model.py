@@ -20,9 +20,6 @@ from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.image import image_header
 from dgc_pose.system.colmap_library import pycolmap
 
-_CAMERAS = ("cameras.bin", "cameras.txt")  # of COLMAP's model
-_SPARSE = "sparse"  # the folder of models in a folder of results
-
 
 @dataclass(frozen=True, eq=False)
 class PosedModel:
@@ -122,8 +119,9 @@ def model_path(path: Path) -> Path:
         if not path.exists():
             raise InputError(ArgumentName("model"), f"{path}: no such file or folder")
         return path
-    for places in ("", "*/", f"{_SPARSE}/*/"):
-        models = sorted({file.parent for name in _CAMERAS for file in path.glob(places + name)})
+    for places in ("", "*/", "sparse/*/"):  # the last of results
+        files = [f for ending in ("bin", "txt") for f in path.glob(f"{places}cameras.{ending}")]
+        models = sorted({file.parent for file in files})
         if len(models) > 1:
             listed = ", ".join(folder.name for folder in models)
             raise InputError(ArgumentName("model"), f"{models[0].parent} has the models {listed}")

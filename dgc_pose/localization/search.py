@@ -11,7 +11,8 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating, is_of_part
+from dgc_pose.estimation.camera_model import is_edited
+from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -87,37 +88,34 @@ class ReferenceSearch:
             return
         if not self.sights:
             self.camera = self._start_camera(useful)
-        for pair in useful:
-            if pair.name not in self.sights:
-                self.sights[pair.name] = self._sight(pair)
+        self.sights |= {p.name: self._sight(p) for p in useful if p.name not in self.sights}
         sights = list(self.sights.values())
         shown = [self._points(pair) for pair in useful if len(pair.points)]
         spread = CameraSpread.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = pose_of_all = located(sights, shown, spread, self.options, before)
-        if pose_of_all is None:
+        self.pose = located(sights, shown, spread, self.options, before)
+        if self.pose is None:
             return
-        may_be_edited = self.stated.focal_source == "size" or is_of_part(self.stated)
-        if may_be_edited and not self.camera.aspect_std:
+        if is_edited(self.stated) and not self.camera.aspect_std:
             centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
             spread = CameraSpread.of(self.model.cameras[name], self.camera)
-            self.pose = pose_of_all = fitted([*sights, *shown], pose_of_all, spread)
-        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(pose_of_all)}
-        covariance = world_covariance([*sights, *shown], pose_of_all, spread)
-        if covariance is None:
-            self.covariance = None
+            self.pose = fitted([*sights, *shown], self.pose, spread)
+        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(self.pose)}
+        self.covariance = world_covariance([*sights, *shown], self.pose, spread)
+        if self.covariance is None:
             return
-        self.covariance = covariance = _ERROR_FACTOR**2 * covariance
-        self.fitted = deviating(self.camera, pose_of_all.deviations)
+        self.covariance *= _ERROR_FACTOR**2
+        self.fitted = deviating(self.camera, self.pose.deviations)
         if len(spread):
-            stds = np.sqrt(np.diag(spread.basis @ covariance[6:, 6:] @ spread.basis.T))[SIZE:]
+            of_cameras = spread.basis @ self.covariance[6:, 6:] @ spread.basis.T
+            focal, x, y, lens, _, aspect = np.sqrt(of_cameras.diagonal()[SIZE:]).tolist()
             self.fitted = replace(
                 self.fitted,
-                focal_std=float(stds[0]),
-                centre_std=float(stds[1:3].mean()) * self.fitted.focal,
-                lens_std=float(stds[3]),
-                aspect_std=float(stds[5]),
+                focal_std=focal,
+                centre_std=(x + y) / 2 * self.fitted.focal,
+                lens_std=lens,
+                aspect_std=aspect,
                 focal_source="matches",
             )
 
@@ -131,9 +129,8 @@ class ReferenceSearch:
         """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
         if 2 * len(self.agreeing) < len(self.sights):
             return self.stated
-        if self.fitted.exact or not 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD:
-            return self.fitted
-        return self.fitted.as_exact()
+        is_known = 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD
+        return self.fitted.as_exact() if is_known else self.fitted
 
     def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
         """The camera that the problems are normalised by: that of the pair that is likeliest."""
@@ -142,8 +139,13 @@ class ReferenceSearch:
             return self.camera
         best = max(fits, key=lambda pose: pose.probability or 0.0).camera2
         assert best is not None
-        names = ("focal_std", "centre_std", "aspect_std", *(("lens_std",) * (best.lens_std > 0)))
-        return replace(best, **{name: getattr(self.camera, name) for name in names})
+        return replace(
+            best,
+            focal_std=self.camera.focal_std,
+            centre_std=self.camera.centre_std,
+            lens_std=self.camera.lens_std if best.lens_std else 0.0,
+            aspect_std=self.camera.aspect_std,
+        )
 
     def _sight(self, pair: Pair) -> Sight:
         pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]
@@ -160,8 +162,7 @@ class ReferenceSearch:
         """The reference to match next; None if no more is needed, or hoped for."""
         if not self.waiting or len(self.pairs) >= MAX_REFERENCES or self._accurate():
             return None
-        hopeful = any(pair.probability > _LIKELY for pair in self.pairs)
-        if len(self.pairs) >= _HOPELESS and not hopeful:
+        if len(self.pairs) >= _HOPELESS and max(p.probability for p in self.pairs) <= _LIKELY:
             return None
         if self.pose is None or self.covariance is None or len(self.agreeing) < 2:
             return self.waiting[0]
@@ -191,6 +192,7 @@ class ReferenceSearch:
         """The result of the references that were matched."""
         references, pose = tuple(map(self._reference, self.pairs)), self.pose
         if pose is not None and self.covariance is not None and self._is_located():
+            is_known = all(pair.pose.any_probability is not None for pair in self.pairs)
             return Location(
                 "located",
                 "",
@@ -198,35 +200,24 @@ class ReferenceSearch:
                 pose.R,
                 pose.centre,
                 covariance=self.covariance[:6, :6],
-                probability=self._probability() if self._is_known() else None,
+                probability=self._probability() if is_known else None,
                 camera=self.fitted,
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
-        mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
-        none_agree = tuple(replace(reference, agrees=False) for reference in references)
-        nowhere = Location("nowhere", "", none_agree, camera=self.camera)
-        if not likely or mirrored >= len(likely):
-            reason = f"none of {len(self.pairs)} references has a pose that is likely"
-            if mirrored:
-                reason = f"the mirror image of the photograph has a pose with {mirrored} references"
-            return replace(nowhere, reason=reason)
+        # R of the photograph, cam_from_world, by each pair that has a pose.
+        rotations = {
+            pair.name: pair.pose.hypotheses[0].R @ self.model.poses[pair.name][:, :3]
+            for pair in likely
+        }
+        if reason := self._why_nowhere([*rotations.values()]):
+            none_agree = tuple(replace(reference, agrees=False) for reference in references)
+            return Location("nowhere", reason, none_agree, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
-        assert best.pose.R is not None and best.pose.t is not None  # of a success
-        R, t, camera = best.pose.R @ self.model.poses[best.name][:, :3], best.pose.t, self.camera
+        R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
         why = f"{best.name} alone has a pose"
-        if len(likely) > 1:
-            if pose is None or not self._is_claimed():
-                poses = [(pair.pose.R, self.model.poses[pair.name][:, :3]) for pair in likely]
-                turned = [R @ of_reference for R, of_reference in poses if R is not None]
-                angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(turned, 2)]
-                reason = (
-                    f"the poses of {len(likely)} references do not agree: the rotations between "
-                    "them, by their pairs with the photograph, differ from those of the model by "
-                    f"{np.median(angles):.0f} degrees"
-                )
-                return replace(nowhere, reason=reason)
-            R, t = pose.R, self.sights[best.name].pair_pose(pose)[1]
-            camera, why = self.fitted, "they lie on one line of sight"
+        if pose is not None and len(likely) > 1:
+            R, t, camera = pose.R, self.sights[best.name].pair_pose(pose)[1], self.fitted
+            why = "they lie on one line of sight"
         return Location(
             "no_scale",
             f"the references do not determine the distance from {best.name}: {why}",
@@ -235,6 +226,22 @@ class ReferenceSearch:
             direction=-R.T @ t,
             direction_from=best.name,
             camera=camera,
+        )
+
+    def _why_nowhere(self, rotations: Sequence[np.ndarray]) -> str:
+        """Why the photograph has no rotation; empty if it has. rotations: (3, 3), of the pairs."""
+        mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
+        if mirrored and mirrored >= len(rotations):
+            return f"the mirror image of the photograph has a pose with {mirrored} references"
+        if not rotations:
+            return f"none of {len(self.pairs)} references has a pose that is likely"
+        if len(rotations) == 1 or (self.pose is not None and self._is_claimed()):
+            return ""
+        angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(rotations, 2)]
+        return (
+            f"the poses of {len(rotations)} references do not agree: the rotations between them, "
+            "by their pairs with the photograph, differ from those of the model by "
+            f"{np.median(angles):.0f} degrees"
         )
 
     def _is_located(self) -> bool:
@@ -248,9 +255,6 @@ class ReferenceSearch:
 
     def _is_claimed(self) -> bool:
         return self._probability() >= (self.options.min_probability or 0)
-
-    def _is_known(self) -> bool:
-        return all(pair.pose.any_probability is not None for pair in self.pairs)
 
     def _probability(self) -> float:
         """That the location is right: the pairs that agree with it are, and the others are not; or

@@ -123,6 +123,39 @@ def test_one_K_serves_photographs_that_are_turned(
     assert turned.warnings == () and turned.distortion == cameras["a.jpg"].distortion
 
 
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_photographs_that_are_turned_share_the_focal_length_that_is_fitted(
+    tmp_path: Path, orientation: int
+) -> None:
+    exif = PIL.Image.Exif()
+    exif[274] = orientation
+    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
+    PIL.Image.new("L", (48, 64)).save(tmp_path / "b.jpg", exif=exif)
+    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    cameras, _, _ = survey(source, read_calibration("50,52,33,23", "K", KDetails(focal_std=0.02)))
+    assert {(c.identity, c.focal_std) for c in cameras.values()} == {("K", 0.02)}
+
+
+def test_a_lens_is_turned_with_its_photograph(tmp_path: Path) -> None:
+    """A point of the upright image is a quarter turn around the axis from that as stored."""
+    exif = PIL.Image.Exif()
+    exif[274] = 6
+    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
+    PIL.Image.new("L", (48, 64)).save(tmp_path / "b.jpg", exif=exif)
+    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    line = "OPENCV,64,48,50,52,33.5,23.5,0.1,0.02,0.01,-0.03"
+    upright, stored = survey(source, read_calibration(line))[0].values()
+    points = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2))
+    x, y = stored.project(points).T
+    # (x, y) of the stored image is (63 - y, x) of the upright one.
+    np.testing.assert_allclose(
+        upright.project(points @ [[0, 1], [-1, 0]]), np.column_stack([63 - y, x]), atol=1e-9
+    )
+    prism = "THIN_PRISM_FISHEYE,64,48,50,52,33.5,23.5,0,0,0,0,0,0,0.01,0"
+    with pytest.raises(InputError, match="a skew or a prism, which are not turned"):
+        survey(source, read_calibration(prism))
+
+
 def test_a_K_of_upright_photographs_that_are_all_stored_turned(tmp_path: Path) -> None:
     exif = PIL.Image.Exif()
     exif[274] = 6

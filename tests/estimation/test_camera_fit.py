@@ -10,7 +10,7 @@ from camera_scene import camera_scene, pinhole
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
-from dgc_pose.estimation.camera_spread import ASPECTS, SIZE, CameraSpread, deviating_pair
+from dgc_pose.estimation.camera_spread import ASPECTS, SIZE, deviating_pair
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous
@@ -29,7 +29,7 @@ def _joint(camera: Camera, seed: int = 0, **changes: float):
     scene = camera_scene(camera, camera, seed=seed, **changes)
     loose = replace(camera, **LOOSE)
     problem = TwoViewProblem.of(scene.matches, loose, loose)
-    return scene, JointFit(problem, CameraSpread.of(loose, loose))
+    return scene, JointFit(problem, (loose, loose))
 
 
 @pytest.mark.parametrize("deviates", [False, True])
@@ -59,7 +59,7 @@ def test_errors_in_the_image_are_of_the_first_order_by_pixels(
 
     slopes = [(algebraic(s) - algebraic(-s)) / (2 * STEP) for s in STEP * np.eye(4)]
     expected = np.abs(algebraic(np.zeros(4))) / np.linalg.norm(slopes, axis=0)
-    errors = joint.errors_px(pose, (camera.focal, camera.focal))
+    errors = joint.errors_px(pose)
     seen = np.isfinite(errors)
     assert seen.mean() > (0.7 if deviates else 0.95)  # others are behind a camera that deviates
     np.testing.assert_allclose(errors[seen], expected[joint.problem.index][seen], rtol=2e-3)
@@ -68,7 +68,7 @@ def test_errors_in_the_image_are_of_the_first_order_by_pixels(
 def test_errors_behind_a_camera_are_infinite() -> None:
     scene, joint = _joint(pinhole(800, IMAGE), count=60, outliers=0.0)
     pose = JointPose(scene.R, -scene.t, np.zeros(len(joint.spread)))
-    assert np.isinf(joint.errors_px(pose, (800, 800))).all()
+    assert np.isinf(joint.errors_px(pose)).all()
     assert not joint.inliers_in_front(pose).any()
 
 
@@ -81,11 +81,11 @@ def test_the_likelihood_prefers_the_true_cameras() -> None:
     for k in range(len(joint.spread)):
         other = replace(true, z=np.eye(len(joint.spread))[k])
         assert joint.log_likelihood(other, scale) < best - 0.5
-    empty = JointFit(joint.problem.subset(np.zeros(len(joint.problem), dtype=bool)), joint.spread)
+    empty = JointFit(joint.problem.subset(np.zeros(len(joint.problem), dtype=bool)), joint.cameras)
     z = np.full(len(joint.spread), 0.5)
     assert empty.log_likelihood(replace(true, z=z), scale) == pytest.approx(-(z @ z) / 2)
     # A match that is off by far costs as much as one that is off by the limit.
-    wrong = JointFit(joint.problem.subset(~scene.true[joint.problem.index]), joint.spread)
+    wrong = JointFit(joint.problem.subset(~scene.true[joint.problem.index]), joint.cameras)
     each = wrong.log_likelihood(true, scale) / len(wrong.problem)
     assert each > joint.log_likelihood(replace(true, t=-scene.t), scale) / len(joint.problem) - 1e-9
 
@@ -97,15 +97,11 @@ def test_a_start_at_the_deviations_of_the_cameras_is_fitted(factor: float, aspec
     scene = camera_scene(camera, camera, seed=2)
     fx, fy = 800 / factor * np.sqrt(aspect), 800 / factor / np.sqrt(aspect)
     assumed = replace(Camera(np.array([fx, fy, *camera.K[:2, 2]]), IMAGE), **LOOSE, identity="one")
-    problem, spread = (
-        TwoViewProblem.of(scene.matches, assumed, assumed),
-        CameraSpread.of(assumed, assumed),
-    )
+    joint = JointFit(TwoViewProblem.of(scene.matches, assumed, assumed), (assumed, assumed))
     at = of_focals(np.full(2, np.log(factor)))
     at[ASPECTS] = np.log(aspect)
     options = EstimationOptions()
-    start = start_at(problem, spread, at, options, seed=3)
-    joint = JointFit(problem, spread)
+    start = start_at(joint, at, options, seed=3)
     np.testing.assert_allclose(joint.deviations(start), at, atol=1e-9)
     pose = joint.fitted(start)
     assert joint.cost(pose) <= joint.cost(start)

@@ -135,7 +135,8 @@ def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) 
         "located", "", (), SCENE.R, SCENE.centre, covariance=np.eye(6), camera=camera
     )
     model = load_model(source, images)
-    write_model_with(tmp_path / "out", model, {str(photo): location})
+    out = tmp_path / "out"
+    write_model_with(out, extensible(out, model, [str(photo)]), {str(photo): location})
     written = pycolmap.Reconstruction(tmp_path / "out")
     added = written.find_image_with_name("new.png")
     assert added is not None and written.num_images() == 6
@@ -145,7 +146,7 @@ def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) 
     again = load_model(tmp_path / "out", images)
     assert sorted(again.poses) == SCENE.names  # the photograph is in another folder
     with pytest.raises(InputError, match="add has an image r0.jpg already"):
-        write_model_with(tmp_path / "other", model, {str(images / "r0.jpg"): location})
+        extensible(tmp_path / "other", model, [str(images / "r0.jpg")])
     assert not (tmp_path / "other").exists()
 
 
@@ -165,11 +166,9 @@ def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
     matrix = np.array([[100.0, 0, 70], [0, 110, 65], [0, 0, 1]])
     camera = Camera(matrix, upright.shape[::-1], lens, orientation=orientation)
     location = Location("located", "", (), SCENE.R, SCENE.centre, camera=camera)
-    write_model_with(
-        tmp_path / "out",
-        load_model(write_colmap(SCENE, tmp_path / "m"), images),
-        {str(photo): location},
-    )
+    source = load_model(write_colmap(SCENE, tmp_path / "m"), images)
+    extended = extensible(tmp_path / "out", source, [str(photo)])
+    write_model_with(tmp_path / "out", extended, {str(photo): location})
     model = pycolmap.Reconstruction(tmp_path / "out")
     added = model.find_image_with_name("new.jpg")
     assert added is not None
