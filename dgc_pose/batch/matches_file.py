@@ -4,11 +4,12 @@ A group `name1/name2` ("/" inside a name becomes "-") holds `keypoints0`, `keypo
 float32, pixels of the images, (0, 0) the centre of the top-left pixel, `scores` (N,) float32, and
 `inliers` (N,) bool, which hloc passes over. Where the pose can be estimated again, with another
 camera, there is a group `again` with what that needs besides: the attributes `error_px` and
-`key_points`, `cameras` as fitted to the pair, and of a matcher with a map its even sample:
-`keypoints0`, `keypoints1`, `scores`, and the attribute `map_error_px`.
+`key_points`, of fitted cameras the attribute `cameras`, JSON, and `covariance`, and of a matcher
+with a map its even sample: `keypoints0`, `keypoints1`, `scores`, and the attribute `map_error_px`.
 """
 
 import io
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from dgc_pose.cameras.calibration import camera_data, parse_camera_data
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.files.arrays import ARRAY_BYTES
 from dgc_pose.files.inputs import read_as, require_regular
@@ -27,16 +30,21 @@ from dgc_pose.matching.matcher import MatchResult
 
 
 @dataclass(frozen=True, eq=False)
+class FittedCameras:
+    """The cameras of a pair as they are fitted to it alone."""
+
+    cameras: tuple[Camera, Camera]
+    covariance: np.ndarray  # (12, 12) float64, see `RelativePose.camera_covariance`
+
+
+@dataclass(frozen=True, eq=False)
 class PoseInputs:
     """Values that a pose is estimated from beside its matches' points and scores."""
 
     error_px: float  # expected error of a good match, pixels of the originals
     key_points: bool  # whether the matches are independent detections
     map_matches: Matches | None  # even sample of the map, float32; None without a map
-    # (2, 7, 6) float64, the fit of both cameras to this pair alone, once it is estimated: ln f, the
-    # principal point, pixels, two radial coefficients, ln fy / fx, and below their covariance. None
-    # without a pose.
-    camera_fits: np.ndarray | None = None
+    fitted: FittedCameras | None = None  # None before the estimate, and of a pose without them
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +109,9 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
     inputs, sample = group.create_group(_INPUTS_GROUP), matches.pose_inputs.map_matches
     inputs.attrs["error_px"] = matches.pose_inputs.error_px
     inputs.attrs["key_points"] = matches.pose_inputs.key_points
-    if matches.pose_inputs.camera_fits is not None:
-        inputs["cameras"] = matches.pose_inputs.camera_fits
+    if (fitted := matches.pose_inputs.fitted) is not None:
+        inputs.attrs["cameras"] = json.dumps([camera_data(camera) for camera in fitted.cameras])
+        inputs["covariance"] = fitted.covariance
     if sample is not None:
         inputs.attrs["map_error_px"] = sample.error_px
         for dataset, field in _MAP.items():
@@ -179,13 +188,16 @@ def _read_pose_inputs(group: Any) -> PoseInputs:
         if not all(np.isfinite(array).all() for array in (points1, points2, scores)):
             raise ValueError("numbers that are not finite")
         sample = Matches(points1, points2, scores, float(group.attrs["map_error_px"]))
-    cameras = _array(group, "cameras") if "cameras" in group else None
-    if cameras is not None and not (cameras.shape == (2, 7, 6) and np.isfinite(cameras).all()):
-        raise ValueError("no cameras of a pair")
+    fitted = None
+    if "cameras" in group.attrs:
+        first, second = map(parse_camera_data, json.loads(group.attrs["cameras"]))
+        fitted = FittedCameras((first, second), _array(group, "covariance"))
+        if fitted.covariance.shape != (12, 12) or not np.isfinite(fitted.covariance).all():
+            raise ValueError("no cameras of a pair")
     error_px = float(group.attrs["error_px"])
     if not error_px > 0:
         raise ValueError("no error of a match")
-    return PoseInputs(error_px, bool(group.attrs["key_points"]), sample, cameras)
+    return PoseInputs(error_px, bool(group.attrs["key_points"]), sample, fitted)
 
 
 def _member(group: Any, name: str, kind: type) -> Any:

@@ -51,7 +51,7 @@ def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:
     for block in blocks:
         for index, row, matches in zip(block.indices, block.rows, block.matches, strict=True):
             inputs = matches.pose_inputs
-            pairs.append(FittedPair(index, row, None if inputs is None else inputs.camera_fits))
+            pairs.append(FittedPair(index, row, None if inputs is None else inputs.fitted))
     return sorted(pairs, key=lambda pair: pair.index)
 
 

@@ -94,18 +94,19 @@ def summary_of(
         "bad_images": dict(sorted(bad.items())),
         "cameras": [
             {
-                "images": len(pooled.names),
-                "first_image": pooled.names[0],
-                "focal_px": pooled.camera.focal,
-                "focal_std": pooled.camera.focal_std,
-                "focal_source": pooled.camera.focal_source,
-                "centre_px": pooled.camera.K[:2, 2].tolist(),
-                "centre_std_px": pooled.camera.centre_std,
-                "lens_std": pooled.camera.lens_std,
+                "images": len(pooled.cameras),
+                "first_image": first,
+                "focal_px": camera.focal,
+                "focal_std": camera.focal_std,
+                "focal_source": camera.focal_source,
+                "centre_px": camera.K[:2, 2].tolist(),
+                "centre_std_px": camera.centre_std,
+                "lens_std": camera.lens_std,
                 "pairs": pooled.pairs,
                 "why": pooled.why,
             }
             for pooled in cameras
+            for first, camera in list(pooled.cameras.items())[:1]
         ],
         "pairs": len(plan.pairs),
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),

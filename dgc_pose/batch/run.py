@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
-from dgc_pose.batch.pooling import PooledCamera, write_cameras
+from dgc_pose.batch.pooling import PooledCamera, by_image, write_cameras
 from dgc_pose.batch.poses import Poses, compared
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import FAILED
@@ -108,13 +109,16 @@ def run_batch(
             cameras: list[PooledCamera] = []
             blocks, alone = store.blocks(), store.rows
             if plan.uncertain:
-                pooled, cameras = folder_cameras(poses, plan.cameras)
-                plan = replace(plan, pooled=pooled)
-                flipped = {i for i, row in enumerate(alone) if row.status == "mirrored"}
-                for block in poses.estimated(pooled, fit=False, only=flipped):
+                cameras = folder_cameras(poses, plan.cameras)
+                plan = replace(plan, pooled=by_image(cameras))
+                flipped = [i for i, row in enumerate(alone) if row.status == "mirrored"]
+                others = [i for i, row in enumerate(alone) if row.status != "mirrored"]
+                first = list(poses.estimated(plan.final_cameras, fit=False, only=flipped))
+                for block in first:  # perhaps not by the folder's cameras
                     for index, row in zip(block.indices, block.rows, strict=True):
                         alone[index] = row
-                blocks = _counted(poses.estimated(pooled, fit=False), plan, progress)
+                blocks = chain(first, poses.estimated(plan.final_cameras, fit=False, only=others))
+                blocks = _counted(blocks, plan, progress)
             blocks = compared(blocks, alone)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:

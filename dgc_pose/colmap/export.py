@@ -1,17 +1,13 @@
 """From a finished batch to a COLMAP database."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import PairMatches
-from dgc_pose.batch.pooling import as_fitted
 from dgc_pose.batch.result import Batch
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
@@ -66,19 +62,11 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
         if row.status in CONFIGURATIONS:
             arrays = (matches.points1, matches.points2, matches.scores)
             inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
-            geometries.append(PairGeometry(row, _cameras(row, matches, final), *inliers))
+            cameras = final[row.name1], final[row.name2]
+            if matches.pose_inputs is not None and matches.pose_inputs.fitted is not None:
+                cameras = matches.pose_inputs.fitted.cameras
+            geometries.append(PairGeometry(row, cameras, *inliers))
     return geometries
-
-
-def _cameras(
-    row: PairRow, matches: PairMatches, final: Mapping[str, Camera]
-) -> tuple[Camera, Camera]:
-    """The cameras of a row: those of the folder, or as it fitted them."""
-    first, second = final[row.name1], final[row.name2]
-    if matches.pose_inputs is None or matches.pose_inputs.camera_fits is None:
-        return first, second
-    fit1, fit2 = matches.pose_inputs.camera_fits
-    return as_fitted(first, row, fit1), as_fitted(second, row, fit2)
 
 
 def write_shared(
