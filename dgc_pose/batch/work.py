@@ -11,7 +11,7 @@ from dgc_pose.batch.pooling import is_known
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
@@ -144,30 +144,26 @@ class Worker:
         fit_cameras: bool = True,
     ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of two images, or of matches as they are stored."""
-        camera1, camera2 = (cameras[name] for name in names)
-        estimation = self.job.estimation
+        pair, options = (cameras[names[0]], cameras[names[1]]), self.job.estimation
         try:
             if isinstance(given, PairMatches):
-                matches, map_matches = given.estimable()
-                # All are of this matcher.
-                matches = replace(matches, weights=self.matcher.fingerprint)
+                matches, sample = given.estimable(self.matcher.fingerprint)
                 pose = estimate_pose(
-                    matches,
-                    camera1,
-                    camera2,
-                    estimation,
-                    map_matches=map_matches,
-                    fit_cameras=fit_cameras,
+                    matches, *pair, options, map_matches=sample, fit_cameras=fit_cameras
                 )
                 stored, error_px = given, matches.error_px
             else:
                 search = self.matcher.search(*given)
-                pose = pose_of_pair(search, camera1, camera2, estimation)
+                pose = pose_of_pair(search, *pair, options)
                 # Of a mirror image no camera makes a pose.
-                again = not (camera1.exact and camera2.exact) and pose.status != "mirrored"
+                again = not (pair[0].exact and pair[1].exact) and pose.status != "mirrored"
                 stored = pair_matches(search.last, estimable=again)
                 error_px = search.last.matches.error_px
-            return row_of(names, pose, error_px), _with_pose(stored, pose)
+            fitted = None
+            if pose.camera_covariance is not None and pose.camera1 and pose.camera2:
+                fitted = FittedCameras((pose.camera1, pose.camera2), pose.camera_covariance)
+            stored = replace(stored, inliers=pose.inliers, fitted=fitted)
+            return row_of(names, pose, error_px), stored
         except DgcPoseError as error:
             return PairRow(*names, BAD_INPUT, False, str(error)), NO_MATCHES
         except MemoryError:  # every further pair would meet it too
@@ -199,13 +195,3 @@ class Worker:
 
 def _bytes(name: str, image: Image | str) -> int:
     return 0 if isinstance(image, str) else image.pixels.nbytes + FEATURE_BYTES
-
-
-def _with_pose(stored: PairMatches, pose: RelativePose) -> PairMatches:
-    """The matches with the inliers of a pose, and the cameras that it fitted."""
-    inputs, fitted = stored.pose_inputs, None
-    if pose.camera_covariance is not None and pose.camera1 and pose.camera2:
-        fitted = FittedCameras((pose.camera1, pose.camera2), pose.camera_covariance)
-    if inputs is not None:
-        inputs = replace(inputs, fitted=fitted)
-    return replace(stored, inliers=pose.inliers, pose_inputs=inputs)

@@ -62,9 +62,8 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
         if row.status in CONFIGURATIONS:
             arrays = (matches.points1, matches.points2, matches.scores)
             inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
-            cameras = final[row.name1], final[row.name2]
-            if matches.pose_inputs is not None and matches.pose_inputs.fitted is not None:
-                cameras = matches.pose_inputs.fitted.cameras
+            of_folder = final[row.name1], final[row.name2]
+            cameras = matches.fitted.cameras if matches.fitted else of_folder
             geometries.append(PairGeometry(row, cameras, *inliers))
     return geometries
 

@@ -224,8 +224,8 @@ def _matches(count: int) -> PairMatches:
     scores, every = np.ones(count, np.float32), np.ones(count, bool)
     camera = Camera(np.array([9.0, 9.0, 4.5, 3.5]), (10, 8), focal_std=0.1)
     fitted = FittedCameras((camera, camera), np.eye(12))
-    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0), fitted)
-    return PairMatches(points, points + 1, scores, every, again)
+    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0))
+    return PairMatches(points, points + 1, scores, every, again, fitted)
 
 
 def _read_store(folder: Path, path: Path) -> None:
