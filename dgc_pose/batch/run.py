@@ -71,12 +71,15 @@ def run_batch(
     source = replace(source, root=source.root.resolve(), masks=masks)
     if choice is None and source.pairs is None:
         choice = default_pair_choice(len(source.names))
+    digest, runtime = _weights_hash(matcher.weights), matcher.runtime
+    if runtime == "auto" and digest is not None:  # it differs from machine to machine
+        runtime = default_runtime(matcher.weights, matcher.device)
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
         "masks": masks and str(masks),
         "weights": matcher.weights,
-        "weights_sha256": _weights_hash(matcher.weights),
-        "runtime": _runtime(matcher),
+        "weights_sha256": digest,
+        "runtime": runtime,
         "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
@@ -85,7 +88,9 @@ def run_batch(
         "format": "jsonl",  # of the rows
     }
     with _folder_alone(out):
-        before = _plan_before(out, options.resume)
+        if (out / PLAN).is_file() and not options.resume:
+            raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
+        before = read_plan(out) if (out / PLAN).is_file() else None
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
             plan = continued(before, plan, out)
@@ -135,7 +140,8 @@ def run_batch(
 @contextmanager
 def _folder_alone(out: Path) -> Iterator[None]:
     """The folder to this process alone; made if missing, and removed if nothing is written."""
-    if out.exists() and not out.is_dir():
+    is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
+    if is_used and not (out / PLAN).is_file():
         raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
     made = [path for path in (out, *out.parents) if not path.exists()]
     out.mkdir(parents=True, exist_ok=True)
@@ -146,17 +152,6 @@ def _folder_alone(out: Path) -> Iterator[None]:
         with suppress(OSError):  # it holds something
             for path in made:
                 path.rmdir()
-
-
-def _plan_before(out: Path, resume: bool) -> Plan | None:
-    """The plan of the batch in `out`, which is to be resumed; None without one."""
-    if not (out / PLAN).is_file():
-        if any(not path.name.startswith(".") for path in out.iterdir()):
-            raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
-        return None
-    if not resume:
-        raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
-    return read_plan(out)
 
 
 def _first_plan(
@@ -227,13 +222,6 @@ def _capacity(plan: Plan, options: BatchOptions) -> int:
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)
     return max(2, options.worker_bytes // (largest + FEATURE_BYTES))
-
-
-def _runtime(matcher: MatcherOptions) -> str:
-    """What runs the matcher: "auto" differs from machine to machine."""
-    if matcher.runtime != "auto" or _weights_hash(matcher.weights) is None:
-        return matcher.runtime
-    return default_runtime(matcher.weights, matcher.device)
 
 
 def _weights_hash(weights: str) -> str | None:
