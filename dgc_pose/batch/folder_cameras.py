@@ -1,4 +1,4 @@
-"""The cameras of a folder: which photographs share one, and what all of their pairs say of it.
+"""The cameras of a folder: which photographs share one, and how all of their pairs fit it.
 
 Photographs of one `identity` share a camera, as long as their pairs agree with it. A photograph
 whose pairs do not, and one that is alone of its identity, has a camera of its own, which is fitted
@@ -32,12 +32,12 @@ from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.geometry.pixels import same_shape
 
 Cameras = Mapping[str, Camera]  # by image name, with the image's size
-_MIN_GROUP = 3  # images of a camera that one of them can be told from
+_MIN_GROUP = 3  # images of a camera that one of them can contradict
 _MIN_INLIERS = 50  # of a pair that ought to determine its cameras
-_AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is looked at by itself
+_AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is fitted by itself
 _AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of two cameras
 _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
-_TELLING_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
+_MOST_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
 _PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
 _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
 _AS_MANY = 0.97  # of the inliers of a free fit, that those of a squeezed camera are
@@ -56,14 +56,10 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
         start = {name: replace(c, K=known[name].K) for name, c in start.items()}
         pairs = fitted_pairs(poses.estimated(start, fit=True))
         known = {**start, **by_image(pool(start, pairs, inside=start))}
-    groups = sharing(start)
-    single = {name for name, names in groups.items() if len(names) == 1}
+    single = {name for name, names in sharing(start).items() if len(names) == 1}
     certain = [n for n, c in known.items() if n not in single and c.focal_std < _PARTNER_FOCAL_STD]
     own = _own_cameras(poses, start, pairs, known, certain)
     whose = _whose(start, known, certain, own)
-    for name, other in list(whose.items()):
-        if groups.get(other) == groups[name]:  # its own camera is that of its group
-            del whose[name], own[name]
     members = {name: camera for name, camera in start.items() if name not in own}
     kept = [pair for pair in pairs if not {*pair.row.names} & {*own}]
     listed = [*pool(members, kept, inside=certain), *own.values()]
@@ -108,11 +104,13 @@ def _own_cameras(
         refitted = fitted_pairs(poses.estimated(tried, fit=True, only=some))
         exact = {other: c.as_exact() for other, c in known.items()}
         (found,) = pool({**exact, name: tried[name]}, refitted)
-        # A fit that tells little does not contradict pairs that agree, or tell as little.
+        # A wide fit contradicts no pairs that agree, or that determine as little.
         contradicts = agreeing == 0 and any(
-            _ought_to_tell(p.row) for p in refitted if p.row.status != "mirrored"
+            _is_ample(p.row) for p in refitted if p.row.status != "mirrored"
         )
-        if found.cameras[name].focal_std < _TELLING_FOCAL_STD or contradicts:
+        fit = found.cameras[name]
+        in_group = not single and _agrees(fit, known[name])
+        if (fit.focal_std < _MOST_FOCAL_STD or contradicts) and not in_group:
             own[name] = replace(found, why="its pairs agree with no other camera")
         if not single or camera.focal_source == "given":
             continue
@@ -166,19 +164,18 @@ def _agreement(
     name: str, names: Sequence[str], camera: Camera, pairs: Sequence[FittedPair]
 ) -> tuple[int, int]:
     """How many pairs of an image with its group agree with the group's camera, and how many ought
-    to tell."""
+    to determine it."""
     agreeing, count = 0, 0
     for pair in pairs:
-        row, fitted = pair.row, pair.fitted
-        if name in row.names and {*row.names} <= {*names}:
-            count += _ought_to_tell(row)
-            if row.success and fitted is not None and row.camera_model == "assumed":
-                of_pair = fitted.cameras[row.names.index(name)]
+        if name in pair.row.names and {*pair.row.names} <= {*names}:
+            count += _is_ample(pair.row)
+            if pair.fitted is not None:
+                of_pair = pair.fitted.cameras[pair.row.names.index(name)]
                 agreeing += _same_focal(of_pair, camera, _AGREEING_STDS)
     return agreeing, count
 
 
-def _ought_to_tell(row: PairRow) -> bool:
+def _is_ample(row: PairRow) -> bool:
     """Whether a pair has what it takes to determine its cameras."""
     if row.status == "mirrored":  # perhaps because of a wrong camera
         return row.num_matches >= _MIN_INLIERS
@@ -191,8 +188,8 @@ def _inliers(pairs: Sequence[FittedPair]) -> int:
 
 
 def _own(camera: Camera, *, doubted: bool) -> Camera:
-    """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data say what it
-    is and nothing contradicts them."""
+    """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data state it
+    and nothing contradicts them."""
     camera = replace(camera, identity=None)
     if not doubted and camera.focal_source != "size" and camera.focal_std < SIZE_STD:
         return camera
@@ -203,7 +200,7 @@ def _own(camera: Camera, *, doubted: bool) -> Camera:
 def _agrees(camera: Camera, other: Camera) -> bool:
     """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
     size = _size(camera)
-    if camera.focal_std > _TELLING_FOCAL_STD or not same_shape(size, _size(other)):
+    if camera.focal_std > _MOST_FOCAL_STD or not same_shape(size, _size(other)):
         return False
     other = other.resized(size)
     shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())

@@ -56,11 +56,11 @@ class CameraFit:
 
 @dataclass(frozen=True, eq=False)
 class FittedPair:
-    """What a pair says of its cameras."""
+    """A pair with the cameras that it fits."""
 
     index: int  # of the pair in the batch
     row: PairRow
-    fitted: FittedCameras | None
+    fitted: FittedCameras | None  # by the assumed camera model, of a pair with a pose
 
 
 def is_known(camera: Camera) -> bool:
@@ -224,7 +224,7 @@ def _fits_of(
 ) -> dict[tuple[str, ...], CameraFit]:
     """The fits of a pair's cameras; one camera of both images once."""
     row, fits = pair.row, {}
-    if row.success and pair.fitted is not None and row.camera_model == "assumed":
+    if pair.fitted is not None:
         first, second = (shared.get(name, (name,)) for name in row.names)
         between = first != second and max(len(first), len(second)) > 1
         weight = 1.0 if row.probability is None else row.probability

@@ -37,8 +37,7 @@ class Poses:
         while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
             tasks = []
             for block in held:
-                names = {name for row in block.rows for name in row.names}
-                of_block = {name: cameras[name] for name in names & cameras.keys()}
+                of_block = {n: cameras[n] for row in block.rows for n in row.names if n in cameras}
                 tasks.append(Estimate(block, of_block, fit))
             for outcome in self.run(tasks):
                 assert isinstance(outcome, Matched)
@@ -46,11 +45,12 @@ class Poses:
 
 
 def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:
-    """What each pair says of its cameras, in the order of the pairs."""
+    """The pairs with the cameras that each fits, in their order."""
     pairs = []
     for block in blocks:
         for index, row, matches in zip(block.indices, block.rows, block.matches, strict=True):
-            pairs.append(FittedPair(index, row, matches.fitted))
+            is_fit = row.success and row.camera_model == "assumed"
+            pairs.append(FittedPair(index, row, matches.fitted if is_fit else None))
     return sorted(pairs, key=lambda pair: pair.index)
 
 

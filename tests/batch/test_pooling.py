@@ -105,15 +105,12 @@ def test_each_camera_has_its_pairs() -> None:
     cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
     exact = {"focal_std": 0.0, "centre_std": 0.0, "lens_std": 0.0, "focal_source": "given"}
     cameras["e"] = replace(_camera("y"), **exact)  # type: ignore[arg-type]
-    failed = _pair("a", "c", 500, 500)
     pairs = [
         _pair("a", "b", 121, 121),
         _pair("a", "c", 121, 99),
         _pair("c", "b", 99, 121),
         _pair("a", "d", 121, 300, std=0.39),
-        replace(failed, row=replace(failed.row, success=False)),
-        replace(failed, row=replace(failed.row, camera_model="squeezed")),
-        FittedPair(0, PairRow("a", "e", "bad_input", False, "too small"), None),
+        replace(_pair("a", "c", 500, 500), fitted=None),
     ]
     listed = pool(cameras, pairs)
     pooled = by_image(listed)
