@@ -1,4 +1,4 @@
-"""The cameras of a folder: which photographs share one, and what all of their pairs say of it.
+"""The cameras of a folder: which photographs share one, and how all of their pairs fit it.
 
 Photographs of one `identity` share a camera, as long as their pairs agree with it. A photograph
 whose pairs do not, and one that is alone of its identity, has a camera of its own, which is fitted
@@ -17,6 +17,7 @@ import numpy as np
 from dgc_pose.batch.pooling import (
     FittedPair,
     PooledCamera,
+    by_image,
     centre_moved,
     pool,
     sharing,
@@ -24,114 +25,123 @@ from dgc_pose.batch.pooling import (
 from dgc_pose.batch.poses import Poses, fitted_pairs
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import Size
 from dgc_pose.cameras.prior import SHARED, SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.geometry.pixels import same_shape
 
 Cameras = Mapping[str, Camera]  # by image name, with the image's size
-_MIN_GROUP = 3  # images of a camera that one of them can be told from
+_MIN_GROUP = 3  # images of a camera that one of them can contradict
 _MIN_INLIERS = 50  # of a pair that ought to determine its cameras
-_AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is looked at by itself
+_AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is fitted by itself
 _AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of two cameras
 _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
-_TELLING_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
+_MOST_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
 _PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
 _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
 _AS_MANY = 0.97  # of the inliers of a free fit, that those of a squeezed camera are
 _MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
 
 
-def folder_cameras(poses: Poses, cameras: Cameras) -> tuple[dict[str, Camera], list[PooledCamera]]:
-    """The cameras by image name, and one by one those that had a deviation.
+def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
+    """The cameras one by one, of those that had a deviation.
 
     poses: of pairs that are stored each with its own fit of `cameras`.
     """
     pairs = fitted_pairs(poses.store.blocks())
     start = _by_models(cameras, pairs)
-    pooled, _ = pool(start, _within(pairs, sharing(start)))
-    if start != cameras or centre_moved(start, pooled):
-        start = {name: replace(c, K=pooled[name].K) for name, c in start.items()}
+    known = {**start, **by_image(pool(start, pairs, inside=start))}
+    if start != cameras or centre_moved(start, known):
+        start = {name: replace(c, K=known[name].K) for name, c in start.items()}
         pairs = fitted_pairs(poses.estimated(start, fit=True))
-    groups = sharing(start)
-    known, _ = pool(start, _within(pairs, groups))
-    single = {name for name, names in groups.items() if len(names) == 1}
+        known = {**start, **by_image(pool(start, pairs, inside=start))}
+    single = {name for name, names in sharing(start).items() if len(names) == 1}
     certain = [n for n, c in known.items() if n not in single and c.focal_std < _PARTNER_FOCAL_STD]
-    doubted = {}  # whether no pair at all agrees with the camera of the group
-    for name in certain:
-        if start[name].focal_source != "given" and start[name].identity != SHARED:
-            agreeing, count = _agreement(name, groups[name], known, pairs)
-            if len(groups[name]) >= _MIN_GROUP and agreeing < _AGREEING_SHARE * count:
-                doubted[name] = agreeing == 0
-    own: dict[str, PooledCamera] = {}
-    for name in (n for n in groups if n in doubted or n in single):
-        partners = {*certain} - {name}
-        chosen = [p for p in pairs if name in p.names and partners.intersection(p.names)]
-        chosen.sort(key=lambda pair: -pair.row.num_inliers)
-        tried = known | {name: _own(start[name], doubted=name in doubted)}
-        some = {pair.index for pair in chosen[:_MOST_PAIRS]}
-        refit = poses.estimated(tried, fit=True, only=some)
-        exact = {n: c.as_exact() for n, c in tried.items() if n != name}
-        refitted = fitted_pairs(refit)
-        _, (found,) = pool({name: tried[name], **exact}, refitted)
-        # A fit that tells little does not contradict pairs that agree, or tell as little.
-        contradicts = doubted.get(name, True) and any(
-            _ought_to_tell(p.row) for p in refitted if p.row.status != "mirrored"
-        )
-        if found.camera.focal_std < _TELLING_FOCAL_STD or contradicts:
-            own[name] = found
-        if squeezed := _squeezed(start[name], known, certain if name in single else []):
-            other, camera = squeezed
-            fixed = poses.estimated(known | {name: camera}, fit=False, only=some)
-            if _inliers(fitted_pairs(fixed)) > _AS_MANY * _inliers(refitted):
-                own[name] = replace(found, camera=camera, why=f"the camera of {other}, squeezed")
-    return _together(start, pairs, own, known, certain)
+    own = _own_cameras(poses, start, pairs, known, certain)
+    whose = _whose(start, known, certain, own)
+    members = {name: camera for name, camera in start.items() if name not in own}
+    kept = [pair for pair in pairs if not {*pair.row.names} & {*own}]
+    listed = [*pool(members, kept, inside=certain), *own.values()]
+    final = {**start, **by_image(listed)}
+    for name, other in whose.items():  # off by the same factor
+        resized = final[other].resized(_size(start[name]))
+        final[name] = replace(resized, warnings=start[name].warnings)
+    for i, one in enumerate(listed):
+        others = [whose[name] for name in one.cameras if name in whose]
+        why = f"the camera of {others[0]}, at its size" if others else one.why
+        listed[i] = replace(one, cameras={name: final[name] for name in one.cameras}, why=why)
+    return listed
 
 
-def _together(
+def _own_cameras(
+    poses: Poses,
     start: Cameras,
     pairs: Sequence[FittedPair],
-    own: Mapping[str, PooledCamera],
     known: Cameras,
     certain: Sequence[str],
-) -> tuple[dict[str, Camera], list[PooledCamera]]:
-    """The cameras of the groups, and those of the photographs that agree with none of them.
+) -> dict[str, PooledCamera]:
+    """The cameras of photographs by themselves: of those that are alone of their identity, and of
+    those that most pairs with the others of it contradict.
 
-    own: of photographs by themselves. known: of the groups; certain: whose cameras are that.
+    known: as the pairs of each identity determine them; certain: the photographs of which they do.
     """
+    own: dict[str, PooledCamera] = {}
+    for name, names in sharing(start).items():
+        camera, agreeing, single = start[name], 0, len(names) == 1
+        if not single:
+            agreeing, count = _agreement(name, names, known[name], pairs)
+            stated = camera.focal_source == "given" or camera.identity == SHARED
+            if stated or name not in certain or len(names) < _MIN_GROUP:
+                continue
+            if agreeing >= _AGREEING_SHARE * count:
+                continue
+        partners = {*certain} - {name}
+        chosen = [p for p in pairs if name in p.row.names and partners.intersection(p.row.names)]
+        chosen.sort(key=lambda pair: -pair.row.num_inliers)
+        some = {pair.index for pair in chosen[:_MOST_PAIRS]}
+        tried = {**known, name: _own(camera, doubted=not single)}
+        refitted = fitted_pairs(poses.estimated(tried, fit=True, only=some))
+        exact = {other: c.as_exact() for other, c in known.items()}
+        (found,) = pool({**exact, name: tried[name]}, refitted)
+        # A wide fit contradicts no pairs that agree, or that determine as little.
+        contradicts = agreeing == 0 and any(
+            _is_ample(p.row) for p in refitted if p.row.status != "mirrored"
+        )
+        fit = found.cameras[name]
+        in_group = not single and _agrees(fit, known[name])
+        if (fit.focal_std < _MOST_FOCAL_STD or contradicts) and not in_group:
+            own[name] = replace(found, why="its pairs agree with no other camera")
+        if not single or camera.focal_source == "given":
+            continue
+        size = _size(camera)
+        if other := next((n for n in certain if not same_shape(size, _size(known[n]))), None):
+            squeezed = known[other].resized(size)
+            fixed = fitted_pairs(poses.estimated({**known, name: squeezed}, fit=False, only=some))
+            if _inliers(fixed) > _AS_MANY * _inliers(refitted):
+                why = f"the camera of {other}, squeezed"
+                own[name] = PooledCamera({name: squeezed}, found.pairs, why)
+    return own
+
+
+def _whose(
+    start: Cameras, known: Cameras, certain: Sequence[str], own: Mapping[str, PooledCamera]
+) -> dict[str, str]:
+    """By photograph the other whose camera it has, but for its size: one of a larger group, or of
+    any if it has a camera of its own."""
     groups = sharing(start)
-    alone = {name: one.camera for name, one in own.items()}
-    whose: dict[str, str] = {}  # camera a photograph has, where it is that of another
-    for name, camera in ({n: known[n] for n in certain if n in groups} | alone).items():
-        for other in certain:
-            ranks = [(-len(groups.get(n, ())), groups.get(n, (n,))) for n in (other, name)]
-            may_be = other not in own and (name in own or ranks[0] < ranks[1])
-            if may_be and start[name].focal_source != "given" and _agrees(camera, known[other]):
-                whose[name] = other
-                break
-    apart = [n for n in own if n not in whose or groups[n] != groups.get(whose[n])]
-    members = {n: c for n, c in start.items() if n not in apart}
-    kept = [pair for pair in pairs if not {*apart}.intersection(pair.names)]
-    pooled, listed = pool(members, _within(kept, groups))
-    rest, others = pool(members, kept)  # of cameras that their group does not determine
-    cameras = {name: (pooled if name in certain else rest)[name] for name in members}
-    listed = [one for one in listed if one.names[0] in certain]
-    listed += [one for one in others if one.names[0] not in certain]
-    why = "its pairs agree with no other camera"
-    listed += [replace(own[n], why=own[n].why or why) for n in apart]
-    cameras |= {name: own[name].camera for name in apart}
-    for name, other in whose.items():
-        size = start[name].size
-        assert size is not None
-        if groups[name] != groups.get(other):  # off by the same factor
-            warnings = start[name].warnings
-            cameras[name] = replace(cameras[other].resized(size), warnings=warnings)
-    for number, one in enumerate(listed):
-        first = one.names[0]
-        if first in whose and (first in apart or first not in own):
-            why = f"the camera of {whose[first]}, at its size"
-            listed[number] = replace(one, camera=cameras[first], why=why)
-    return {name: cameras[name] for name in start}, listed
+
+    def rank(name: str) -> tuple[int, tuple[str, ...]]:
+        names = groups.get(name, ())
+        return 1 if name in own else -len(names), names or (name,)
+
+    of_groups = {name: known[name] for name in certain if name in groups}
+    whose = {}
+    for name, camera in {**of_groups, **by_image(own.values())}.items():
+        others = (n for n in certain if rank(n) < rank(name) and _agrees(camera, known[n]))
+        if start[name].focal_source != "given" and (other := next(others, None)):
+            whose[name] = other
+    return whose
 
 
 def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
@@ -150,43 +160,22 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
     return changed
 
 
-def _within(pairs: Sequence[FittedPair], groups: Mapping[str, tuple[str, ...]]) -> list[FittedPair]:
-    """The pairs of one camera, and those of images of which none is of a group."""
-    inside = []
-    for pair in pairs:
-        first, second = (groups.get(name, (name,)) for name in pair.names)
-        if first == second or max(len(first), len(second)) == 1:
-            inside.append(pair)
-    return inside
-
-
 def _agreement(
-    name: str, names: Sequence[str], known: Cameras, pairs: Sequence[FittedPair]
+    name: str, names: Sequence[str], camera: Camera, pairs: Sequence[FittedPair]
 ) -> tuple[int, int]:
     """How many pairs of an image with its group agree with the group's camera, and how many ought
-    to tell."""
-    camera, agreeing, count = known[name], 0, 0
+    to determine it."""
+    agreeing, count = 0, 0
     for pair in pairs:
-        if name in pair.names and set(pair.names) <= set(names):
-            count += _ought_to_tell(pair.row)
-            if pair.row.success and pair.fits is not None:
-                value, *covariance = pair.fits[pair.names.index(name)][:, 0]
-                off = abs(value - math.log(camera.focal))
-                std = math.hypot(math.sqrt(covariance[0]), camera.focal_std, _SAME_FOCAL)
-                agreeing += off < _AGREEING_STDS * std and pair.row.camera_model == "assumed"
+        if name in pair.row.names and {*pair.row.names} <= {*names}:
+            count += _is_ample(pair.row)
+            if pair.fitted is not None:
+                of_pair = pair.fitted.cameras[pair.row.names.index(name)]
+                agreeing += _same_focal(of_pair, camera, _AGREEING_STDS)
     return agreeing, count
 
 
-def _squeezed(camera: Camera, known: Cameras, certain: Sequence[str]) -> tuple[str, Camera] | None:
-    """The first photograph of another shape, and its camera with each side resized by itself."""
-    for other in certain if camera.focal_source != "given" else ():
-        size = known[other].size
-        if camera.size and size and not same_shape(camera.size, size):
-            return other, known[other].resized(camera.size)
-    return None
-
-
-def _ought_to_tell(row: PairRow) -> bool:
+def _is_ample(row: PairRow) -> bool:
     """Whether a pair has what it takes to determine its cameras."""
     if row.status == "mirrored":  # perhaps because of a wrong camera
         return row.num_matches >= _MIN_INLIERS
@@ -199,8 +188,8 @@ def _inliers(pairs: Sequence[FittedPair]) -> int:
 
 
 def _own(camera: Camera, *, doubted: bool) -> Camera:
-    """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data say what it
-    is and nothing contradicts them."""
+    """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data state it
+    and nothing contradicts them."""
     camera = replace(camera, identity=None)
     if not doubted and camera.focal_source != "size" and camera.focal_std < SIZE_STD:
         return camera
@@ -210,12 +199,21 @@ def _own(camera: Camera, *, doubted: bool) -> Camera:
 
 def _agrees(camera: Camera, other: Camera) -> bool:
     """Whether a camera that is fitted by itself is that of another image, perhaps resized."""
-    assert camera.size is not None and other.size is not None
-    if camera.focal_std > _TELLING_FOCAL_STD or not same_shape(camera.size, other.size):
+    size = _size(camera)
+    if camera.focal_std > _MOST_FOCAL_STD or not same_shape(size, _size(other)):
         return False
-    other = other.resized(camera.size)
-    off = abs(math.log(camera.focal / other.focal))
+    other = other.resized(size)
     shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())
-    return off < _SAME_STDS * math.hypot(
-        camera.focal_std, other.focal_std, _SAME_FOCAL
-    ) and shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
+    near = shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
+    return near and _same_focal(camera, other, _SAME_STDS)
+
+
+def _same_focal(camera: Camera, other: Camera, stds: float) -> bool:
+    off = abs(math.log(camera.focal / other.focal))
+    return off < stds * math.hypot(camera.focal_std, other.focal_std, _SAME_FOCAL)
+
+
+def _size(camera: Camera) -> Size:
+    """Of a photograph, whose camera has one."""
+    assert camera.size is not None
+    return camera.size

@@ -4,11 +4,13 @@ A group `name1/name2` ("/" inside a name becomes "-") holds `keypoints0`, `keypo
 float32, pixels of the images, (0, 0) the centre of the top-left pixel, `scores` (N,) float32, and
 `inliers` (N,) bool, which hloc passes over. Where the pose can be estimated again, with another
 camera, there is a group `again` with what that needs besides: the attributes `error_px` and
-`key_points`, `cameras` as fitted to the pair, and of a matcher with a map its even sample:
-`keypoints0`, `keypoints1`, `scores`, and the attribute `map_error_px`.
+`key_points`, and of a matcher with a map its even sample: `keypoints0`, `keypoints1`, `scores`, and
+the attribute `map_error_px`. A pair that its cameras are fitted to has the attribute `cameras`,
+JSON, and `camera_covariance` (12, 12).
 """
 
 import io
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +20,8 @@ from typing import Any
 import h5py
 import numpy as np
 
+from dgc_pose.cameras.calibration import camera_data, parse_camera_data
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.files.arrays import ARRAY_BYTES
 from dgc_pose.files.inputs import read_as, require_regular
@@ -27,16 +31,20 @@ from dgc_pose.matching.matcher import MatchResult
 
 
 @dataclass(frozen=True, eq=False)
+class FittedCameras:
+    """The cameras of a pair as they are fitted to it alone."""
+
+    cameras: tuple[Camera, Camera]
+    covariance: np.ndarray  # (12, 12) float64, see `RelativePose.camera_covariance`
+
+
+@dataclass(frozen=True, eq=False)
 class PoseInputs:
     """Values that a pose is estimated from beside its matches' points and scores."""
 
     error_px: float  # expected error of a good match, pixels of the originals
     key_points: bool  # whether the matches are independent detections
     map_matches: Matches | None  # even sample of the map, float32; None without a map
-    # (2, 7, 6) float64, the fit of both cameras to this pair alone, once it is estimated: ln f, the
-    # principal point, pixels, two radial coefficients, ln fy / fx, and below their covariance. None
-    # without a pose.
-    camera_fits: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +56,15 @@ class PairMatches:
     scores: np.ndarray  # (N,) float32, confidence in [0, 1]
     inliers: np.ndarray  # (N,) bool, of the pose
     pose_inputs: PoseInputs | None = None  # None if the pose is not to be estimated again
+    fitted: FittedCameras | None = None  # None without a pose, and of cameras that are not fitted
 
-    def estimable(self) -> tuple[Matches, Matches | None]:
-        """The matches and the sample of the map to estimate a pose from; needs `pose_inputs`."""
+    def estimable(self, weights: str | None) -> tuple[Matches, Matches | None]:
+        """The matches and the sample of the map to estimate a pose from; needs `pose_inputs`.
+
+        weights: fingerprint of the network that all are of.
+        """
         assert self.pose_inputs is not None
-        facts = (self.pose_inputs.error_px, self.pose_inputs.key_points)
+        facts = (self.pose_inputs.error_px, self.pose_inputs.key_points, weights)
         matches = Matches(self.points1, self.points2, self.scores, *facts)
         return matches, self.pose_inputs.map_matches
 
@@ -84,7 +96,7 @@ NO_MATCHES = PairMatches(_NO_POINTS, _NO_POINTS, _NO_POINTS[:, 0], np.zeros(0, b
 _POINTS = {"keypoints0": "points1", "keypoints1": "points2"}
 _DATASETS = {**_POINTS, "scores": "scores", "inliers": "inliers"}
 _MAP = {**_POINTS, "scores": "confidence"}
-_INPUTS_GROUP = "again"
+_INPUTS_GROUP, _CAMERAS, _COVARIANCE = "again", "cameras", "camera_covariance"
 
 
 def group_name(name1: str, name2: str) -> str:
@@ -96,13 +108,15 @@ def write_matches(group: h5py.Group, matches: PairMatches) -> None:
     """The matches of a pair, as datasets of its group."""
     for dataset, field in _DATASETS.items():
         group.create_dataset(dataset, data=getattr(matches, field))
+    if matches.fitted is not None:
+        cameras = [camera_data(camera) for camera in matches.fitted.cameras]
+        group.attrs[_CAMERAS] = json.dumps(cameras)
+        group[_COVARIANCE] = matches.fitted.covariance
     if matches.pose_inputs is None:
         return
     inputs, sample = group.create_group(_INPUTS_GROUP), matches.pose_inputs.map_matches
     inputs.attrs["error_px"] = matches.pose_inputs.error_px
     inputs.attrs["key_points"] = matches.pose_inputs.key_points
-    if matches.pose_inputs.camera_fits is not None:
-        inputs["cameras"] = matches.pose_inputs.camera_fits
     if sample is not None:
         inputs.attrs["map_error_px"] = sample.error_px
         for dataset, field in _MAP.items():
@@ -157,7 +171,12 @@ def read_matches(file: Any, name: str, where: str | None = None) -> PairMatches:
         for part in name.split("/"):
             group = _member(group, part, h5py.Group)
         arrays = {field: _array(group, dataset) for dataset, field in _DATASETS.items()}
-        inputs = None
+        inputs = fitted = None
+        if _CAMERAS in group.attrs:
+            first, second = map(parse_camera_data, json.loads(group.attrs[_CAMERAS]))
+            fitted = FittedCameras((first, second), _array(group, _COVARIANCE))
+            if fitted.covariance.shape != (12, 12) or not np.isfinite(fitted.covariance).all():
+                raise ValueError("no covariance of two cameras")
         if _INPUTS_GROUP in group:
             inputs = _read_pose_inputs(_member(group, _INPUTS_GROUP, h5py.Group))
     except Exception:  # of HDF5, for damaged files almost any
@@ -168,7 +187,7 @@ def read_matches(file: Any, name: str, where: str | None = None) -> PairMatches:
         raise InputError(f"{where}: datasets of different lengths")
     if not all(np.isfinite(array).all() for array in arrays.values()):
         raise InputError(f"{where}: numbers that are not finite")
-    return PairMatches(**arrays, pose_inputs=inputs)
+    return PairMatches(**arrays, pose_inputs=inputs, fitted=fitted)
 
 
 def _read_pose_inputs(group: Any) -> PoseInputs:
@@ -179,13 +198,10 @@ def _read_pose_inputs(group: Any) -> PoseInputs:
         if not all(np.isfinite(array).all() for array in (points1, points2, scores)):
             raise ValueError("numbers that are not finite")
         sample = Matches(points1, points2, scores, float(group.attrs["map_error_px"]))
-    cameras = _array(group, "cameras") if "cameras" in group else None
-    if cameras is not None and not (cameras.shape == (2, 7, 6) and np.isfinite(cameras).all()):
-        raise ValueError("no cameras of a pair")
     error_px = float(group.attrs["error_px"])
     if not error_px > 0:
         raise ValueError("no error of a match")
-    return PoseInputs(error_px, bool(group.attrs["key_points"]), sample, cameras)
+    return PoseInputs(error_px, bool(group.attrs["key_points"]), sample)
 
 
 def _member(group: Any, name: str, kind: type) -> Any:

@@ -133,12 +133,10 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     """
     changed = sorted({*now.names} ^ {*before.names})
     if changed and now.root == before.root:
-        what = (
-            "is not in the source any more"
-            if changed[0] in before.names
-            else "is new since that batch"
+        what = "is new" if changed[0] in now.names else "has gone"
+        raise InputError(
+            f"{now.root / changed[0]} {what} since that batch:", _RESUME, "needs the same"
         )
-        raise InputError(f"{now.root / changed[0]} {what}:", _RESUME, "needs the same")
     unchanged = [name for name in now.names if now.same_files([name], before.states)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     for what in {**old, **new}:

@@ -9,16 +9,15 @@ hardly does.
 import csv
 import io
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds, is_of_part
 from dgc_pose.files.outputs import write_text
 
@@ -41,8 +40,7 @@ _COLUMNS = (
 class PooledCamera:
     """One camera of a folder."""
 
-    names: tuple[str, ...]  # its images
-    camera: Camera  # of its first image
+    cameras: Mapping[str, Camera]  # of its images, by name
     pairs: int  # whose fits enter its focal length
     why: str = ""  # its images have it, unless by their sizes and EXIF data or the K given
 
@@ -58,32 +56,16 @@ class CameraFit:
 
 @dataclass(frozen=True, eq=False)
 class FittedPair:
-    """What a pair says of its cameras."""
+    """A pair with the cameras that it fits."""
 
     index: int  # of the pair in the batch
     row: PairRow
-    fits: np.ndarray | None  # (2, 7, 6), see `PoseInputs.camera_fits`
-
-    @property
-    def names(self) -> tuple[str, str]:
-        return self.row.name1, self.row.name2
+    fitted: FittedCameras | None  # by the assumed camera model, of a pair with a pose
 
 
 def is_known(camera: Camera) -> bool:
     """Whether a pooled camera is better than one that a single pair fits."""
     return camera.focal_std <= KNOWN_FOCAL_STD and not is_of_part(camera)
-
-
-def camera_fits(pose: RelativePose) -> np.ndarray | None:
-    """(2, 7, 6), see `PoseInputs.camera_fits`."""
-    if pose.camera_covariance is None or pose.camera1 is None or pose.camera2 is None:
-        return None
-    fits = np.empty((2, 1 + SIZE, SIZE))
-    for side, camera in enumerate((pose.camera1, pose.camera2)):
-        rows = slice(SIZE * side, SIZE * (side + 1))
-        fits[side, 0] = _parameters(camera)
-        fits[side, 1:] = pose.camera_covariance[rows, rows]
-    return fits
 
 
 def sharing(cameras: Mapping[str, Camera]) -> dict[str, tuple[str, ...]]:
@@ -95,21 +77,26 @@ def sharing(cameras: Mapping[str, Camera]) -> dict[str, tuple[str, ...]]:
     return {name: tuple(names) for names in groups.values() for name in names}
 
 
-def pool(
-    cameras: Mapping[str, Camera], pairs: Iterable[FittedPair]
-) -> tuple[dict[str, Camera], list[PooledCamera]]:
-    """The cameras by image name as all pairs fit them, and one by one those that had a deviation.
+def by_image(pooled: Iterable[PooledCamera]) -> dict[str, Camera]:
+    """The cameras by image name."""
+    return {name: camera for one in pooled for name, camera in one.cameras.items()}
 
-    cameras: by name, as the pairs had them; those without a deviation stay as they are. Images of
-    several sizes, and parts without EXIF data, share a focal length and no principal point. The
-    same for any order of the pairs.
+
+def pool(
+    cameras: Mapping[str, Camera], pairs: Iterable[FittedPair], inside: Collection[str] = ()
+) -> list[PooledCamera]:
+    """The cameras that have a deviation, one by one, as all pairs fit them.
+
+    cameras: by name, as the pairs had them. inside: images whose cameras are fitted by the pairs of
+    one camera, and by those of two images alone. Images of several sizes, and parts without EXIF
+    data, share a focal length and no principal point. The same for any order of the pairs.
     """
     shared = sharing(cameras)
     fits: dict[tuple[str, ...], list[CameraFit]] = defaultdict(list)
     for pair in pairs:
-        for key, fit in _fits_of(pair, cameras, shared).items():
+        for key, fit in _fits_of(pair, cameras, shared, inside).items():
             fits[key].append(fit)
-    pooled, listed = dict(cameras), []
+    pooled = []
     for names in dict.fromkeys(shared.values()):
         first = cameras[names[0]]
         prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
@@ -127,10 +114,10 @@ def pool(
         ]
         value, std = np.zeros(SIZE), np.zeros(SIZE)
         value[open_], std[open_] = pooled_fit(useful, prior[open_], len(names))
-        for name in names:
-            pooled[name] = _pooled(cameras[name], value, std, fitted=bool(useful))
-        listed.append(PooledCamera(names, pooled[names[0]], len(useful)))
-    return pooled, listed
+        fitted = bool(useful)
+        of_names = {name: _pooled(cameras[name], value, std, fitted) for name in names}
+        pooled.append(PooledCamera(of_names, len(useful)))
+    return pooled
 
 
 def centre_moved(before: Mapping[str, Camera], after: Mapping[str, Camera]) -> bool:
@@ -192,22 +179,10 @@ def pooled_fit(
     return middle * prior, np.sqrt(np.diag(covariance)) * prior
 
 
-def as_fitted(camera: Camera, row: PairRow, fit: np.ndarray) -> Camera:
-    """The camera of a pair by its fit (7, SIZE). camera: with the projection that the pair had,
-    but for another model of the row."""
-    camera = with_model(camera, row.camera_model)
-    return _moved(camera, fit[0] - _parameters(camera))
-
-
-def _moved(camera: Camera, value: np.ndarray) -> Camera:
-    """The camera with differences (SIZE,) of its parameters."""
-    return deviating(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
-
-
 def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
     """The camera with pooled differences (SIZE,) from it, and their deviations, 0 of what is not
     fitted."""
-    moved = _moved(camera, value)
+    moved = deviating(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches")
     focal, *centre, lens, _, aspect = std.tolist()
@@ -242,16 +217,20 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
 
 
 def _fits_of(
-    pair: FittedPair, cameras: Mapping[str, Camera], shared: Mapping[str, tuple[str, ...]]
+    pair: FittedPair,
+    cameras: Mapping[str, Camera],
+    shared: Mapping[str, tuple[str, ...]],
+    inside: Collection[str],
 ) -> dict[tuple[str, ...], CameraFit]:
     """The fits of a pair's cameras; one camera of both images once."""
-    row = pair.row
-    if not row.success or pair.fits is None or row.camera_model != "assumed":
-        return {}
-    fits = {}
-    for name, fit in zip(pair.names, pair.fits, strict=True):
-        if name in shared:
-            value = fit[0] - _parameters(cameras[name])
-            weight = 1.0 if row.probability is None else row.probability
-            fits[shared[name]] = CameraFit(value, fit[1:], weight)
+    row, fits = pair.row, {}
+    if pair.fitted is not None:
+        first, second = (shared.get(name, (name,)) for name in row.names)
+        between = first != second and max(len(first), len(second)) > 1
+        weight = 1.0 if row.probability is None else row.probability
+        blocks = pair.fitted.covariance[:SIZE, :SIZE], pair.fitted.covariance[SIZE:, SIZE:]
+        for name, camera, covariance in zip(row.names, pair.fitted.cameras, blocks, strict=True):
+            if name in shared and not (between and name in inside):
+                value = _parameters(camera) - _parameters(cameras[name])
+                fits[shared[name]] = CameraFit(value, covariance, weight)
     return fits

@@ -37,8 +37,7 @@ class Poses:
         while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
             tasks = []
             for block in held:
-                names = {name for row in block.rows for name in row.names}
-                of_block = {name: cameras[name] for name in names & cameras.keys()}
+                of_block = {n: cameras[n] for row in block.rows for n in row.names if n in cameras}
                 tasks.append(Estimate(block, of_block, fit))
             for outcome in self.run(tasks):
                 assert isinstance(outcome, Matched)
@@ -46,12 +45,12 @@ class Poses:
 
 
 def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:
-    """What each pair says of its cameras, in the order of the pairs."""
+    """The pairs with the cameras that each fits, in their order."""
     pairs = []
     for block in blocks:
         for index, row, matches in zip(block.indices, block.rows, block.matches, strict=True):
-            inputs = matches.pose_inputs
-            pairs.append(FittedPair(index, row, None if inputs is None else inputs.camera_fits))
+            is_fit = row.success and row.camera_model == "assumed"
+            pairs.append(FittedPair(index, row, matches.fitted if is_fit else None))
     return sorted(pairs, key=lambda pair: pair.index)
 
 
@@ -62,18 +61,15 @@ def compared(blocks: Iterable[Matched], alone: Sequence[PairRow]) -> Iterator[Ma
     inliers = {row.names: row.num_inliers if row.success else 0 for row in alone}
     for block in blocks:
         rows, matches = list(block.rows), list(block.matches)
-        for number, row in enumerate(rows):
+        for i, row in enumerate(rows):
             one = mirrored.intersection(row.names)
             if row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
                 few = f"the folder's cameras leave {row.num_inliers} of {before} inliers"
-                rows[number] = replace(row, warnings=(*row.warnings, few))
+                rows[i] = replace(row, warnings=(*row.warnings, few))
             if len(one) == 1 and row.t is not None:
                 why = f"by most pairs {one.pop()} is a mirror image of the other photographs"
-                rows[number] = PairRow(
-                    *row.names, "mirrored", False, why, num_matches=row.num_matches
-                )
-                none = np.zeros_like(matches[number].inliers)
-                matches[number] = replace(matches[number], inliers=none)
+                rows[i] = PairRow(*row.names, "mirrored", False, why, num_matches=row.num_matches)
+                matches[i] = replace(matches[i], inliers=np.zeros_like(matches[i].inliers))
         yield replace(block, rows=rows, matches=matches)
 
 

@@ -92,24 +92,26 @@ def summary_of(
     return {
         "images": len(plan.names),
         "bad_images": dict(sorted(bad.items())),
-        "cameras": [
-            {
-                "images": len(pooled.names),
-                "first_image": pooled.names[0],
-                "focal_px": pooled.camera.focal,
-                "focal_std": pooled.camera.focal_std,
-                "focal_source": pooled.camera.focal_source,
-                "centre_px": pooled.camera.K[:2, 2].tolist(),
-                "centre_std_px": pooled.camera.centre_std,
-                "lens_std": pooled.camera.lens_std,
-                "pairs": pooled.pairs,
-                "why": pooled.why,
-            }
-            for pooled in cameras
-        ],
+        "cameras": [_camera_facts(pooled) for pooled in cameras],
         "pairs": len(plan.pairs),
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
         "bad_pairs": by_status[BAD_INPUT],
         "failed_pairs": by_status[FAILED],
         "by_status": dict(sorted(by_status.items())),
+    }
+
+
+def _camera_facts(pooled: PooledCamera) -> dict[str, Any]:
+    first, camera = next(iter(pooled.cameras.items()))
+    return {
+        "images": len(pooled.cameras),
+        "first_image": first,
+        "focal_px": camera.focal,
+        "focal_std": camera.focal_std,
+        "focal_source": camera.focal_source,
+        "centre_px": camera.K[:2, 2].tolist(),
+        "centre_std_px": camera.centre_std,
+        "lens_std": camera.lens_std,
+        "pairs": pooled.pairs,
+        "why": pooled.why,
     }

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
-from dgc_pose.batch.pooling import PooledCamera, write_cameras
+from dgc_pose.batch.pooling import PooledCamera, by_image, write_cameras
 from dgc_pose.batch.poses import Poses, compared
 from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import FAILED
@@ -70,12 +71,15 @@ def run_batch(
     source = replace(source, root=source.root.resolve(), masks=masks)
     if choice is None and source.pairs is None:
         choice = default_pair_choice(len(source.names))
+    digest, runtime = _weights_hash(matcher.weights), matcher.runtime
+    if runtime == "auto" and digest is not None:  # it differs from machine to machine
+        runtime = default_runtime(matcher.weights, matcher.device)
     settings = {
         "pairs": "source" if choice is None else asdict(choice),
         "masks": masks and str(masks),
         "weights": matcher.weights,
-        "weights_sha256": _weights_hash(matcher.weights),
-        "runtime": _runtime(matcher),
+        "weights_sha256": digest,
+        "runtime": runtime,
         "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
@@ -84,7 +88,9 @@ def run_batch(
         "format": "jsonl",  # of the rows
     }
     with _folder_alone(out):
-        before = _plan_before(out, options.resume)
+        if (out / PLAN).is_file() and not options.resume:
+            raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
+        before = read_plan(out) if (out / PLAN).is_file() else None
         plan = _first_plan(source, calibration, choice, settings)
         if before is not None:
             plan = continued(before, plan, out)
@@ -108,13 +114,16 @@ def run_batch(
             cameras: list[PooledCamera] = []
             blocks, alone = store.blocks(), store.rows
             if plan.uncertain:
-                pooled, cameras = folder_cameras(poses, plan.cameras)
-                plan = replace(plan, pooled=pooled)
-                flipped = {i for i, row in enumerate(alone) if row.status == "mirrored"}
-                for block in poses.estimated(pooled, fit=False, only=flipped):
+                cameras = folder_cameras(poses, plan.cameras)
+                plan = replace(plan, pooled=by_image(cameras))
+                flipped = [i for i, row in enumerate(alone) if row.status == "mirrored"]
+                others = [i for i, row in enumerate(alone) if row.status != "mirrored"]
+                first = list(poses.estimated(plan.final_cameras, fit=False, only=flipped))
+                for block in first:  # perhaps not by the folder's cameras
                     for index, row in zip(block.indices, block.rows, strict=True):
                         alone[index] = row
-                blocks = _counted(poses.estimated(pooled, fit=False), plan, progress)
+                blocks = chain(first, poses.estimated(plan.final_cameras, fit=False, only=others))
+                blocks = _counted(blocks, plan, progress)
             blocks = compared(blocks, alone)
             rows = write_pairs(out, blocks, store.byte_count)
         if plan.uncertain:
@@ -131,7 +140,8 @@ def run_batch(
 @contextmanager
 def _folder_alone(out: Path) -> Iterator[None]:
     """The folder to this process alone; made if missing, and removed if nothing is written."""
-    if out.exists() and not out.is_dir():
+    is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
+    if is_used and not (out / PLAN).is_file():
         raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
     made = [path for path in (out, *out.parents) if not path.exists()]
     out.mkdir(parents=True, exist_ok=True)
@@ -142,17 +152,6 @@ def _folder_alone(out: Path) -> Iterator[None]:
         with suppress(OSError):  # it holds something
             for path in made:
                 path.rmdir()
-
-
-def _plan_before(out: Path, resume: bool) -> Plan | None:
-    """The plan of the batch in `out`, which is to be resumed; None without one."""
-    if not (out / PLAN).is_file():
-        if any(not path.name.startswith(".") for path in out.iterdir()):
-            raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
-        return None
-    if not resume:
-        raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
-    return read_plan(out)
 
 
 def _first_plan(
@@ -223,13 +222,6 @@ def _capacity(plan: Plan, options: BatchOptions) -> int:
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)
     return max(2, options.worker_bytes // (largest + FEATURE_BYTES))
-
-
-def _runtime(matcher: MatcherOptions) -> str:
-    """What runs the matcher: "auto" differs from machine to machine."""
-    if matcher.runtime != "auto" or _weights_hash(matcher.weights) is None:
-        return matcher.runtime
-    return default_runtime(matcher.weights, matcher.device)
 
 
 def _weights_hash(weights: str) -> str | None:

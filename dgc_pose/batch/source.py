@@ -107,7 +107,7 @@ def survey(
     source: Source, calibration: Calibration
 ) -> tuple[dict[str, Camera], dict[str, str], dict[str, FileState]]:
     """By image name: cameras with the sizes in the headers; the reasons of images that cannot be
-    used; and the states of the files, absent for a file that cannot be asked.
+    used; and the states of the files, absent for a file without one.
 
     Raises InputError if an image has no camera or one for another size, or if one K is given for
     images of several sizes, unless these are turned by 90 degrees, see `Camera.turned`.

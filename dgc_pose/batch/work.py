@@ -1,17 +1,17 @@
 """The work of a worker: it holds a matcher and images, and matches blocks of pairs."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import NO_MATCHES, PairMatches, pair_matches
-from dgc_pose.batch.pooling import camera_fits, is_known
+from dgc_pose.batch.matches_file import NO_MATCHES, FittedCameras, PairMatches, pair_matches
+from dgc_pose.batch.pooling import is_known
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
@@ -107,67 +107,69 @@ class Worker:
 
     def _match(self, task: Match) -> Matched:
         bad: dict[str, str] = {}
-        rows, matches = zip(
-            *(self._pair(names, bad, self.job.cameras) for names in task.pairs), strict=True
-        )
+        done = [self._pair(names, self.job.cameras, bad) for names in task.pairs]
+        rows, matches = zip(*done, strict=True)
         return Matched(task.indices, rows, matches, bad)
 
+    def _estimate(self, task: Estimate) -> Matched:
+        rows, matches = list(task.block.rows), list(task.block.matches)
+        for i, (row, stored) in enumerate(zip(rows, matches, strict=True)):
+            if stored.pose_inputs is not None:
+                first, second = (task.cameras[name] for name in row.names)
+                # Two cameras err each by itself.
+                known = is_known(first) and is_known(second) and first.identity == second.identity
+                fit = task.fit_cameras or not known
+                rows[i], matches[i] = self._posed(row.names, task.cameras, stored, fit)
+            elif row.status == "mirrored":  # by cameras that were perhaps wrong
+                if not all(task.cameras[name].exact for name in row.names):
+                    rows[i], matches[i] = self._pair(row.names, task.cameras, {})
+        return Matched(task.block.indices, rows, matches, {})
+
     def _pair(
-        self, names: tuple[str, str], bad: dict[str, str], cameras: Mapping[str, Camera]
+        self, names: tuple[str, str], cameras: Mapping[str, Camera], bad: dict[str, str]
     ) -> tuple[PairRow, PairMatches]:
         """The row and the matches of a pair; the reasons of bad images are added to `bad`."""
         image1, image2 = (self._image(name) for name in names)
+        if isinstance(image1, Image) and isinstance(image2, Image):
+            return self._posed(names, cameras, (image1, image2))
         reasons = {n: i for n, i in zip(names, (image1, image2), strict=True) if isinstance(i, str)}
         bad.update(reasons)
-        if isinstance(image1, str) or isinstance(image2, str):
-            return PairRow(*names, BAD_INPUT, False, "; ".join(reasons.values())), NO_MATCHES
+        return PairRow(*names, BAD_INPUT, False, "; ".join(reasons.values())), NO_MATCHES
 
-        def posed() -> tuple[PairRow, PairMatches]:
-            camera1, camera2 = (cameras[name] for name in names)
-            search = self.matcher.search(image1, image2)
-            pose = pose_of_pair(search, camera1, camera2, self.job.estimation)
-            # Of a mirror image no camera makes a pose.
-            again = not (camera1.exact and camera2.exact) and pose.status != "mirrored"
-            stored = pair_matches(search.last, estimable=again)
-            return _posed(names, stored, pose, search.last.matches.error_px)
-
-        return _attempt(names, posed)
-
-    def _estimate(self, task: Estimate) -> Matched:
-        def estimated(row: PairRow, stored: PairMatches) -> tuple[PairRow, PairMatches]:
-            if stored.pose_inputs is None and row.status != "mirrored":
-                return row, stored
-            first, second = (task.cameras[name] for name in row.names)
-            if stored.pose_inputs is None:  # by cameras that were perhaps wrong
-                exact = first.exact and second.exact
-                return (row, stored) if exact else self._pair(row.names, {}, task.cameras)
-            known = is_known(first) and is_known(second) and first.identity == second.identity
-            fit = task.fit_cameras or not known  # two cameras err each by itself
-            names = row.names
-            return _attempt(names, lambda: self._estimated(names, stored, task.cameras, fit))
-
-        rows, matches = zip(*map(estimated, task.block.rows, task.block.matches), strict=True)
-        return Matched(task.block.indices, rows, matches, {})
-
-    def _estimated(
+    def _posed(
         self,
         names: tuple[str, str],
-        stored: PairMatches,
         cameras: Mapping[str, Camera],
-        fit_cameras: bool,
+        given: tuple[Image, Image] | PairMatches,
+        fit_cameras: bool = True,
     ) -> tuple[PairRow, PairMatches]:
-        """The row and the matches of a pair, by the pose of the matches as they are stored."""
-        matches, map_matches = stored.estimable()
-        matches = replace(matches, weights=self.matcher.fingerprint)  # all are of this matcher
-        pose = estimate_pose(
-            matches,
-            cameras[names[0]],
-            cameras[names[1]],
-            self.job.estimation,
-            map_matches=map_matches,
-            fit_cameras=fit_cameras,
-        )
-        return _posed(names, stored, pose, matches.error_px)
+        """The row and the matches of two images, or of matches as they are stored."""
+        pair, options = (cameras[names[0]], cameras[names[1]]), self.job.estimation
+        try:
+            if isinstance(given, PairMatches):
+                matches, sample = given.estimable(self.matcher.fingerprint)
+                pose = estimate_pose(
+                    matches, *pair, options, map_matches=sample, fit_cameras=fit_cameras
+                )
+                stored, error_px = given, matches.error_px
+            else:
+                search = self.matcher.search(*given)
+                pose = pose_of_pair(search, *pair, options)
+                # Of a mirror image no camera makes a pose.
+                again = not (pair[0].exact and pair[1].exact) and pose.status != "mirrored"
+                stored = pair_matches(search.last, estimable=again)
+                error_px = search.last.matches.error_px
+            fitted = None
+            if pose.camera_covariance is not None and pose.camera1 and pose.camera2:
+                fitted = FittedCameras((pose.camera1, pose.camera2), pose.camera_covariance)
+            stored = replace(stored, inliers=pose.inliers, fitted=fitted)
+            return row_of(names, pose, error_px), stored
+        except DgcPoseError as error:
+            return PairRow(*names, BAD_INPUT, False, str(error)), NO_MATCHES
+        except MemoryError:  # every further pair would meet it too
+            raise
+        except Exception as error:  # one pair of a million must not end the batch
+            return PairRow(*names, FAILED, False, f"{type(error).__name__}: {error}"), NO_MATCHES
 
     def _image(self, name: str) -> Image | str:
         """An image, or the reason why it cannot be used."""
@@ -193,27 +195,3 @@ class Worker:
 
 def _bytes(name: str, image: Image | str) -> int:
     return 0 if isinstance(image, str) else image.pixels.nbytes + FEATURE_BYTES
-
-
-def _posed(
-    names: tuple[str, str], stored: PairMatches, pose: RelativePose, error_px: float
-) -> tuple[PairRow, PairMatches]:
-    """The row, and the matches with the inliers of the pose; error_px: that of the matches."""
-    inputs = stored.pose_inputs
-    if inputs is not None:
-        inputs = replace(inputs, camera_fits=camera_fits(pose))
-    return row_of(names, pose, error_px), replace(stored, inliers=pose.inliers, pose_inputs=inputs)
-
-
-def _attempt(
-    names: tuple[str, str], work: Callable[[], tuple[PairRow, PairMatches]]
-) -> tuple[PairRow, PairMatches]:
-    """The result of `work`, or the row of a pair whose input is unusable or that failed."""
-    try:
-        return work()
-    except DgcPoseError as error:
-        return PairRow(*names, BAD_INPUT, False, str(error)), NO_MATCHES
-    except MemoryError:  # every further pair would meet it too
-        raise
-    except Exception as error:  # one pair of a million must not end the batch
-        return PairRow(*names, FAILED, False, f"{type(error).__name__}: {error}"), NO_MATCHES

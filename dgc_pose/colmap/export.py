@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.pooling import as_fitted
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
@@ -62,14 +61,11 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
     geometries, final = [], batch.plan.final_cameras
     for row, matches in batch.matches():
         if row.status in CONFIGURATIONS:
-            cameras = [final[name] for name in row.names]
-            inputs = matches.pose_inputs
-            if inputs is not None and inputs.camera_fits is not None:
-                fitted = zip(cameras, inputs.camera_fits, strict=True)
-                cameras = [as_fitted(camera, row, fit) for camera, fit in fitted]
             arrays = (matches.points1, matches.points2, matches.scores)
             inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
-            geometries.append(PairGeometry(row, (cameras[0], cameras[1]), *inliers))
+            of_folder = final[row.name1], final[row.name2]
+            cameras = matches.fitted.cameras if matches.fitted else of_folder
+            geometries.append(PairGeometry(row, cameras, *inliers))
     return geometries
 
 

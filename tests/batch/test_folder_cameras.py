@@ -12,7 +12,7 @@ from camera_scene import camera_scene, pinhole
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.matches_file import PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan
-from dgc_pose.batch.pooling import PooledCamera
+from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.store import PairStore
@@ -70,12 +70,13 @@ def _folder(
         done.extend(tasks)
         return map(worker.do, tasks)
 
-    return *folder_cameras(Poses(store, run, 1), priors), done
+    listed = folder_cameras(Poses(store, run, 1), priors)
+    return by_image(listed), listed, done
 
 
 def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path: Path) -> None:
     cameras, (one,), tasks = _folder(tmp_path, [pinhole(FOCAL, SIZE)] * COUNT)
-    assert one.names == tuple(cameras) and one.why == "" and not tasks
+    assert len(one.cameras) == COUNT and one.why == "" and not tasks
     assert all(camera.focal == pytest.approx(FOCAL, rel=0.02) for camera in cameras.values())
 
 
@@ -89,8 +90,8 @@ def test_a_zoomed_or_cut_photograph_has_a_camera_of_its_own(
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[1] = pinhole(focal, SIZE, centre=centre)
     cameras, listed, _ = _folder(tmp_path, true)
-    assert [len(one.names) for one in listed] == [COUNT - 1, 1]
-    assert listed[1].names == (SECOND,) and listed[1].why
+    assert [len(one.cameras) for one in listed] == [COUNT - 1, 1]
+    assert {*listed[1].cameras} == {SECOND} and listed[1].why
     own = cameras.pop(SECOND)
     assert own.identity is None and own.focal == pytest.approx(focal, rel=0.05)
     off = np.abs(own.K[:2, 2] - true[1].K[:2, 2])
@@ -123,7 +124,7 @@ def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path: Path) -> Non
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[1] = pinhole(FOCAL, part, centre=(-150.0, -100.0))
     cameras, listed, _ = _folder(tmp_path, true)
-    assert listed[-1].names == (SECOND,)
+    assert {*listed[-1].cameras} == {SECOND}
     own = cameras[SECOND]
     assert own.focal == pytest.approx(FOCAL, rel=0.08)
     assert (np.abs(own.K[:2, 2] - true[1].K[:2, 2]) < 3 * own.centre_std).all()
@@ -134,11 +135,11 @@ def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path: Path) -> None:
     """An action camera's fisheye, of which no file says anything."""
     size = (1280, 960)
     fisheye = pinhole(620.0, size, Distortion(FISHEYE, (0.0,) * 4))
-    cameras, (one,), _ = _folder(tmp_path, [fisheye] * COUNT)
+    cameras, _, _ = _folder(tmp_path, [fisheye] * COUNT)
     for camera in cameras.values():
         assert camera.distortion is not None and camera.distortion.model == FISHEYE
         assert camera.focal == pytest.approx(620.0, rel=0.03)
-    assert one.camera.lens_std < 0.1
+        assert camera.lens_std < 0.1
 
 
 def test_a_stated_camera_stays_that_of_all(tmp_path: Path) -> None:
@@ -146,8 +147,9 @@ def test_a_stated_camera_stays_that_of_all(tmp_path: Path) -> None:
     true = [pinhole(FOCAL, SIZE)] * COUNT
     stated = replace(true[0], focal_std=0.05, identity="K")
     true[1] = pinhole(1.5 * FOCAL, SIZE)
-    _, listed, _ = _folder(tmp_path, true, {f"{i}.png": stated for i in range(COUNT)})
-    assert [one.names for one in listed] == [tuple(f"{i}.png" for i in range(COUNT))]
+    priors = {f"{i}.png": stated for i in range(COUNT)}
+    _, (one,), _ = _folder(tmp_path, true, priors)
+    assert {*one.cameras} == {*priors}
 
 
 def test_a_squeezed_photograph_has_the_camera_of_the_others(tmp_path: Path) -> None:
@@ -155,5 +157,5 @@ def test_a_squeezed_photograph_has_the_camera_of_the_others(tmp_path: Path) -> N
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[1] = true[0].resized((900, 800))
     cameras, listed, _ = _folder(tmp_path, true)
-    assert "squeezed" in listed[-1].why and listed[-1].names == (SECOND,)
+    assert "squeezed" in listed[-1].why and {*listed[-1].cameras} == {SECOND}
     np.testing.assert_allclose(cameras[SECOND].K[[0, 1], [0, 1]], (825.0, 1100.0), rtol=0.02)

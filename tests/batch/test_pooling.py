@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.pooling import (
     CameraFit,
     FittedPair,
-    as_fitted,
-    camera_fits,
+    by_image,
     centre_moved,
     pool,
     pooled_fit,
@@ -20,8 +20,6 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation import estimate_pose
-from two_view import two_view_scene
 
 PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
 SIZE = (100, 80)
@@ -93,11 +91,13 @@ def _camera(identity: str | None) -> Camera:
 
 def _pair(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> FittedPair:
     """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
-    fit = np.zeros((2, 7, 6))
-    fit[:, 0] = [(np.log(focal), 51.5, 39.5, 0.05, -0.1, 0.0) for focal in (focal1, focal2)]
-    fit[:, 1:] = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4])
+    lens = Distortion("RADIAL", (0.05, -0.1))
+    first, second = (
+        Camera(np.array([focal, focal, 51.5, 39.5]), SIZE, lens) for focal in (focal1, focal2)
+    )
+    covariance = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4] * 2)
     row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
-    return FittedPair(0, row, fit)
+    return FittedPair(0, row, FittedCameras((first, second), covariance))
 
 
 def test_each_camera_has_its_pairs() -> None:
@@ -105,18 +105,16 @@ def test_each_camera_has_its_pairs() -> None:
     cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
     exact = {"focal_std": 0.0, "centre_std": 0.0, "lens_std": 0.0, "focal_source": "given"}
     cameras["e"] = replace(_camera("y"), **exact)  # type: ignore[arg-type]
-    failed = _pair("a", "c", 500, 500)
     pairs = [
         _pair("a", "b", 121, 121),
         _pair("a", "c", 121, 99),
         _pair("c", "b", 99, 121),
         _pair("a", "d", 121, 300, std=0.39),
-        replace(failed, row=replace(failed.row, success=False)),
-        replace(failed, row=replace(failed.row, camera_model="squeezed")),
-        FittedPair(0, PairRow("a", "e", "bad_input", False, "too small"), None),
+        replace(_pair("a", "c", 500, 500), fitted=None),
     ]
-    pooled, listed = pool(cameras, pairs)
-    assert [one.names for one in listed] == [("a", "b"), ("c",), ("d",)]
+    listed = pool(cameras, pairs)
+    pooled = by_image(listed)
+    assert [tuple(one.cameras) for one in listed] == [("a", "b"), ("c",), ("d",)]
     assert [one.pairs for one in listed] == [3, 2, 0]
     assert pooled["a"].focal == pooled["b"].focal == pytest.approx(121, rel=1e-3)
     assert pooled["c"].focal == pytest.approx(99, rel=1e-3)
@@ -129,8 +127,7 @@ def test_each_camera_has_its_pairs() -> None:
     assert pooled["d"].distortion is None and pooled["d"].lens_std == LENS
     assert (pooled["d"].focal, pooled["d"].focal_std) == (110, PRIOR)
     assert pooled["d"].focal_source == "exif" and pooled["d"].centre_std == CENTRE
-    assert pooled["e"] is cameras["e"]
-    backwards, _ = pool(cameras, pairs[::-1])
+    backwards = by_image(pool(cameras, pairs[::-1]))
     for name, camera in pooled.items():
         np.testing.assert_array_equal(backwards[name].K, camera.K)
 
@@ -143,7 +140,7 @@ def test_a_principal_point_far_from_its_prior(shift: float, far: bool) -> None:
 
 def test_images_of_two_sizes_share_no_principal_point() -> None:
     cameras = {"a": _camera("x"), "b": replace(_camera("x"), size=SIZE[::-1])}
-    pooled, _ = pool(cameras, [_pair("a", "b", 121, 121)])
+    pooled = by_image(pool(cameras, [_pair("a", "b", 121, 121)]))
     for name in "ab":
         assert pooled[name].focal == pytest.approx(121, rel=1e-3)
         np.testing.assert_array_equal(pooled[name].K[:2, 2], K[:2, 2])
@@ -166,25 +163,3 @@ def test_the_cameras_are_read_back(tmp_path: Path) -> None:
         assert again[name].size == SIZE and again[name].identity == camera.identity
         assert again[name].focal_std == camera.focal_std
         assert (again[name].centre_std, again[name].lens_std) == (CENTRE, camera.lens_std)
-
-
-def test_the_fit_of_a_pair_is_its_cameras() -> None:
-    """The parameters of each, and their block of the covariance; and back again."""
-    scene = two_view_scene("skew", same_camera=True)
-    loose = [replace(camera, focal_std=0.1, lens_std=0.05) for camera in scene.cameras]
-    pose = estimate_pose(scene.matches, *loose)
-    fits = camera_fits(pose)
-    assert fits is not None and fits.shape == (2, 7, 6)
-    assert pose.camera_covariance is not None and pose.evidence is not None
-    for number, camera in enumerate((pose.camera1, pose.camera2)):
-        assert camera is not None and camera.distortion is not None
-        fx, fy = camera.K[0, 0], camera.K[1, 1]
-        expected = [np.log((fx + fy) / 2), *camera.K[:2, 2], *camera.distortion.coefficients]
-        np.testing.assert_allclose(fits[number, 0], [*expected, np.log(fy / fx)])
-        rows = slice(6 * number, 6 * number + 6)
-        np.testing.assert_array_equal(fits[number, 1:], pose.camera_covariance[rows, rows])
-        row = PairRow("a", "b", "ok", True, "a pose")
-        back = as_fitted(loose[number], row, fits[number])
-        np.testing.assert_allclose(back.K, camera.K, atol=1e-9)
-        np.testing.assert_allclose(back.distortion.coefficients, camera.distortion.coefficients)
-    assert camera_fits(estimate_pose(scene.matches, *scene.cameras)) is None

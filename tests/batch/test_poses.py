@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import NO_MATCHES
-from dgc_pose.batch.poses import compared
+from dgc_pose.batch.matches_file import NO_MATCHES, FittedCameras
+from dgc_pose.batch.poses import compared, fitted_pairs
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.work import Matched
+from dgc_pose.cameras.camera import Camera
 
 
 def _row(first: str, second: str, status: str = "ok", inliers: int = 9) -> PairRow:
@@ -65,3 +66,17 @@ def test_inliers_that_the_cameras_of_the_folder_lose_are_told() -> None:
     (lost, _), (kept, _), (refused, _) = _compared(alone, rows)
     assert lost.warnings == ("the folder's cameras leave 4 of 9 inliers",)
     assert kept == rows[1] and refused == rows[2]
+
+
+def test_a_pair_without_a_pose_or_of_another_camera_model_fits_no_camera() -> None:
+    camera = Camera(np.eye(3))
+    matches = replace(NO_MATCHES, fitted=FittedCameras((camera, camera), np.eye(12)))
+    rows = [_row("a", "b"), _row("a", "c", "improbable")]
+    rows.append(replace(_row("b", "c"), camera_model="squeezed"))
+    later, first = (
+        Matched((2,), rows[2:], [matches], {}),
+        Matched((0, 1), rows[:2], [matches] * 2, {}),
+    )
+    pairs = fitted_pairs([later, first])
+    assert [pair.row for pair in pairs] == rows
+    assert [pair.fitted is not None for pair in pairs] == [True, False, False]

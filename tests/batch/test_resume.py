@@ -67,7 +67,7 @@ CHANGES = {
     "folder": (_move, {}, "had the folder "),
     "masks": (_mask, {"masks": "masks"}, "had the option masks null, not "),
     "added": (_add, {}, "photos/added.png is new since that batch: "),
-    "removed": (_remove, {}, "photos/view2.png is not in the source any more: "),
+    "removed": (_remove, {}, "photos/view2.png has gone since that batch: "),
     "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
     "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }

@@ -13,7 +13,7 @@ import pycolmap
 import torch
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.batch.matches_file import PairMatches, PoseInputs
+from dgc_pose.batch.matches_file import FittedCameras, PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan, read_plan, write_plan
 from dgc_pose.batch.result import read_batch, summary_of, write_pairs
 from dgc_pose.batch.rows import BAD_INPUT, HypothesisRow, PairRow
@@ -222,8 +222,10 @@ def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
 def _matches(count: int) -> PairMatches:
     points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
     scores, every = np.ones(count, np.float32), np.ones(count, bool)
-    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0), np.zeros((2, 7, 6)))
-    return PairMatches(points, points + 1, scores, every, again)
+    camera = Camera(np.array([9.0, 9.0, 4.5, 3.5]), (10, 8), focal_std=0.1)
+    fitted = FittedCameras((camera, camera), np.eye(12))
+    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0))
+    return PairMatches(points, points + 1, scores, every, again, fitted)
 
 
 def _read_store(folder: Path, path: Path) -> None:
