@@ -111,10 +111,10 @@ def locate(
         if place.plot is not None:
             figure = plot_location(model, photos[0], locations[photos[0]])
             save_figure(figure, stage(place.plot))
-        if place.add is not None:
-            write_model_with(place.add, extended, locations)
     if place.json == STDOUT:
         click.echo(data, nl=False)
+    if place.add is not None:  # last: a model of COLMAP holds not every camera
+        write_model_with(place.add, extended, locations)
     return 0 if all(location.success for location in locations.values()) else NO_POSE
 
 

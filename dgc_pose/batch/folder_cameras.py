@@ -25,11 +25,10 @@ from dgc_pose.batch.pooling import (
 from dgc_pose.batch.poses import Poses, fitted_pairs
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import Size
 from dgc_pose.cameras.prior import SHARED, SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.evidence import ModelName
-from dgc_pose.geometry.pixels import same_shape
+from dgc_pose.geometry.pixels import Size, same_shape
 
 Cameras = Mapping[str, Camera]  # by image name, with the image's size
 _MIN_GROUP = 3  # images of a camera that one of them can contradict
@@ -138,7 +137,8 @@ def _whose(
     of_groups = {name: known[name] for name in certain if name in groups}
     whose = {}
     for name, camera in {**of_groups, **by_image(own.values())}.items():
-        others = (n for n in certain if rank(n) < rank(name) and _agrees(camera, known[n]))
+        larger = (n for n in certain if n not in own and rank(n) < rank(name))
+        others = (n for n in larger if _agrees(camera, known[n]))
         if start[name].focal_source != "given" and (other := next(others, None)):
             whose[name] = other
     return whose

@@ -134,12 +134,16 @@ class Camera:
         """The camera of pixels as stored, of `size` (width, height), by that of the image that an
         EXIF orientation of `QUARTERS` makes of them; and the turn (3, 3) to its axes.
 
-        Raises InputError if K has a skew or the lens a prism, and there is a turn.
+        Raises InputError if K has a skew or the lens an axis of its own, and there is a turn.
         """
         turn, middle, lens = np.eye(3), (np.array(size) - 1) / 2, self.distortion
         turn[:2, :2] = np.linalg.matrix_power([[0, 1], [-1, 0]], QUARTERS[orientation])
-        if orientation != 1 and (self.K[0, 1] or (lens is not None and "PRISM" in lens.model)):
-            raise InputError("K has a skew or a prism, which are not turned: give a K as stored")
+        of_axis = lens is not None and ("PRISM" in lens.model or lens.projection == "cylinder")
+        if orientation != 1 and (self.K[0, 1] or of_axis):
+            raise InputError(
+                "K has a skew, a prism or a cylinder, which are not turned: give the photographs "
+                "that are turned a K of their own"
+            )
         K = turn @ self.K @ turn.T
         K[:2, 2] += middle - turn[:2, :2] @ np.abs(turn[:2, :2]) @ middle
         if lens is not None and lens.model in ("OPENCV", "FULL_OPENCV"):
@@ -151,8 +155,8 @@ class Camera:
     def turned(self, size: tuple[int, int], orientation: int) -> Camera:
         """The camera of photographs that are stored turned by 90 degrees, with this `size` (width,
         height); EXIF orientation 6 or 8 undoes it. With any other it is not known in which sense:
-        then the principal point is the middle, with a deviation, and that of an exact camera is of
-        its image alone. Raises InputError as `as_stored`, and if the sense changes the lens."""
+        then the principal point is the middle, with a deviation, and the camera is of its image
+        alone. Raises InputError as `as_stored`, and if the sense changes the lens."""
         if orientation in (6, 8):
             return self.as_stored(size, orientation)[0]
         camera, _ = self.as_stored(size, 6)
@@ -161,7 +165,7 @@ class Camera:
         K, middle = camera.K.copy(), (np.array(size) - 1) / 2
         std = math.hypot(self.centre_std, *(K[:2, 2] - middle))
         K[:2, 2] = middle
-        return replace(camera, K=K, centre_std=std, identity=None if self.exact else self.identity)
+        return replace(camera, K=K, centre_std=std, identity=None)
 
 
 @dataclass(frozen=True, eq=False)

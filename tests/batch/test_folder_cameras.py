@@ -118,6 +118,16 @@ def test_a_resized_photograph_has_the_camera_of_the_others(
     assert small.focal == pytest.approx(FOCAL / 2, rel=0.02)
 
 
+def test_a_resized_photograph_does_not_have_the_camera_of_a_zoomed_one(tmp_path: Path) -> None:
+    """Which comes first, and is of the size and EXIF data of the others."""
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true[0] = pinhole(1.5 * FOCAL, SIZE)
+    true[-1] = true[-1].resized((SIZE[0] // 2, SIZE[1] // 2))
+    cameras, _, _ = _folder(tmp_path, true)
+    found = [cameras[name].focal for name in sorted(cameras)]
+    np.testing.assert_allclose(found, [camera.focal for camera in true], rtol=0.05)
+
+
 def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path: Path) -> None:
     """The lower right three quarters of a photograph, as they are."""
     part = (900, 600)
