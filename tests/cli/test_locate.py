@@ -62,6 +62,18 @@ def test_a_photograph_is_placed(scene: tuple[Path, list[View]], tmp_path: Path) 
     np.testing.assert_allclose(added.cam_from_world().matrix()[:, 3], data["t"], atol=1e-9)
 
 
+def test_a_location_is_written_though_no_model_of_COLMAP_holds_its_camera(
+    scene: tuple[Path, list[View]], tmp_path: Path
+) -> None:
+    skewed = K + np.array([[0, 0.5, 0], [0, 0, 0], [0, 0, 0]])
+    np.savetxt(tmp_path / "K.txt", skewed)
+    files = ("--json", tmp_path / "o.json", "--add", tmp_path / "model")
+    result = locate(scene[0], "--K", tmp_path / "K.txt", *files)
+    assert result.exit_code == 2 and "skew" in result.stderr
+    (data,) = json.loads((tmp_path / "o.json").read_text()).values()
+    assert data["status"] == "located" and not (tmp_path / "model").exists()
+
+
 def test_a_photograph_of_the_model_is_told_and_no_reference(
     scene: tuple[Path, list[View]],
 ) -> None:
