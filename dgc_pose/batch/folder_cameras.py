@@ -9,7 +9,7 @@ photograph has that camera after all.
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from dgc_pose.batch.pooling import (
     pool,
     sharing,
 )
-from dgc_pose.batch.poses import Poses, fitted_pairs
+from dgc_pose.batch.poses import Poses, epipolar_error_px, fitted_pairs
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SHARED, SIZE_STD
@@ -39,7 +39,7 @@ _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
 _MOST_FOCAL_STD = 0.1  # of ln f, above which a fit agrees with any camera
 _PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
 _CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
-_AS_MANY = 0.97  # of the inliers of a free fit, that those of a squeezed camera are
+_LEAST_ERROR_PX = 1e-6  # that has a logarithm
 _MOST_PAIRS = 6  # that a camera of its own is fitted to, those of the most inliers
 
 
@@ -116,8 +116,10 @@ def _own_cameras(
         size = _size(camera)
         if other := next((n for n in certain if not same_shape(size, _size(known[n]))), None):
             squeezed = known[other].resized(size)
-            fixed = fitted_pairs(poses.estimated({**known, name: squeezed}, fit=False, only=some))
-            if _inliers(fixed) > _AS_MANY * _inliers(refitted):
+            either = [{**exact, name: c.as_exact()} for c in (squeezed, fit)]
+            errors, of_fit = (_median_errors(poses, cameras, some) for cameras in either)
+            # A part of a picture is of another shape too, and has hardly fewer inliers as squeezed.
+            if sum(math.log(errors[i] / of_fit[i]) for i in errors.keys() & of_fit.keys()) < 0:
                 why = f"the camera of {other}, squeezed"
                 own[name] = PooledCamera({name: squeezed}, found.pairs, why)
     return own
@@ -182,9 +184,16 @@ def _is_ample(row: PairRow) -> bool:
     return row.num_inliers >= _MIN_INLIERS and row.status not in ("rotation_only", "same_picture")
 
 
-def _inliers(pairs: Sequence[FittedPair]) -> int:
-    """Of all pairs with a pose."""
-    return sum(pair.row.num_inliers for pair in pairs if pair.row.success)
+def _median_errors(poses: Poses, cameras: Cameras, only: Collection[int]) -> dict[int, float]:
+    """By pair with a pose by these cameras the median epipolar error of its matches, pixels."""
+    errors = {}
+    for block in poses.estimated(cameras, fit=False, only=only):
+        for index, row, found in zip(block.indices, block.rows, block.matches, strict=True):
+            if row.t is not None:
+                of_pair = [cameras[name] for name in row.names]
+                error = epipolar_error_px(row, of_pair, found.points1, found.points2)
+                errors[index] = max(float(np.median(error)), _LEAST_ERROR_PX)
+    return errors
 
 
 def _own(camera: Camera, *, doubted: bool) -> Camera:

@@ -14,6 +14,7 @@ from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import Estimate, Matched
 from dgc_pose.batch.workers import RunTasks
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 
 _BLOCKS_HELD = 4  # of matches in memory, for each worker
 _FEW_LEFT = 0.5  # of the inliers of a pair by itself
@@ -42,6 +43,20 @@ class Poses:
             for outcome in self.run(tasks):
                 assert isinstance(outcome, Matched)
                 yield outcome
+
+
+def epipolar_error_px(
+    row: PairRow, cameras: Sequence[Camera], points1: np.ndarray, points2: np.ndarray
+) -> np.ndarray:
+    """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
+    where distortion cannot be undone, and 0 without a translation. cameras: that the pose is of."""
+    if row.R is None or row.t is None:
+        return np.zeros(len(points1))
+    camera1, camera2 = cameras
+    E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
+    focal = (camera1.focal + camera2.focal) / 2
+    distance = sampson_distance(camera1.normalise(points1), camera2.normalise(points2), E) * focal
+    return np.where(np.isfinite(distance), distance, np.inf)
 
 
 def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:

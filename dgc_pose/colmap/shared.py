@@ -11,7 +11,6 @@ import numpy as np
 
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 
 Names = tuple[str, str]
 
@@ -74,18 +73,6 @@ def _connected(count: int, ends: np.ndarray) -> np.ndarray:
         if np.array_equal(least, label):
             return label
         label = least
-
-
-def epipolar_error_px(pair: PairGeometry, points1: np.ndarray, points2: np.ndarray) -> np.ndarray:
-    """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
-    where distortion cannot be undone, and 0 without a translation."""
-    row, (camera1, camera2) = pair.row, pair.cameras
-    if row.R is None or row.t is None:
-        return np.zeros(len(points1))
-    E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
-    focal = (camera1.focal + camera2.focal) / 2
-    distance = sampson_distance(camera1.normalise(points1), camera2.normalise(points2), E) * focal
-    return np.where(np.isfinite(distance), distance, np.inf)
 
 
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:

@@ -14,13 +14,8 @@ from itertools import permutations
 import cv2
 import numpy as np
 
-from dgc_pose.colmap.shared import (
-    Names,
-    PairGeometry,
-    SharedMatches,
-    epipolar_error_px,
-    one_to_one,
-)
+from dgc_pose.batch.poses import epipolar_error_px
+from dgc_pose.colmap.shared import Names, PairGeometry, SharedMatches, one_to_one
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
@@ -87,7 +82,7 @@ def _tracks_of(
         if pair.row.name1 == name:
             points1, points2 = points2, points1
         tolerance = _MAX_ERROR_PX * max(1.0, scale)
-        good = epipolar_error_px(pair, points1, points2) <= tolerance
+        good = epipolar_error_px(pair.row, pair.cameras, points1, points2) <= tolerance
         tracks[other] = Transferred(moved.corner[good], moved.points[good], moved.zncc[good])
     return corners, tracks
 
@@ -195,8 +190,8 @@ class _Builder:
                 _, in1, in2 = np.intersect1d(
                     track1.corner, track2.corner, assume_unique=True, return_indices=True
                 )
-                points = track1.points[in1], track2.points[in2]
-                fits = epipolar_error_px(self._pairs[names], *points) <= _MAX_ERROR_PX
+                pair, points = self._pairs[names], (track1.points[in1], track2.points[in2])
+                fits = epipolar_error_px(pair.row, pair.cameras, *points) <= _MAX_ERROR_PX
                 in1, in2 = in1[fits], in2[fits]
                 scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
                 self._add_matches(names, indices[names[0]][in1], indices[names[1]][in2], scores)

@@ -141,6 +141,14 @@ def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path: Path) -> Non
     assert cameras["0.png"].focal == pytest.approx(FOCAL, rel=0.02)
 
 
+def test_a_part_of_another_width_is_not_a_squeezed_photograph(tmp_path: Path) -> None:
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true[1] = pinhole(FOCAL, (SIZE[1], SIZE[1]))
+    cameras, listed, _ = _folder(tmp_path, true)
+    assert {*listed[-1].cameras} == {SECOND} and "squeezed" not in listed[-1].why
+    np.testing.assert_allclose(cameras[SECOND].K[[0, 1], [0, 1]], FOCAL, rtol=0.05)
+
+
 def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path: Path) -> None:
     """An action camera's fisheye, of which no file says anything."""
     size = (1280, 960)

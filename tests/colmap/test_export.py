@@ -7,12 +7,12 @@ from camera_scene import camera_scene, pinhole
 
 from dgc_pose.batch.matches_file import PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan
+from dgc_pose.batch.poses import epipolar_error_px
 from dgc_pose.batch.result import Batch, write_pairs
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.work import Estimate, Job, Matched, Worker
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.colmap.export import pair_geometries
-from dgc_pose.colmap.shared import epipolar_error_px
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
@@ -39,6 +39,6 @@ def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Pa
     focals = [camera.focal for camera in pair.cameras]
     np.testing.assert_allclose(focals, (rows[0].focal1, rows[0].focal2))
     assert len(pair.points1) > 0.7 * len(scores)
-    assert epipolar_error_px(pair, pair.points1, pair.points2).max() < 3
-    unknown = type(pair)(pair.row, (first, second), pair.points1, pair.points2, pair.scores)
-    assert np.median(epipolar_error_px(unknown, pair.points1, pair.points2)) > 3
+    assert epipolar_error_px(pair.row, pair.cameras, pair.points1, pair.points2).max() < 3
+    points = pair.points1, pair.points2
+    assert np.median(epipolar_error_px(pair.row, (first, second), *points)) > 3

@@ -7,7 +7,8 @@ from colmap_scene import cloud_pairs, project
 from multi_view import SIZE, render_views
 from scipy.spatial import cKDTree
 
-from dgc_pose.colmap.shared import SharedMatches, epipolar_error_px
+from dgc_pose.batch.poses import epipolar_error_px
+from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.images.image import Image
 from dgc_pose.images.mask import masked
@@ -49,7 +50,7 @@ def test_corners_are_located_better_than_the_matches() -> None:
         index = shared.pairs[pair.names]
         assert len(index) > 50
         points = [shared.key_points[name][index[:, k]] for k, name in enumerate(pair.names)]
-        errors.append(np.median(epipolar_error_px(pair, *points)))
+        errors.append(np.median(epipolar_error_px(pair.row, pair.cameras, *points)))
     assert np.mean(errors) < 0.05
     assert (shared.track_lengths() == 4).sum() > 100
 
