@@ -116,10 +116,10 @@ def _own_cameras(
         size = _size(camera)
         if other := next((n for n in certain if not same_shape(size, _size(known[n]))), None):
             squeezed = known[other].resized(size)
-            either = [{**exact, name: c.as_exact()} for c in (squeezed, fit)]
-            errors, of_fit = (_median_errors(poses, cameras, some) for cameras in either)
             # A part of a picture is of another shape too, and has hardly fewer inliers as squeezed.
-            if sum(math.log(errors[i] / of_fit[i]) for i in errors.keys() & of_fit.keys()) < 0:
+            either = [{**exact, name: c.as_exact()} for c in (squeezed, fit)]
+            errors = zip(*(_log_errors(poses, cameras, some) for cameras in either), strict=True)
+            if sum(as_squeezed - as_fit for as_squeezed, as_fit in errors) < 0:
                 why = f"the camera of {other}, squeezed"
                 own[name] = PooledCamera({name: squeezed}, found.pairs, why)
     return own
@@ -184,16 +184,18 @@ def _is_ample(row: PairRow) -> bool:
     return row.num_inliers >= _MIN_INLIERS and row.status not in ("rotation_only", "same_picture")
 
 
-def _median_errors(poses: Poses, cameras: Cameras, only: Collection[int]) -> dict[int, float]:
-    """By pair with a pose by these cameras the median epipolar error of its matches, pixels."""
+def _log_errors(poses: Poses, cameras: Cameras, only: Collection[int]) -> list[float]:
+    """By pair the logarithm of the median epipolar error of its matches by these cameras, pixels;
+    of a pair that has no pose with them that of a pixel."""
     errors = {}
     for block in poses.estimated(cameras, fit=False, only=only):
         for index, row, found in zip(block.indices, block.rows, block.matches, strict=True):
+            error = np.ones(1)
             if row.t is not None:
                 of_pair = [cameras[name] for name in row.names]
                 error = epipolar_error_px(row, of_pair, found.points1, found.points2)
-                errors[index] = max(float(np.median(error)), _LEAST_ERROR_PX)
-    return errors
+            errors[index] = math.log(min(max(float(np.median(error)), _LEAST_ERROR_PX), 1.0))
+    return [errors[index] for index in sorted(errors)]
 
 
 def _own(camera: Camera, *, doubted: bool) -> Camera:
