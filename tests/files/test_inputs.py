@@ -4,9 +4,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files.arrays import as_numpy
-from dgc_pose.files.inputs import TEXT_BYTES, read_start, read_text
+from dgc_pose.files.inputs import TEXT_BYTES, open_regular, read_start, read_text
+from dgc_pose.images.image import image_header
 
 
 def test_an_error_of_the_reading_names_the_file() -> None:
@@ -19,6 +20,10 @@ def test_an_error_of_the_reading_names_the_file() -> None:
 def test_a_regular_file_that_waits_for_its_next_line_is_not_waited_for() -> None:
     read_start("/proc/kmsg", 2**26)  # more than the log holds
     assert len(read_start("/proc/kmsg", 2**26)) < 2**26
+    with open_regular("/proc/kmsg") as stream:
+        assert isinstance(stream.read(8), bytes) and isinstance(stream.read(), bytes)
+    with pytest.raises(ImageError, match="/proc/kmsg"):
+        image_header(Path("/proc/kmsg"))
 
 
 @pytest.mark.parametrize(
