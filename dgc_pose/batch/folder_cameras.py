@@ -86,6 +86,7 @@ def _own_cameras(
     known: as the pairs of each identity determine them; certain: the photographs of which they do.
     """
     own: dict[str, PooledCamera] = {}
+    exact = {name: camera.as_exact() for name, camera in known.items()}
     for name, names in sharing(start).items():
         camera, agreeing, single = start[name], 0, len(names) == 1
         if not single:
@@ -101,7 +102,6 @@ def _own_cameras(
         some = {pair.index for pair in chosen[:_MOST_PAIRS]}
         tried = {**known, name: _own(camera, doubted=not single)}
         refitted = fitted_pairs(poses.estimated(tried, fit=True, only=some))
-        exact = {other: c.as_exact() for other, c in known.items()}
         (found,) = pool({**exact, name: tried[name]}, refitted)
         # A wide fit contradicts no pairs that agree, or that determine as little.
         contradicts = agreeing == 0 and any(
