@@ -218,7 +218,7 @@ def test_errors_of_the_system_pass(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def refuse(*_: object, **__: object) -> int:
         raise PermissionError(13, "Permission denied", str(path))
 
-    for function in ("builtins.open", "os.stat"):
+    for function in ("os.open", "os.stat"):
         with monkeypatch.context() as patch:
             patch.setattr(function, refuse)
             with pytest.raises(InputError, match=r"^K1: .*k\.txt: Permission denied$"):
