@@ -7,7 +7,7 @@ import torch.nn.functional as F
 
 from dgc_pose.network.net import global_correlation, l2_normalise
 from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss
-from dgc_pose.training.synthesis.map_pairs import level_truth
+from dgc_pose.training.map_pairs import level_truth
 
 
 def _identity(size: int) -> torch.Tensor:

@@ -7,8 +7,8 @@ import pytest
 import torch
 from map_nets import MapNet, half_sure, shifted
 
-from dgc_pose.training.evaluation.map_comparison import compare
-from dgc_pose.training.synthesis.map_pairs import MapPairs
+from dgc_pose.benchmarks.map_comparison import compare
+from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.validation import validate
 
 

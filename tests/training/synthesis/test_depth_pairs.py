@@ -11,6 +11,7 @@ from depth_folder import rendered, write_rgbd
 from procedural import procedural_textures
 
 from dgc_pose.errors import InputError
+from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.synthesis.depth_pairs import depth_pairs
 from dgc_pose.training.synthesis.depth_scenes import (
     DepthScenes,
@@ -18,7 +19,6 @@ from dgc_pose.training.synthesis.depth_scenes import (
     load_depth_scenes,
     training_frames,
 )
-from dgc_pose.training.synthesis.map_pairs import MapPairs
 from dgc_pose.training.synthesis.options import DepthOptions, PairOptions
 from dgc_pose.training.synthesis.photos import Photos
 from dgc_pose.training.synthesis.posed_depth import read_rgbd

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from procedural import procedural_textures
 from still_light import STILL
 
-from dgc_pose.training.synthesis.map_pairs import MapPairs
+from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.synthesis.options import PairOptions
 from dgc_pose.training.synthesis.photometric import random_photometric
 from dgc_pose.training.synthesis.photos import Photos

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from dgc_pose.training.synthesis.map_pairs import point_grid
+from dgc_pose.training.map_pairs import point_grid
 from dgc_pose.training.synthesis.options import WarpOptions
 from dgc_pose.training.synthesis.warps import apply_homography, homography_from_corners, random_warp
 

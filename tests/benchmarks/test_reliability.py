@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dgc_pose.training.evaluation.reliability import Reliability, plot_reliability
+from dgc_pose.benchmarks.reliability import Reliability, plot_reliability
 
 
 @pytest.fixture

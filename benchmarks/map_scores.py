@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgc_pose.benchmarks.reliability import Reliability
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
-from dgc_pose.training.evaluation.reliability import Reliability
 
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels

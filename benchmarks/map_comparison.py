@@ -7,14 +7,14 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from dgc_pose.benchmarks.map_scores import Comparison, LevelMap
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.network.config import INPUT_SIZE, NetworkConfig
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import normalise
-from dgc_pose.training.evaluation.map_scores import Comparison, LevelMap
-from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays, level_truth
+from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
 
 
 @torch.no_grad()

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.interpolate import RBFInterpolator
 
-from dgc_pose.training.synthesis.spline import TPS_KNOTS, thin_plate_spline
+from dgc_pose.benchmarks.spline import TPS_KNOTS, thin_plate_spline
 
 
 @pytest.mark.parametrize("spread", [0.0, 0.2, 1.0])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.training.evaluation.map_scores import (
+from dgc_pose.benchmarks.map_scores import (
     PCK_THRESHOLDS,
     Comparison,
     LevelMap,
