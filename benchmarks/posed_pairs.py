@@ -154,13 +154,13 @@ def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:
     """The first pair of a batch."""
     from dgc_pose.training.map_pairs import image_arrays
 
-    images = [Image(image_arrays(v[:1])[0]) for v in (views.maps.image1, views.maps.image2)]
-    cameras = [
-        Camera(c.K[0].double().numpy(), image.size)
-        for c, image in zip((views.source, views.target), images, strict=True)
-    ]
+    image1, image2 = (
+        Image(image_arrays(view[:1])[0]) for view in (views.maps.image1, views.maps.image2)
+    )
+    camera1 = Camera(views.source.K[0].double().numpy(), image1.size)
+    camera2 = Camera(views.target.K[0].double().numpy(), image2.size)
     pose = views.target.seen_by(views.source).pose[0].double().numpy()
-    return PosedPair(Truth(ids, *cameras, pose[:, :3], pose[:, 3]), *images)
+    return PosedPair(Truth(ids, camera1, camera2, pose[:, :3], pose[:, 3]), image1, image2)
 
 
 def require_images(pairs: Sequence[Pair]) -> None:

@@ -53,14 +53,15 @@ def _bilinear_cells(cells: Tensor, grid: Grid) -> tuple[Tensor, Tensor]:
 
 
 def window_loss(
-    source: Tensor, target: Tensor, truth: Tensor, valid: Tensor, draw: Draw, queries: int
+    source: Tensor, target: Tensor, truths: tuple[Tensor, Tensor], draw: Draw, queries: int
 ) -> Tensor:
     """The cross-entropy of the refinement's soft-argmax, in a window about the truth.
 
     source, target: unit features (B, C, h, w) of stride 4. Both are averaged over 2x2, the source's
-    at every cell, as the engine does. truth: (B, h w / 4, 2), pixels, of the target's cells of
-    stride 8, of which random `queries` count; valid: (B, h w / 4).
+    at every cell, as the engine does. truths: true points (B, h w / 4, 2), pixels, of the
+    target's cells of stride 8, of which random `queries` count, and which are valid.
     """
+    truth, valid = truths
     means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
     rows, columns = means.shape[2:]
     chosen = random_cells(valid, queries, draw)

@@ -117,6 +117,7 @@ def load_posed(
             for frame, depth in zip(frames, found[name], strict=True):
                 maps[frame] = depth
     if kept is not None and found and not kept.exists():
+        kept.parent.mkdir(exist_ok=True)
         with replaced(kept) as temporary:
             torch.save(found, temporary)
     counts = torch.tensor([depth.numel() for depth in maps])
@@ -146,9 +147,10 @@ def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if camera.distortion is not None:
         ideal = replace(camera, distortion=None).normalise(centres((width, height)).reshape(-1, 2))
         place = camera.project(ideal).reshape(height, width, 2).astype(np.float32)
-        pixels = cv2.remap(pixels, place, None, cv2.INTER_LINEAR)
+        x, y = np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
+        pixels = cv2.remap(pixels, x, y, cv2.INTER_LINEAR)
         if frame.depth is not None:
-            depth = cv2.remap(depth, place, None, cv2.INTER_NEAREST)
+            depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
     pixels = resize_by(pixels, min(1.0, LONGEST / max(width, height)))
     size = pixels.shape[1], pixels.shape[0]
     if depth.shape[1] > size[0]:

@@ -2,8 +2,9 @@
 
 import json
 import math
+import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,6 @@ _VALIDATION_BATCH = 8
 _HALF_MAX = torch.finfo(torch.float16).max
 
 Row = dict[str, Any]
-Report = Callable[[Row], None]
 
 
 class Trainer:
@@ -105,20 +105,19 @@ class Trainer:
         """The file of a complete run's weights."""
         return self.out / f"{self.options.network}.safetensors"
 
-    def run(self, report: Report = lambda row: None, seconds: float | None = None) -> DGCNet:
+    def run(self, seconds: float | None = None) -> DGCNet:
         """Train to the end of the run, or for so many `seconds` more of it.
 
-        `report` gets a row every few steps. Returns the network by its averaged weights, and writes
-        them and their card if the run is complete. Raises DgcPoseError if training has diverged.
+        A line of progress goes to standard error every few steps. Returns the network by its
+        averaged weights, and writes them and their card if the run is complete. Raises DgcPoseError
+        if training has diverged.
         """
         end = math.inf if seconds is None else self.elapsed + seconds
         last_saved = last_validated = last_row = self.elapsed
         origin, pairs = time.perf_counter() - self.elapsed, 0
         if self.step == 0 and self.options.init is not None:
             # The first steps may spoil what later ones regain.
-            self._write(
-                {"stage": self._stage.name, "step": 0, "seconds": 0.0} | self.validate(), report
-            )
+            self._write({"stage": self._stage.name, "step": 0, "seconds": 0.0} | self.validate())
         while not self.complete and self.elapsed < end:
             figures, count = self.train_step()
             pairs += count
@@ -134,7 +133,7 @@ class Trainer:
                 if validates:
                     row |= self.validate()
                     last_validated = self.elapsed
-                self._write(row, report)
+                self._write(row)
                 pairs, last_row = 0, time.perf_counter() - origin
                 if done or self.elapsed - last_saved > self.options.save_seconds:
                     self.save()
@@ -226,8 +225,8 @@ class Trainer:
         batches = range(self.options.validation_count // batch)
         return [source.make(batch, shape, draw) for _ in batches]
 
-    def _write(self, row: Row, report: Report) -> None:
-        report(row)
+    def _write(self, row: Row) -> None:
+        print(progress_line(row), file=sys.stderr, flush=True)
         path = self.out / LOG
         with writing(path), path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")

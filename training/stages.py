@@ -87,16 +87,14 @@ class EncoderStage(nn.Module):
             pooled = pooled.maximum(match_evidence(source, target, scales[:2]))
         grids = {4: _grid(s2), 8: _grid(s3), 16: _grid(s4)}
         truths = {
-            stride: [part.flatten(1, 2) for part in level_truth(pairs.map, pairs.valid, grid[0])]
+            stride: _flat(*level_truth(pairs.map, pairs.valid, grid[0]))
             for stride, grid in grids.items()
         }
         chosen = random_cells(truths[4][1], _QUERIES, draw)
-        truths[4] = [
-            truths[4][0].gather(1, chosen[..., None].expand(-1, -1, 2)),
-            truths[4][1].gather(1, chosen),
-        ]
+        place = truths[4][0].gather(1, chosen[..., None].expand(-1, -1, 2))
+        truths[4] = place, truths[4][1].gather(1, chosen)
         queries = t2.flatten(2).gather(2, chosen[:, None].expand(-1, t2.shape[1], -1))
-        total = 0.5 * window_loss(s2, t2, *truths[8], draw, _WINDOW_QUERIES) + _DRIFT * length
+        total = 0.5 * window_loss(s2, t2, truths[8], draw, _WINDOW_QUERIES) + _DRIFT * length
         figures = {}
         for name, weight, stride, likely in (
             ("found16", 0.5, 16, match_scores(evidence) / 2),
@@ -226,6 +224,11 @@ class DecoderStage(nn.Module):
     def finished(self) -> DGCNet:
         """The network with its decoders."""
         return self.net
+
+
+def _flat(truth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+    """Cells (B, h, w, 2) and (B, h, w) in one row."""
+    return truth.flatten(1, 2), valid.flatten(1, 2)
 
 
 def _similarity(source: Tensor, target: Tensor, scale: Tensor) -> Tensor:

@@ -59,7 +59,7 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
 
     from dgc_pose.network.weights import choose_device
     from dgc_pose.training.data import load_data
-    from dgc_pose.training.run import DEPTHS, Trainer, progress_line
+    from dgc_pose.training.run import DEPTHS, Trainer
 
     if files.threads is not None:
         torch.set_num_threads(files.threads)
@@ -76,7 +76,7 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     )
     trainer = Trainer(data, files.out, options, device, files.resume)
     with only_writer(files.out):
-        trainer.run(lambda row: click.echo(progress_line(row), err=True), files.stop_after)
+        trainer.run(files.stop_after)
     if trainer.complete:
         click.echo(f"wrote {trainer.weights_path}")
     else:
