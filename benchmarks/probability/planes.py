@@ -153,7 +153,7 @@ def _seen(
     """Points of the square on a grid of the camera's rays: normalised (n, 2) in the camera and in
     the other one, and a mask of those that the other one sees."""
     grid = pixel_grid((_PROBE, _PROBE), camera.K.device).view(1, -1, 2)
-    rays = camera.rays((grid + 0.5) * size / _PROBE - 0.5)
+    rays = camera.rays(grid * size / (_PROBE - 1) - 0.5)  # to the edges
     turned = rays @ camera.pose[..., :3]
     depth = -camera.centre[:, None, 2] / turned[..., 2]
     place = camera.centre[:, None] + turned * depth[..., None]
