@@ -125,12 +125,12 @@ def _planes(rooms: Rooms, towards: Tensor, draw: Draw) -> Rooms:
         axes,
         half,
         torch.zeros(count, 2, 3),
-        torch.zeros(2, dtype=torch.bool),
         torch.zeros_like(rooms.photo[:, :2]),
         torch.full_like(rooms.span[:, :2], _PLANE_SPAN),
         torch.full_like(rooms.origin[:, :2], 0.5),
         torch.full_like(rooms.weight[:, :2], 0.5),
         torch.ones(count, 2, FACES, 3),
+        0,
     )
 
 

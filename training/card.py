@@ -10,8 +10,6 @@ from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import PairSource
 from dgc_pose.version import version
 
-Figures = Mapping[str, Mapping[str, float]]  # by what validates, then by name
-
 
 def card(
     options: TrainingOptions,
@@ -48,15 +46,8 @@ def card(
     lines = [f"# {options.network}", "", "| | |", "|---|---|"]
     lines += [f"| {name} | {value} |" for name, value in rows.items()]
     for name, stage in stages.items():
-        lines += [
-            "",
-            f"## {name}",
-            "",
-            f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds.",
-            "",
-            "| validation | figures |",
-            "|---|---|",
-        ]
+        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds."
+        lines += ["", f"## {name}", "", done, "", "| validation | figures |", "|---|---|"]
         for kind, figures in stage["figures"].items():
             text = ", ".join(f"{key} {value:.3f}" for key, value in figures.items())
             lines.append(f"| {kind} | {text} |")

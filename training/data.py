@@ -24,16 +24,15 @@ def load_data(
     shares: Shares = DEFAULT_SHARES,
     device: torch.device | str = "cpu",
     depths: Path | None = None,
-    limit: int | None = None,
 ) -> dict[str, PairSource]:
     """What trains, by the name TRAINING, and what validates: photographs, rooms and, with scenes
     held back, posed photographs.
 
-    photos, light, limit: see `load_photos`; posed: folders for `read_scenes`; held: names of the
+    photos, light: see `load_photos`; posed: folders for `read_scenes`; held: names of the
     scenes that validate; depths: see `load_posed`. Raises as these do, and InputError for a scene
     that is not there or if no frames make a pair.
     """
-    training, held_back = load_photos(photos, light, device, limit)
+    training, held_back = load_photos(photos, light, device)
     sources = {
         TRAINING: PairSource(training, shares=shares),
         "photos": PairSource(held_back, shares=_PHOTOS),

@@ -63,15 +63,14 @@ def load_photos(
     root: str | Path,
     light: str | Path | None = None,
     device: torch.device | str = "cpu",
-    limit: int | None = None,
 ) -> tuple[Photos, Photos]:
     """All photographs below a folder, made smaller: those that train, and those held back.
 
     light: a folder of folders, each with aligned photographs of one place in other light, which
-    train. limit: most photographs to use. A photograph's name alone decides whether it is held
-    back: one that validates a run never trains another. Raises ImageError if a folder holds none.
+    train. A photograph's name alone decides whether it is held back: one that validates a run never
+    trains another. Raises ImageError if a folder holds none.
     """
-    training, held_back = _split(root, limit)
+    training, held_back = _split(root)
     lacking = (
         f"{root}: {len(training) + len(held_back)} photographs; training needs dozens at least"
     )
@@ -91,10 +90,10 @@ def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
     return Photos.of(_decoded(held_back, side, lacking))
 
 
-def _split(root: str | Path, limit: int | None = None) -> tuple[list[Path], list[Path]]:
-    """The first `limit` photographs below a folder, sorted: those that train, those held back."""
+def _split(root: str | Path) -> tuple[list[Path], list[Path]]:
+    """The photographs below a folder, sorted: those that train, those held back."""
     parts: tuple[list[Path], list[Path]] = [], []
-    for path in _images(Path(root))[:limit]:
+    for path in _images(Path(root)):
         digest = hashlib.sha256(path.name.encode()).hexdigest()[:8]
         parts[int(digest, 16) % _HELD_BACK == 0].append(path)
     return parts

@@ -91,13 +91,13 @@ def random_rooms(
     pitch, roll = 0.5 * draw.normal(2, count, solids) * tilted
     axes = about_axis(yaw, 1) @ about_axis(pitch, 0) @ about_axis(roll, 2)
     turned = about_axis(0.4 * draw.normal(count, 1), 1)
-    kinds = torch.arange(1 + solids, device=draw.device) > options.boxes
     shapes = (
         torch.cat([turned, axes], 1),
         torch.cat([walls[:, None], half], 1),
         F.pad(centre, (0, 0, 1, 0)),
     )
-    return Rooms(*shapes, kinds, *random_textures(count, 1 + solids, photos, draw, options)), look
+    textures = random_textures(count, 1 + solids, photos, draw, options)
+    return Rooms(*shapes, *textures, options.ellipsoids), look
 
 
 _WALLS = ((1.6, 4.5), (1.1, 2.0), (1.6, 4.5))  # half of a room's width, height and depth

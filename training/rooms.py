@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from dgc_pose.training.bank import ImageBank
-from dgc_pose.training.map_pairs import MapPairs, changed
+from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.views import Cameras, Shape, inside, pixel_grid
 
 FACES = 6  # -x +x -y +y -z +z; of an ellipsoid the sectors about these axes
@@ -26,16 +26,17 @@ class Rooms:
     axes: Tensor  # (B, P, 3, 3), world from primitive
     half: Tensor  # (B, P, 3), half sizes along these, units of length
     centre: Tensor  # (B, P, 3), world
-    is_ball: Tensor  # (P,) bool
     photo: Tensor  # (B, P, FACES, LAYERS) int64, of the bank
     span: Tensor  # (B, P, FACES, LAYERS), units of length that its shorter side covers
     origin: Tensor  # (B, P, FACES, LAYERS, 2), of the photograph's sides, in the face's middle
     weight: Tensor  # (B, P, FACES, LAYERS), of the colours; they sum to 1
     gain: Tensor  # (B, P, FACES, 3), of the colours
+    ellipsoids: int  # the last ones of the primitives
 
     def chosen(self, which: Tensor) -> Rooms:
         """Some of the rooms, by their indices."""
-        return changed(self, lambda values: values if values is self.is_ball else values[which])
+        *tensors, ellipsoids = vars(self).values()
+        return Rooms(*(values[which] for values in tensors), ellipsoids)
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,12 @@ def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tens
     """
     nearest = torch.full(rays.shape[:2], torch.inf, device=rays.device)
     which = torch.zeros(rays.shape[:2], dtype=torch.int64, device=rays.device)
-    for k, is_ball in enumerate(rooms.is_ball.tolist()):
+    count = rooms.half.shape[1]
+    for k in range(count):
         unit = rooms.axes[:, k] / rooms.half[:, k, None]  # to a cube or a ball of half size 1
         start = ((origin - rooms.centre[:, k])[:, None] @ unit).expand_as(rays)
         step = rays @ unit
+        is_ball = k >= count - rooms.ellipsoids
         hit = _ball(start, step) if is_ball else _cube(start, step, from_inside=k == 0)
         nearer = hit < nearest
         nearest, which = torch.where(nearer, hit, nearest), torch.where(nearer, k, which)

@@ -103,12 +103,12 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
         torch.eye(3).expand(1, 1 + count, 3, 3),
         F.pad(half, (0, 0, 1, 0), value=_HALL)[None],
         F.pad(centre, (0, 0, 1, 0))[None],
-        torch.arange(1 + count) >= 1 + count - _DOMES,
         photo,
         span,
         torch.full_like(origin, 0.5),
         torch.tensor([1.0, 0.0]).expand_as(weight),
         gain,
+        _DOMES,
     )
 
 

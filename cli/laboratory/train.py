@@ -39,7 +39,6 @@ class TrainFiles:
     )
     device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
     threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1, max=1024)
-    limit: int | None = option(None, "Most photographs to use.", min=1, max=10**9)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -72,7 +71,6 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
         shares=options.shares,
         device=device,
         depths=files.out / DEPTHS,
-        limit=files.limit,
     )
     trainer = Trainer(data, files.out, options, device, files.resume)
     with only_writer(files.out):

@@ -41,12 +41,13 @@ def _cube_parameters(start: np.ndarray, step: np.ndarray) -> list[float]:
 def first_hit(rooms: Rooms, room: int, origin: np.ndarray, ray: np.ndarray) -> tuple[float, int]:
     """The parameter of a ray's first hit, and the primitive."""
     nearest, which = math.inf, 0
-    for k, is_ball in enumerate(rooms.is_ball.tolist()):
+    count = rooms.half.shape[1]
+    for k in range(count):
         axes, half, centre = (
             part[room, k].double().numpy() for part in (rooms.axes, rooms.half, rooms.centre)
         )
         start, step = (origin - centre) @ axes / half, ray @ axes / half
-        if is_ball:
+        if k >= count - rooms.ellipsoids:
             roots = np.roots((step @ step, 2 * start @ step, start @ start - 1))
             found = [] if np.iscomplex(roots).any() else sorted(roots.real)
         else:
