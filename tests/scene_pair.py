@@ -20,10 +20,10 @@ from dgc_pose.training.views import Cameras, pixel_grid
 
 PairKind = Literal["general", "planar", "rotation_only"]
 
-_OPTIONS = RoomOptions(boxes=7, ellipsoids=3, spans=((1.0, 2.0), (0.5, 1.0)))
+_OPTIONS = RoomOptions(boxes=12, ellipsoids=4, spans=((1.0, 2.0), (0.5, 1.0)))
 _TRIES = 12  # scenes drawn, of which the one whose views share enough is taken
-_ENOUGH = 0.6
-_DISTANCE = 1.9  # of a camera from what it looks at
+_ENOUGH = 0.5
+_DISTANCE = 2.0  # of a camera from what it looks at
 _PLANE_SPAN = 2.2  # that the texture of the plane covers: not periodic, it looks alike nowhere
 
 

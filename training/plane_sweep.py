@@ -57,7 +57,7 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
         off = ((angle - _ANGLE_DEG) / _ANGLE_SPREAD) ** 2 + (scale.log() / 0.5) ** 2
         fit = torch.exp(-off) * shown * (angle > _LEAST_ANGLE_DEG)
         best = fit.topk(min(_MOST, len(fit)))
-        result.append([j for f, j in zip(*map(Tensor.tolist, best), strict=True) if f > _LEAST_FIT])
+        result.append(best.indices[best.values > _LEAST_FIT].cpu().tolist())
     return result
 
 
@@ -75,7 +75,7 @@ def _sweep(
     for frame, own in zip(frames, views.K, strict=True):
         size = bank.size(torch.tensor(frame, device=own.device))
         factor = min(1.0, side / float(size.max()))
-        width, height = (round(factor * extent) for extent in size.tolist())
+        width, height = (round(factor * extent) for extent in size.cpu().tolist())
         scale = own.new_tensor([width, height]) / size
         points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
         colours = bank.sample(torch.tensor(frame, device=own.device), points, 1 / scale[:1])
