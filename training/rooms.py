@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -35,8 +35,8 @@ class Rooms:
 
     def chosen(self, which: Tensor) -> Rooms:
         """Some of the rooms, by their indices."""
-        *tensors, ellipsoids = vars(self).values()
-        return Rooms(*(values[which] for values in tensors), ellipsoids)
+        tensors = {k: v[which] for k, v in vars(self).items() if isinstance(v, Tensor)}
+        return replace(self, **tensors)
 
 
 @dataclass(frozen=True)
