@@ -6,7 +6,8 @@ from pathlib import Path
 import torch
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.pairs import DEFAULT_SHARES, PairSource, Shares
+from dgc_pose.training.options import DEFAULT_SHARES, Shares
+from dgc_pose.training.pairs import PairSource
 from dgc_pose.training.photos import load_photos
 from dgc_pose.training.posed_frames import read_scenes
 from dgc_pose.training.posed_scenes import frame_pairs, load_posed

@@ -1,11 +1,36 @@
 """What a training run does: network, length, pairs, starting weights."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.network.config import NetworkConfig, preset
 from dgc_pose.system.options import MAX_SEED, check_options, option
-from dgc_pose.training.pairs import Shares
+
+
+@dataclass(frozen=True)
+class Shares:
+    """How many of the pairs are of each kind; a kind without data has none."""
+
+    photos: float = 0.20  # warped photographs
+    light: float = 0.08  # of one place in other light, warped
+    rooms: float = 0.20  # ray-cast
+    posed: float = 0.52  # posed photographs of known depth
+
+    @classmethod
+    def parse(cls, text: str) -> Shares:
+        """From percentages, as "20,8,20,52". Raises InputError for any other text."""
+        try:
+            shares = [float(part) / 100 for part in text.split(",")]
+        except ValueError:
+            shares = []
+        if len(shares) != 4 or not min(shares) >= 0 or not 0 < sum(shares) < float("inf"):
+            raise InputError(f"shares must be four percentages, such as 20,8,20,52, not {text}")
+        return cls(*shares)
+
+
+DEFAULT_SHARES = Shares()
 
 
 @dataclass(frozen=True)
@@ -28,7 +53,7 @@ class TrainingOptions:
         0.7, "Share of the run for the encoder; VGG-16 stays as it is.", min=0, max=1
     )
     shares: Shares = option(
-        Shares(),
+        DEFAULT_SHARES,
         "Percentages of the pairs: warped photographs, those in other light, rooms, posed "
         "photographs. A kind without data has none.",
         parse=Shares.parse,

@@ -10,6 +10,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.light import other_light
 from dgc_pose.training.map_pairs import MapPairs, joined
+from dgc_pose.training.options import DEFAULT_SHARES, Shares
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.posed_pairs import posed_pairs
 from dgc_pose.training.posed_scenes import FramePairs, PosedScenes
@@ -21,37 +22,13 @@ _OFFSETS = range(1000)
 
 
 @dataclass(frozen=True)
-class Shares:
-    """How many of the pairs are of each kind; a kind without data has none."""
-
-    photos: float = 0.20  # warped photographs
-    light: float = 0.08  # of one place in other light, warped
-    rooms: float = 0.20  # ray-cast
-    posed: float = 0.52  # posed photographs of known depth
-
-    @classmethod
-    def parse(cls, text: str) -> Shares:
-        """From percentages, as "20,8,20,52". Raises InputError for any other text."""
-        try:
-            shares = [float(part) / 100 for part in text.split(",")]
-        except ValueError:
-            shares = []
-        if len(shares) != 4 or not min(shares) >= 0 or not 0 < sum(shares) < float("inf"):
-            raise InputError(f"shares must be four percentages, such as 20,8,20,52, not {text}")
-        return cls(*shares)
-
-
-DEFAULT_SHARES = Shares()
-
-
-@dataclass(frozen=True)
 class PairSource:
     """What pairs are made of, on the device of the network."""
 
     photos: Photos
     scenes: PosedScenes | None = None
     frames: FramePairs | None = None  # of the scenes
-    shares: Shares = Shares()
+    shares: Shares = DEFAULT_SHARES
 
     def make(self, count: int, shape: Shape, draw: Draw) -> MapPairs:
         """So many pairs of views of `shape`, in light of their own, one kind after the other.

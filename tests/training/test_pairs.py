@@ -10,7 +10,8 @@ from photos import drawn_photos, write_photos
 from dgc_pose.errors import InputError
 from dgc_pose.training.data import TRAINING, load_data
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.pairs import PairSource, Shares, round_up
+from dgc_pose.training.options import Shares
+from dgc_pose.training.pairs import PairSource, round_up
 
 
 def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn() -> None:

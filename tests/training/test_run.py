@@ -18,8 +18,8 @@ from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
 from dgc_pose.training.data import TRAINING
 from dgc_pose.training.initialise import vgg_layers
-from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.pairs import PairSource, Shares
+from dgc_pose.training.options import Shares, TrainingOptions
+from dgc_pose.training.pairs import PairSource
 from dgc_pose.training.run import Trainer, save_weights
 
 pytestmark = pytest.mark.slow
