@@ -6,6 +6,8 @@ coordinates where -1 and +1 are the outer edges of the view.
 
 import math
 
+import cv2
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -53,11 +55,6 @@ def apply_homography(matrix: Tensor, points: Tensor) -> Tensor:
 
 def homography_from_corners(corners: Tensor) -> Tensor:
     """(B, 3, 3) that maps the corners (-1,-1), (1,-1), (1,1), (-1,1) to `corners` (B, 4, 2)."""
-    x, y = _CORNERS.expand(len(corners), 4, 2).unbind(-1)
-    u, v = corners.unbind(-1)
-    one, zero = torch.ones_like(x), torch.zeros_like(x)
-    rows_u = torch.stack([x, y, one, zero, zero, zero, -u * x, -u * y], -1)
-    rows_v = torch.stack([zero, zero, zero, x, y, one, -v * x, -v * y], -1)
-    system = torch.cat([rows_u, rows_v], 1).double()
-    solution = torch.linalg.solve(system, torch.cat([u, v], 1).double()[..., None])[..., 0]
-    return F.pad(solution, (0, 1), value=1.0).view(-1, 3, 3).to(corners.dtype)
+    square = _CORNERS.numpy()
+    matrices = [cv2.getPerspectiveTransform(square, moved.numpy()) for moved in corners]
+    return torch.from_numpy(np.stack(matrices)).float()

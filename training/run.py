@@ -32,7 +32,8 @@ from dgc_pose.training.views import Shape
 CHECKPOINT, LOG, DEPTHS = "checkpoint.pt", "log.jsonl", "depths.pt"
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
 _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
-_BATCH, _GPU_BATCH = 4, 64  # pairs of 240x240 pixels a step
+_BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
+_GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION_BATCH = 8
 _HALF_MAX = torch.finfo(torch.float16).max
 
@@ -154,7 +155,7 @@ class Trainer:
         draw = Draw(self.device, self.options.seed, name, self.step)
         shapes = SHAPES[name] if self.options.config.any_shape else (_SQUARE,)
         shape = shapes[self.step % len(shapes)]
-        usual = _GPU_BATCH if self.device.type == "cuda" else _BATCH
+        usual = _GPU_BATCH[name] if self.device.type == "cuda" else _BATCH
         batch = self.options.batch or usual
         count = max(1, batch * INPUT_SIZE**2 // (shape[0] * shape[1]))
         pairs = self.data[TRAINING].make(count, shape, draw)
