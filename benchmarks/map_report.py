@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TextIO
 
 from dgc_pose.benchmarks.files import decimals, finite_data
-from dgc_pose.files.tables import aligned
-from dgc_pose.network.config import LEVEL_SIZES
-from dgc_pose.training.evaluation.map_scores import (
+from dgc_pose.benchmarks.map_scores import (
     FOUND_PX,
     PCK_THRESHOLDS,
     RIGHT_PX,
@@ -16,7 +14,9 @@ from dgc_pose.training.evaluation.map_scores import (
     PairScores,
     summarise_maps,
 )
-from dgc_pose.training.evaluation.reliability import Reliability
+from dgc_pose.benchmarks.reliability import Reliability
+from dgc_pose.files.tables import aligned
+from dgc_pose.network.config import LEVEL_SIZES
 
 Scores = Mapping[str, Sequence[PairScores]]  # by method, each over the same pairs
 ALL = "all"

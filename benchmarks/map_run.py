@@ -7,14 +7,14 @@ from typing import Any
 
 import torch
 
+from dgc_pose.benchmarks.map_comparison import compare, compare_matcher
 from dgc_pose.benchmarks.map_figure import MapPicture
+from dgc_pose.benchmarks.map_scores import Comparison, PairScores, score_map
 from dgc_pose.benchmarks.methods import kind_of
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.weights import choose_device, load_network
-from dgc_pose.training.evaluation.map_comparison import compare, compare_matcher
-from dgc_pose.training.evaluation.map_scores import Comparison, PairScores, score_map
-from dgc_pose.training.synthesis.map_pairs import MapPairs, image_arrays
+from dgc_pose.training.map_pairs import MapPairs, image_arrays
 
 MapMethod = Callable[[MapPairs], list[Comparison]]  # of a batch, pair by pair
 

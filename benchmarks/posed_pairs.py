@@ -19,7 +19,7 @@ from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matching.cache import BoundedCache
 
 if TYPE_CHECKING:
-    from dgc_pose.training.synthesis.render.rendered_pairs import RenderedPairs
+    from dgc_pose.training.rooms import RoomPairs
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view
@@ -128,38 +128,39 @@ class RenderedPosedPairs(PairSet[MapScore]):
 
     def __init__(self, photos: Path, count: int, seed: int) -> None:
         """Raises ImageError if the folder holds no photographs."""
-        from dgc_pose.training.synthesis.photos import load_held_back
+        from dgc_pose.training.photos import load_held_back
 
         names = [f"rendered {seed} {k}" for k in range(count)]
         super().__init__(MapScore, [{"image1": f"{n} 1", "image2": f"{n} 2"} for n in names])
-        self._textures = load_held_back(photos).textures
+        self._photos = load_held_back(photos)
         self._seed = seed
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
-        import torch
+        from dgc_pose.training.draw import Draw
+        from dgc_pose.training.room_pairs import RoomOptions, room_pairs
 
-        from dgc_pose.training.synthesis.options import SceneOptions
-        from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
-
-        generator = torch.Generator().manual_seed(self._seed)
         # Several copies of a photograph side by side would make its blur, not its detail, the scene
-        scenes = SceneOptions(
-            rotation_deg=(5.0, 40.0), roll_deg=5.0, min_overlap=0.4, texture_span=(0.3, 0.6)
+        options = RoomOptions(
+            orbit_deg=(5.0, 40.0), roll_deg=4.0, enough=0.4, tries=6, spans=((1.5, 3.0), (0.9, 1.8))
         )
-        for number, ids in enumerate(self.ids):
-            views = render_pairs(self._textures, 1, RENDERED_SIZE, generator, scenes)
-            if number >= first:
-                yield posed_pair(views, ids)
+        shape = RENDERED_SIZE, RENDERED_SIZE
+        for number in range(first, len(self.ids)):
+            draw = Draw("cpu", "rendered", self._seed, number)
+            views = room_pairs(self._photos, 1, shape, draw, options)
+            yield posed_pair(views, self.ids[number])
 
 
-def posed_pair(views: RenderedPairs, ids: Ids) -> PosedPair:
+def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:
     """The first pair of a batch."""
-    from dgc_pose.training.synthesis.render.rendered_pairs import as_arrays
+    from dgc_pose.training.map_pairs import image_arrays
 
-    pair = as_arrays(views)
-    image1, image2 = Image(pair.image1), Image(pair.image2)
-    camera1, camera2 = Camera(pair.K1, image1.size), Camera(pair.K2, image2.size)
-    return PosedPair(Truth(ids, camera1, camera2, pair.R, pair.t), image1, image2)
+    image1, image2 = (
+        Image(image_arrays(view[:1])[0]) for view in (views.maps.image1, views.maps.image2)
+    )
+    camera1 = Camera(views.source.K[0].double().numpy(), image1.size)
+    camera2 = Camera(views.target.K[0].double().numpy(), image2.size)
+    pose = views.target.seen_by(views.source).pose[0].double().numpy()
+    return PosedPair(Truth(ids, camera1, camera2, pose[:, :3], pose[:, 3]), image1, image2)
 
 
 def require_images(pairs: Sequence[Pair]) -> None:

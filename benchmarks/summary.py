@@ -8,13 +8,13 @@ import numpy as np
 
 from dgc_pose.benchmarks.files import decimals, finite_data, table
 from dgc_pose.benchmarks.metrics import pose_auc
+from dgc_pose.benchmarks.reliability import Reliability
 from dgc_pose.benchmarks.scores import CameraScore, MapScore, PoseScore, Score
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
 from dgc_pose.files.tables import aligned
-from dgc_pose.training.evaluation.reliability import Reliability
 
 Column = Mapping[str, np.ndarray]  # numbers of one method's records, by field
 

@@ -4,31 +4,34 @@ The paper's sets (section 4 and Table 1) by their published ranges, without phot
 occluders, as its lists have none; and ray-cast 3D scenes.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
 import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
+from dgc_pose.benchmarks.spline import Warp
+from dgc_pose.benchmarks.warps import FAR, affine_warp, homography_warp, spline_warp
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.training.synthesis.map_pairs import MapPairs
-from dgc_pose.training.synthesis.options import (
-    WARPS,
-    PairOptions,
-    PhotometricOptions,
-    SceneOptions,
-    WarpOptions,
-)
-from dgc_pose.training.synthesis.photometric import random_photometric
-from dgc_pose.training.synthesis.photos import Photos, load_held_back
-from dgc_pose.training.synthesis.random_pairs import make_pairs
-from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
-from dgc_pose.training.synthesis.warps import FAR
+from dgc_pose.training.draw import Draw
+from dgc_pose.training.light import other_light
+from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.photos import Photos, load_held_back
+from dgc_pose.training.room_pairs import RoomOptions, room_pairs
+from dgc_pose.training.views import pixel_grid
+from dgc_pose.training.warped_pairs import occluded
 
-_WARPS = {name: WARPS[f"paper-{name}"] for name in ("affine", "affine-tps", "homography")}
+_Warps = Callable[[int, Draw], Warp]
+# By number, the warps of a batch's pairs in turn.
+_WARPS: dict[str, tuple[_Warps, ...]] = {
+    "affine": (affine_warp,),
+    "affine-tps": (affine_warp, spline_warp),
+    "homography": (homography_warp,),
+}
 _SCENES = "scenes"  # ray-cast
 SETS = (*_WARPS, _SCENES)
 SYNTHETIC = (
@@ -40,6 +43,7 @@ SYNTHETIC = (
 # edges. Ours have any position.
 _VIEW = 9 / 16
 PHOTO_SIDE = round(INPUT_SIZE / _VIEW / 16) * 16  # pixels: a view is not enlarged once more
+_OCCLUDED = 0.3  # of the views, if they are changed
 ROTATION_DEG = (5.0, 30.0)  # between the cameras of a scene, roll included
 _BATCH = 8  # pairs made at a time; another number would make other pairs
 
@@ -60,7 +64,7 @@ def synthetic_set(
     photos = load_held_back(root, PHOTO_SIDE)
     names = list(dict.fromkeys(names))
     cases = (synthetic_cases(photos, name, pairs, seed, changed=changed) for name in names)
-    facts = {"photographs": len(photos.pixels), "seed": seed, "changed": changed}
+    facts = {"photographs": photos.single, "seed": seed, "changed": changed}
     all_facts = {**facts, "published": SYNTHETIC}
     return MapSet(chain.from_iterable(cases), pairs * len(names), all_facts)
 
@@ -72,14 +76,15 @@ def synthetic_cases(
 
     changed: with the trainer's photometric changes, and its occluders in warped views.
     """
-    generator = torch.Generator().manual_seed(1000 * seed + SETS.index(name))
-    if name == _SCENES:
-        made = _scenes(photos, generator, changed)
-    else:
-        made = _warped(photos, _WARPS[name], generator, changed)
-    done = 0
+    make = partial(_scenes, photos) if name == _SCENES else partial(_warped, photos, _WARPS[name])
+    done = number = 0
     while done < pairs:
-        batch = next(made)
+        draw = Draw(photos.bank.texels.device, "synthetic", name, seed, number)
+        batch, number = make(draw, changed), number + 1
+        if changed:
+            views = other_light(torch.cat([batch.image1, batch.image2]), draw)
+            image1, image2 = views.chunk(2)
+            batch = replace(batch, image1=image1, image2=image2)
         chosen = batch.chosen(slice(min(len(batch.map), pairs - done)))
         # The target may show the plane's horizon, which no real view does.
         horizons = (chosen.map >= FAR).flatten(1).any(1).tolist()
@@ -88,28 +93,36 @@ def synthetic_cases(
         done += len(names)
 
 
-def _warped(
-    photos: Photos, warps: WarpOptions, generator: torch.Generator, changed: bool
-) -> Iterator[MapPairs]:
-    options = PairOptions(
-        scene_share=0.0, warps=warps, view_scale=(_VIEW, _VIEW), view_roll_deg=0.0
+def _warped(photos: Photos, warps: tuple[_Warps, ...], draw: Draw, changed: bool) -> MapPairs:
+    """A batch, with occluders if it is to be changed. Its light is that of the photographs."""
+    chosen, _ = photos.drawn(_BATCH, draw)
+    size = photos.bank.size(chosen)
+    pixels = pixel_grid((INPUT_SIZE, INPUT_SIZE), draw.device).expand(_BATCH, -1, -1, -1)
+    grid = ((2 * pixels + 1) / INPUT_SIZE - 1).flatten(1, 2)
+    kinds = [warp(_BATCH, draw)(grid)[k :: len(warps)] for k, warp in enumerate(warps)]
+    source = torch.stack(kinds, 1).flatten(0, 1).view_as(pixels)
+    side = _VIEW * size.amin(1)[:, None]
+    corner = -0.5 + (size - side) * draw.uniform(_BATCH, 2)
+
+    def view(points: torch.Tensor) -> torch.Tensor:
+        place = corner[:, None, None] + side[:, None, None] * (points + 1) / 2
+        return photos.bank.sample(chosen[:, None, None], place, side[:, None] / INPUT_SIZE)
+
+    image1, hidden1 = occluded(photos, view(grid.view_as(pixels)), draw, _OCCLUDED * changed)
+    image2, hidden2 = occluded(photos, view(source), draw, _OCCLUDED * changed)
+    behind = torch.nn.functional.grid_sample(
+        hidden1.float()[:, None], source, mode="nearest", align_corners=False
     )
-    if not changed:
-        options = replace(options, photometric=None, occluder_share=0.0)
-    while True:
-        yield make_pairs(photos, _BATCH, INPUT_SIZE, generator, options)
+    valid = (source.abs() <= 1).all(-1) & (behind[:, 0] < 0.5) & ~hidden2
+    truth = ((source + 1) * INPUT_SIZE - 1) / 2
+    return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, valid)
 
 
-def _scenes(photos: Photos, generator: torch.Generator, changed: bool) -> Iterator[MapPairs]:
-    """Batches of those scenes whose cameras differ by ROTATION_DEG."""
-    scenes = SceneOptions(rotation_deg=ROTATION_DEG, supersample=2)
-    while True:
-        views = render_pairs(photos.textures, _BATCH, INPUT_SIZE, generator, scenes)
-        cosine = (views.cam2_from_cam1.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
-        angle = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
-        kept = (angle >= ROTATION_DEG[0]) & (angle <= ROTATION_DEG[1])
-        images = [views.image1, views.image2]
-        if changed:
-            options = PhotometricOptions()
-            images = [random_photometric(image, options, generator) for image in images]
-        yield MapPairs(images[0], images[1], views.map, views.visible).chosen(kept)
+def _scenes(photos: Photos, draw: Draw, changed: bool) -> MapPairs:
+    """Those of a batch of rooms whose cameras differ by ROTATION_DEG."""
+    options = RoomOptions(orbit_deg=ROTATION_DEG)
+    views = room_pairs(photos, _BATCH, (INPUT_SIZE, INPUT_SIZE), draw, options)
+    R = views.target.seen_by(views.source).pose[..., :3]
+    cosine = (R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
+    angle = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
+    return views.maps.chosen((angle >= ROTATION_DEG[0]) & (angle <= ROTATION_DEG[1]))

@@ -8,43 +8,41 @@ import numpy as np
 import torch
 from chromium import chromium_page, find_chromium
 from command_line import run
+from photos import drawn_photos
 from PIL import Image
-from procedural import procedural_textures
 
 from dgc_pose.geometry.rotation import quaternion_wxyz
-from dgc_pose.training.synthesis.draw import Draw
-from dgc_pose.training.synthesis.options import SceneOptions
-from dgc_pose.training.synthesis.render.bank import TextureBank
-from dgc_pose.training.synthesis.render.cameras import Cameras, look_at
-from dgc_pose.training.synthesis.render.random_scene import random_scene
-from dgc_pose.training.synthesis.render.rendered_pairs import Views, as_arrays, render_views
+from dgc_pose.training.draw import Draw
+from dgc_pose.training.map_pairs import image_arrays
+from dgc_pose.training.room_pairs import RoomOptions, random_rooms
+from dgc_pose.training.rooms import render
+from dgc_pose.training.views import Cameras
 
 SEED, SIZE, PHOTO = 5, (800, 600), 3
-K = torch.tensor([[700.0, 0, 400], [0, 700, 300], [0, 0, 1]]).double()[None]
+K = torch.tensor([[700.0, 700, 400, 300]])
 
 
-def _camera(angle: float, height: float) -> Cameras:
-    place = [1.5 * np.sin(angle), height - 0.35, -1.5 * np.cos(angle)]
-    centre = torch.tensor([place], dtype=torch.float64)
-    return Cameras.at(centre, K, look_at(centre, torch.zeros_like(centre)), SIZE)
+def _camera(angle: float, height: float, look: torch.Tensor) -> Cameras:
+    away = torch.tensor([[1.5 * np.sin(angle), height - 0.35, -1.5 * np.cos(angle)]])
+    return Cameras.looking(K, look + away.float(), look, torch.zeros(1))
 
 
 def main() -> None:
-    draw = Draw(torch.Generator().manual_seed(SEED), torch.device("cpu"), torch.float64)
+    photos = drawn_photos(8, 512)
+    options = RoomOptions(boxes=6, ellipsoids=2, spans=((0.9, 1.6), (0.5, 0.9)))
+    rooms, look = random_rooms(1, photos, Draw("cpu", SEED), options)
     angles = np.radians(np.linspace(-42, 42, 8))
-    cameras = [_camera(angle, 0.12 * np.sin(3 * i)) for i, angle in enumerate(angles)]
-    bank = TextureBank.from_photos(procedural_textures(8, 512, seed=SEED))
-    options = SceneOptions(boxes=4, ellipsoids=2, quads=2, texture_span=(0.5, 0.9))
-    scene = random_scene(draw, cameras[0], cameras[-1], bank.size, bank.count, options)
+    cameras = [_camera(angle, 0.12 * np.sin(3 * i), look) for i, angle in enumerate(angles)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "images").mkdir()
         lines = ["name,qw,qx,qy,qz,tx,ty,tz,fx,fy,cx,cy"]
         for i, camera in enumerate(cameras):
-            pair = as_arrays(render_views(Views(scene, camera, camera), bank, options, scene.light))
+            pixels = image_arrays(render(rooms, camera, SIZE[::-1], photos.bank)[0])[0]
             path = folder / ("new.png" if i == PHOTO else f"images/view{i}.png")
-            cv2.imwrite(str(path), pair.image1[..., ::-1])
-            pose = [*quaternion_wxyz(camera.rotation[0].numpy()), *camera.translation[0].tolist()]
+            cv2.imwrite(str(path), pixels[..., ::-1])
+            R, t = camera.pose[0].double().split(3, 1)
+            pose = [*quaternion_wxyz(R.numpy()), *t[:, 0].tolist()]
             if i != PHOTO:
                 lines.append(",".join(map(str, [path.name, *pose, 700, 700, 400, 300])))
         (folder / "poses.csv").write_text("\n".join(lines))

@@ -1,42 +1,46 @@
 """One pair of views of a seeded scene with procedural textures, as NumPy arrays."""
 
 import math
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Literal
 
+import numpy as np
 import torch
-from procedural import procedural_textures
+from photos import drawn_photos
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from dgc_pose.training.synthesis.draw import Draw
-from dgc_pose.training.synthesis.options import SceneOptions
-from dgc_pose.training.synthesis.render.bank import TextureBank
-from dgc_pose.training.synthesis.render.cameras import Cameras, axis_angle, look_at
-from dgc_pose.training.synthesis.render.random_scene import (
-    facing,
-    random_scene,
-    random_viewpoints,
-    texture_maps,
-)
-from dgc_pose.training.synthesis.render.rendered_pairs import (
-    RenderedPair,
-    Views,
-    as_arrays,
-    overlapping,
-    render_views,
-)
-from dgc_pose.training.synthesis.render.scene import FACES, Layout, Scene
+from dgc_pose.training.draw import Draw
+from dgc_pose.training.map_pairs import image_arrays
+from dgc_pose.training.photos import Photos
+from dgc_pose.training.room_pairs import RoomOptions, overlap, random_rooms
+from dgc_pose.training.rooms import FACES, Rooms, correspond, render
+from dgc_pose.training.views import Cameras, pixel_grid
 
-PairKind = Literal["general", "planar", "rotation_only", "forward"]
+PairKind = Literal["general", "planar", "rotation_only"]
 
-_OPTIONS = SceneOptions(
-    presence=0.9, texture_span=(0.45, 0.9), min_overlap=0.5, tries=12, shadow=0.3
-)
-_DISTANCE = 1.2  # from the look-at point, fields of view
-_PLANE_HALF_SIZE = 20.0
-_PLANE_SPAN = (1.0, 1.3)  # fields of view that the texture of the plane covers
-_PLANE_TEXTURE = 0  # leaves: not periodic, so that no two points of the plane look alike
+_OPTIONS = RoomOptions(boxes=12, ellipsoids=4, spans=((1.0, 2.0), (0.5, 1.0)))
+_TRIES = 12  # scenes drawn, of which the one whose views share enough is taken
+_ENOUGH = 0.5
+_DISTANCE = 2.0  # of a camera from what it looks at
+_PLANE_SPAN = 2.2  # that the texture of the plane covers: not periodic, it looks alike nowhere
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedPair:
+    """Two views with the truth about them. Pixel (0, 0) is the top-left pixel's centre."""
+
+    image1: np.ndarray  # (h1, w1, 3) uint8, RGB
+    image2: np.ndarray  # (h2, w2, 3) uint8, RGB
+    K1: np.ndarray  # (3, 3) float64, pixels
+    K2: np.ndarray  # (3, 3) float64, pixels
+    R: np.ndarray  # (3, 3) float64, x2 = R x1 + t
+    t: np.ndarray  # (3,) float64, units of the scene; zero for rotation_only
+    map: np.ndarray  # (h2, w2, 2), (x, y) in pixels of image 1
+    visible: np.ndarray  # (h2, w2) bool, the surface point is seen in image 1
+    depth1: np.ndarray  # (h1, w1), along the optical axis
+    depth2: np.ndarray  # (h2, w2)
 
 
 def render_scene_pair(
@@ -47,79 +51,109 @@ def render_scene_pair(
     rotation_deg: float = 15.0,
     kind: PairKind = "general",
 ) -> RenderedPair:
-    """A pair whose cameras differ by a rotation of exactly `rotation_deg` and have their own K.
+    """A pair whose cameras differ by a rotation of exactly `rotation_deg`; images of one size are
+    of one camera.
 
     Sizes are (width, height). kind: "general", objects in a room, orbited; "planar", the same
-    motion before a single plane; "rotation_only", the room from one centre; "forward", the room
-    with camera 2 ahead of camera 1 on its optical axis. The same seed gives the same pair.
+    motion before a single plane; "rotation_only", the room from one centre. The same seed gives the
+    same pair.
     """
-    draw = Draw(torch.Generator().manual_seed(seed), dtype=torch.float64)
-    bank = _bank()
+    draw, photos = Draw("cpu", seed, kind), _photos()
+    rooms, look = random_rooms(_TRIES, photos, draw, _OPTIONS)
+    azimuth = draw.uniform(_TRIES, high=2 * math.pi)
+    height = torch.deg2rad(draw.uniform(_TRIES, low=5, high=30))
+    level = height.cos()
+    towards = torch.stack([azimuth.sin() * level, -height.sin(), azimuth.cos() * level], -1)
+    if kind == "planar":
+        look = 0 * look
+        rooms = _planes(rooms, towards, draw)
+    roll = torch.zeros(_TRIES)
+    first = Cameras.looking(_K(seed, size1), look + _DISTANCE * towards, look, roll)
+    axis = 0.3 * draw.normal(_TRIES, 3)
+    axis[:, 1] = draw.choice((-1.0, 1.0))
+    rotation2 = _turn(normalize(axis, dim=-1), math.radians(rotation_deg)) @ first.pose[..., :3]
+    centre2 = first.centre
+    if kind != "rotation_only":
+        distance2 = _DISTANCE * draw.uniform(_TRIES, 1, low=0.9, high=1.1)
+        centre2 = look - distance2 * rotation2[:, 2]
+    second = Cameras.at(_K(seed, size2), rotation2, centre2)
+    shape1, shape2 = size1[::-1], size2[::-1]
+    shared = overlap(rooms, first, second, shape2).clamp(max=_ENOUGH)
+    for camera in (first, second):
+        place = torch.einsum("bji,bj->bi", rooms.axes[:, 0], camera.centre)
+        shared -= (place.abs() > 0.97 * rooms.half[:, 0]).any(1).float()
+    best = shared.argmax()[None]
+    pair = _rendered(rooms.chosen(best), first[best], second[best], shape1, shape2, photos)
+    return replace(pair, t=0 * pair.t) if kind == "rotation_only" else pair
 
-    def draw_views() -> Views:
-        first, second = _camera_pair(draw, size1, size2, math.radians(rotation_deg), kind)
-        if kind == "planar":
-            scene = _single_plane(draw, first, bank.size, _PLANE_TEXTURE)
-        else:
-            scene = random_scene(draw, first, second, bank.size, bank.count, _OPTIONS)
-        return Views(scene, first, second)
 
-    views = overlapping(draw_views, _OPTIONS)
-    return as_arrays(render_views(views, bank, _OPTIONS, views.scene.light))
-
-
-def _single_plane(draw: Draw, first: Cameras, texture_size: tuple[int, int], photo: int) -> Scene:
-    """For each camera one plane through the origin that fills its view, tilted by up to 30 deg.
-
-    Its texture is `photo`, with the middle at the origin.
-    """
-    batch = len(first.K)
-    towards = normalize(first.centre, dim=-1)[:, None]
-    texture = texture_maps(draw, batch, 1, texture_size, _PLANE_SPAN)
-    texture[..., 2] = texture.new_tensor(texture_size) / 2
-    return Scene(
-        layout=Layout(0, 1, 0, 0),
-        centre=torch.zeros_like(towards),
-        axes=facing(draw, towards, math.radians(30.0)),
-        half_size=torch.full_like(towards, _PLANE_HALF_SIZE),
-        active=torch.ones_like(towards[..., 0], dtype=torch.bool),
-        photo=torch.full((batch, 1, FACES), photo, device=towards.device),
-        texture=texture,
-        light=first.centre,
+def _rendered(
+    rooms: Rooms,
+    first: Cameras,
+    second: Cameras,
+    shape1: tuple[int, int],
+    shape2: tuple[int, int],
+    photos: Photos,
+) -> RenderedPair:
+    image1, depth1 = render(rooms, first, shape1, photos.bank)
+    image2, depth2 = render(rooms, second, shape2, photos.bank)
+    pixels = pixel_grid(shape2, depth2.device).view(1, -1, 2)
+    found, visible = correspond(rooms, first, second, depth2.flatten(1), pixels, shape1)
+    pose = second.seen_by(first).pose[0].double().numpy()
+    U, _, Vt = np.linalg.svd(pose[:, :3])  # the nearest rotation: these are in single precision
+    return RenderedPair(
+        *(image_arrays(image)[0] for image in (image1, image2)),
+        *(_matrix(camera.K[0].double().numpy()) for camera in (first, second)),
+        U @ Vt,
+        pose[:, 3],
+        found.view(*shape2, 2).double().numpy(),
+        visible.view(shape2).numpy(),
+        depth1[0].double().numpy(),
+        depth2[0].double().numpy(),
     )
 
 
+def _planes(rooms: Rooms, towards: Tensor, draw: Draw) -> Rooms:
+    """A single plane through the origin each, tilted by up to 30 degrees to the direction
+    `towards` (B, 3), in a hall too large to be seen."""
+    count = len(towards)
+    normal = towards + 0.3 * draw.uniform(count, 3, low=-1)
+    facing = Cameras.looking(torch.ones(count, 4), normal, 0 * normal, torch.zeros(count))
+    axes = facing.pose[:, None, :, :3].mT.expand(-1, 2, -1, -1)
+    half = torch.tensor([[100.0, 100, 100], [20, 20, 0.001]]).expand(count, 2, 3)
+    return Rooms(
+        axes,
+        half,
+        torch.zeros(count, 2, 3),
+        torch.zeros_like(rooms.photo[:, :2]),
+        torch.full_like(rooms.span[:, :2], _PLANE_SPAN),
+        torch.full_like(rooms.origin[:, :2], 0.5),
+        torch.full_like(rooms.weight[:, :2], 0.5),
+        torch.ones(count, 2, FACES, 3),
+        0,
+    )
+
+
+def _turn(axis: Tensor, angle: float) -> Tensor:
+    """Rotations (B, 3, 3) about unit axes (B, 3) by an angle, radians."""
+    x, y, z = (angle * axis).unbind(-1)
+    zero = torch.zeros_like(x)
+    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).view(-1, 3, 3)
+    return torch.linalg.matrix_exp(cross.double()).float()
+
+
 @lru_cache(maxsize=1)
-def _bank() -> TextureBank:
-    return TextureBank.from_photos(procedural_textures(18, 384))
+def _photos() -> Photos:
+    return drawn_photos(18, 384)
 
 
-def _camera_pair(
-    draw: Draw, size1: tuple[int, int], size2: tuple[int, int], rotation: float, kind: PairKind
-) -> tuple[Cameras, Cameras]:
-    K1, K2 = _intrinsics(draw, size1), _intrinsics(draw, size2)
-    viewpoint = random_viewpoints(draw, 1, (15.0, 40.0))
-    centre1 = viewpoint * _DISTANCE * K1[:, 0, 0, None] / max(size1)
-    rotation1 = look_at(centre1, torch.zeros_like(centre1))
-
-    tilt = draw.normal(1, 3) * 0.3
-    tilt[:, 1] = 1 - 2 * draw.chance(1, share=0.5).to(tilt.dtype)
-    angle = torch.full_like(tilt[:, 0], rotation)
-    rotation2 = axis_angle(normalize(tilt, dim=-1), angle) @ rotation1
-    if kind == "rotation_only":
-        centre2 = centre1
-    elif kind == "forward":
-        centre2 = centre1 * (1 - 0.3)
-    else:
-        distance2 = draw.uniform(1, 1, low=0.9, high=1.1) * _DISTANCE * K2[:, 0, 0] / max(size2)
-        centre2 = -distance2 * rotation2[:, 2]
-    first = Cameras.at(centre1, K1, rotation1, size1)
-    return first, Cameras.at(centre2, K2, rotation2, size2)
+def _K(seed: int, size: tuple[int, int]) -> Tensor:
+    """fx fy cx cy (B, 4) of a camera of `size` (width, height)."""
+    draw = Draw("cpu", seed, size)
+    focal = max(size) * draw.uniform(1, low=1.0, high=1.4)
+    centre = (torch.tensor(size) - 1) / 2 + max(size) * draw.uniform(2, low=-0.03, high=0.03)
+    return torch.cat([focal, focal, centre]).expand(_TRIES, 4)
 
 
-def _intrinsics(draw: Draw, size: tuple[int, int]) -> Tensor:
-    focal = max(size) * draw.uniform(low=1.0, high=1.4)
-    K = torch.eye(3, dtype=focal.dtype)
-    K[0, 0] = K[1, 1] = focal
-    K[:2, 2] = (torch.tensor(size) - 1) / 2 + max(size) * draw.uniform(2, low=-0.03, high=0.03)
-    return K[None]
+def _matrix(K: np.ndarray) -> np.ndarray:
+    return np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])

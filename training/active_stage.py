@@ -1,6 +1,6 @@
 """The stage that a run is in: its module, optimiser and averaged weights."""
 
-from copy import deepcopy
+import math
 from typing import Any, cast
 
 import torch
@@ -10,40 +10,28 @@ from torch.optim.swa_utils import AveragedModel
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.schedule import STAGES, StageName, learning_rate
-from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.stages import DecoderStage, EncoderStage, StageName
 
 Stage = EncoderStage | DecoderStage
 
-_LARGEST_GRADIENT = 5.0  # norm over all parameters
-_BACKBONE_RATE = 0.25  # times the rate of the rest, to keep what ImageNet taught
+_RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
+_WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
+_LARGEST_GRADIENT = 3.0  # norm over all parameters
+_BACKBONE_RATE = 0.35  # times the rate of the rest, to keep what ImageNet taught
 
 
 class ActiveStage:
-    """One stage of a run, from the network's present weights, on the device of the network.
-
-    A pretrained backbone learns at a quarter of the rate.
-    """
+    """One stage of a run, from the network's present weights, on the device of the network."""
 
     def __init__(self, name: StageName, net: DGCNet, options: TrainingOptions) -> None:
         self.name = name
-        self._net = net
-        self.module: Stage
-        if name == "encoder":
-            device = next(net.parameters()).device
-            self.module = EncoderStage(net, trained=options.init is not None).to(device)
-        else:
-            self.module = DecoderStage(net, end_to_end=name == "polish")
+        self.module: Stage = EncoderStage(net) if name == "encoder" else DecoderStage(net)
         self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.module.train()
         self.parameters = [p for p in self.module.parameters() if p.requires_grad]
-        self._settings = STAGES[name]
-        self._rate = options.rate
-        self.optimizer = torch.optim.AdamW(
-            _rate_groups(self.module),
-            lr=self._settings.learning_rate,
-            weight_decay=self._settings.weight_decay,
-        )
+        self._rate = _RATE * options.rate
+        groups = _rate_groups(self.module)
+        self.optimizer = torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY, betas=_BETAS)
         self._average = moving_average(self.module, options.average_decay)
 
     @property
@@ -52,8 +40,11 @@ class ActiveStage:
         return cast(Stage, self._average.module)
 
     def set_rate(self, progress: float) -> float:
-        """The learning rate at a progress of the stage, from 0 to 1; the next step uses it."""
-        rate = self._rate * learning_rate(self._settings, progress)
+        """The learning rate at a progress of the stage, from 0 to 1, which the next step uses: a
+        linear warm-up, then a cosine."""
+        cosine = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+        warm = min(1.0, 0.05 + 0.95 * progress / _WARM_UP)
+        rate = self._rate * warm * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
         for group in self.optimizer.param_groups:
             group["lr"] = rate * group["factor"]
         return rate
@@ -66,14 +57,6 @@ class ActiveStage:
         self.optimizer.step()
         self._average.update_parameters(self.module)
         return norm
-
-    def averaged(self) -> DGCNet:
-        """A copy of the network by the averaged weights."""
-        if not isinstance(self.average, EncoderStage):
-            return deepcopy(self.average.net)
-        net = deepcopy(self._net)
-        self.average.write(net)
-        return net
 
     def state_dict(self) -> dict[str, Any]:
         return {

@@ -1,14 +1,16 @@
-"""The losses: contrastive for the encoder; map and mask at each level for the decoders."""
-
-import math
+"""The losses: of matches between cells for the encoder; map and mask at each level for decoders."""
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.network.correlation import match_scores
+from dgc_pose.training.draw import Draw
 
 _ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm
+_LEAST_LOG = -14.0  # of a probability: one wrong truth weighs no more
+_RADIUS, _SHARPNESS = 3, 20.0  # cells and inverse temperature of the engine's refinement
+_JITTER = 1.5  # cells, of the window about the truth
+Grid = tuple[int, int]  # rows and columns
 
 
 def masked_mean(values: Tensor, inside: Tensor) -> Tensor:
@@ -19,49 +21,91 @@ def masked_mean(values: Tensor, inside: Tensor) -> Tensor:
     return torch.where(inside, values, 0).sum() / inside.sum().clamp(min=1)
 
 
-def contrastive_loss(
-    logits: Tensor, truth: Tensor, valid: Tensor, stride: int
+def likelihood_loss(
+    log_likely: Tensor, truth: Tensor, valid: Tensor, stride: int, grid: Grid
 ) -> tuple[Tensor, Tensor]:
-    """InfoNCE on true correspondences, in both directions, and the share of right cells.
+    """The mean negative log-likelihood of the true matches, and the share of right cells.
 
-    logits: (B, h * w, Q), every source cell, column-major, against Q target cells; truth:
-    (B, Q, 2), their true points in source pixels; valid: (B, Q). Each valid target cell is
-    classified among all source cells (its true point shared bilinearly by the four cells around
-    it), and that point among all target cells given. Returns the loss and the share of valid cells
-    whose best source cell lies within 1.5 cells of the truth.
+    log_likely: (B, h * w, Q), of every source cell, column-major, for Q target cells; truth:
+    (B, Q, 2), their true points in source pixels, each shared bilinearly by the four cells around
+    it; valid: (B, Q); grid: h and w. Right is a best cell within 1.5 cells of the truth.
     """
-    size = math.isqrt(logits.shape[1])
-    truth = torch.where(valid[..., None], truth, 0)
-    cells = (truth + 0.5) / stride - 0.5  # the true point in source cells
-    likely = match_scores(logits) / 2
-    index, weight = _bilinear_cells(cells, size)
-    loss = -masked_mean((likely.gather(1, index) * weight).sum(1), valid)
-    best = logits.detach().argmax(1)
-    points = torch.stack([torch.div(best, size, rounding_mode="floor"), best % size], -1)
+    cells = (torch.where(valid[..., None], truth, 0) + 0.5) / stride - 0.5
+    index, weight = _bilinear_cells(cells, grid)
+    loss = -masked_mean((log_likely.gather(1, index).clamp(min=_LEAST_LOG) * weight).sum(1), valid)
+    best = log_likely.detach().argmax(1)
+    points = torch.stack([torch.div(best, grid[0], rounding_mode="floor"), best % grid[0]], -1)
     near = (points - cells).norm(dim=-1) < 1.5
     return loss, masked_mean(near.float(), valid)
 
 
-def _bilinear_cells(cells: Tensor, size: int) -> tuple[Tensor, Tensor]:
+def _bilinear_cells(cells: Tensor, grid: Grid) -> tuple[Tensor, Tensor]:
     """The four cells around points (B, N, 2): column-major indices (B, 4, N), and their weights."""
-    cells = cells.clamp(0, size - 1)
-    low = cells.floor().clamp(max=size - 2)
+    last = cells.new_tensor([grid[1] - 1, grid[0] - 1])
+    cells = torch.minimum(cells.clamp(min=0), last)
+    low = torch.minimum(cells.floor(), last - 1)
     x, y = low.long().unbind(-1)
     fx, fy = (cells - low).unbind(-1)
-    first = x * size + y
-    index = torch.stack([first, first + 1, first + size, first + size + 1], 1)
+    first = x * grid[0] + y
+    index = torch.stack([first, first + 1, first + grid[0], first + grid[0] + 1], 1)
     weight = torch.stack([(1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy], 1)
     return index, weight
 
 
-def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
-    """Mean over valid cells of c log(1 + e / c), e = |dx| + |dy| (paper, equation 3: of e itself).
+def window_loss(
+    source: Tensor, target: Tensor, truths: tuple[Tensor, Tensor], draw: Draw, queries: int
+) -> Tensor:
+    """The cross-entropy of the refinement's soft-argmax, in a window about the truth.
 
-    error_cells: (B, H, W, 2), here in cells of the level. A level cannot correct large errors of
-    the level before it, which should not dominate.
+    source, target: unit features (B, C, h, w) of stride 4. Both are averaged over 2x2, the source's
+    at every cell, as the engine does. truths: true points (B, h w / 4, 2), pixels, of the
+    target's cells of stride 8, of which random `queries` count, and which are valid.
+    """
+    truth, valid = truths
+    means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
+    rows, columns = means.shape[2:]
+    chosen = random_cells(valid, queries, draw)
+    use = valid.gather(1, chosen)
+    points = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
+    place = torch.where(use[..., None], (points + 0.5) / 4 - 1, 0)  # in means, between cells
+    middle = (place + _JITTER * draw.uniform(*place.shape, low=-1)).round()
+    offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=place.device)
+    dy, dx = torch.meshgrid(offsets, offsets, indexing="ij")
+    x, y = middle[..., :1] + dx.flatten(), middle[..., 1:] + dy.flatten()
+    there = (x >= 0) & (y >= 0) & (x < columns) & (y < rows)
+    index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1)).long()
+    channels = means.shape[1]
+    near = means.flatten(2).gather(2, index.flatten(1)[:, None].expand(-1, channels, -1))
+    near = near.unflatten(2, index.shape[1:])
+    query = wanted.gather(2, chosen[:, None].expand(-1, channels, -1))
+    likely = (_SHARPNESS * (near * query[..., None]).sum(1)).masked_fill(~there, -30)
+    share = (1 - (x - place[..., :1]).abs()).clamp(min=0) * (1 - (y - place[..., 1:]).abs()).clamp(
+        min=0
+    )
+    share = share * there
+    whole = use & (share.sum(-1) > 0.9)
+    return masked_mean(-(share * likely.log_softmax(-1)).sum(-1), whole)
+
+
+def random_cells(valid: Tensor, count: int, draw: Draw) -> Tensor:
+    """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first."""
+    order = draw.uniform(*valid.shape) + valid.float()
+    return order.topk(min(count, valid.shape[1]), 1).indices
+
+
+def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
+    """Mean over valid cells of c log(1 + e / c), e = |dx| + |dy|.
+
+    error_cells: (B, H, W, 2), in cells of the level. A level cannot correct large errors of the
+    level before it, which should not dominate.
     """
     error = error_cells.abs().sum(-1)
     return masked_mean(_ROBUST_CELLS * torch.log1p(error / _ROBUST_CELLS), valid)
+
+
+def absolute_map_loss(error: Tensor, valid: Tensor) -> Tensor:
+    """Mean over valid cells of |dx| + |dy| (paper, equation 3) of (B, H, W, 2), normalised."""
+    return masked_mean(error.abs().sum(-1), valid)
 
 
 def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:

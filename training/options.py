@@ -1,15 +1,36 @@
-"""What a training run does: network, length, pairs, starting weights, what learns."""
+"""What a training run does: network, length, pairs, starting weights."""
 
-from dataclasses import dataclass, field
-from typing import Literal
+from __future__ import annotations
 
-from dgc_pose.errors import InputError
+from dataclasses import dataclass
+
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.network.config import NetworkConfig, preset
 from dgc_pose.system.options import MAX_SEED, check_options, option
-from dgc_pose.training.schedule import Schedule
-from dgc_pose.training.synthesis.options import PairOptions
 
-InitPart = Literal["all", "encoder"]
+
+@dataclass(frozen=True)
+class Shares:
+    """How many of the pairs are of each kind; a kind without data has none."""
+
+    photos: float = 0.20  # warped photographs
+    light: float = 0.08  # of one place in other light, warped
+    rooms: float = 0.20  # ray-cast
+    posed: float = 0.52  # posed photographs of known depth
+
+    @classmethod
+    def parse(cls, text: str) -> Shares:
+        """From percentages, as "20,8,20,52". Raises InputError for any other text."""
+        try:
+            shares = [float(part) / 100 for part in text.split(",")]
+        except ValueError:
+            shares = []
+        if len(shares) != 4 or not min(shares) >= 0 or not 0 < sum(shares) < float("inf"):
+            raise InputError(f"shares must be four percentages, such as 20,8,20,52, not {text}")
+        return cls(*shares)
+
+
+DEFAULT_SHARES = Shares()
 
 
 @dataclass(frozen=True)
@@ -17,11 +38,9 @@ class TrainingOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
 
     preset: str = option("dgcm-lite0", "Network: dgc, dgcm or dgcm-lite0.")
-    minutes: float | None = option(
-        None, "Length of the training schedule, minutes.", above=0, max=10**7
-    )
+    seconds: float | None = option(None, "Length of the run.", above=0, max=10**9)
     steps: int | None = option(
-        None, "Length of the schedule in steps; such a run repeats exactly.", min=1, max=10**9
+        None, "Length of the run in steps; such a run repeats exactly.", min=1, max=10**9
     )
     ablations: tuple[str, ...] = option(
         (),
@@ -30,52 +49,51 @@ class TrainingOptions:
         flag="--ablation",
     )
     seed: int = option(0, "Seed of all random draws.", min=0, max=MAX_SEED)
-    schedule: Schedule = option(
-        Schedule(),
-        "Shares of the time for encoder, decoders and polish, in percent. A frozen encoder has "
-        "none; the others divide its share.",
-        flag="--split",
-        parse=Schedule.parse,
-        text="45,45,10",
+    encoder_share: float = option(
+        0.7, "Share of the run for the encoder; VGG-16 stays as it is.", min=0, max=1
     )
-    pairs: PairOptions = field(default_factory=PairOptions)
+    shares: Shares = option(
+        DEFAULT_SHARES,
+        "Percentages of the pairs: warped photographs, those in other light, rooms, posed "
+        "photographs. A kind without data has none.",
+        parse=Shares.parse,
+        text="20,8,20,52",
+    )
     init: str | None = option(None, "Weights to initialise from: a file, or a shipped name.")
-    init_part: InitPart = option(
-        "all", "Part of the --init weights to use; the rest is initialised at random."
-    )
     encoder: str | None = option(
         None,
-        "ImageNet weights for the encoder (.pth or .safetensors): of VGG-16 in torchvision's "
-        "layout, frozen, for dgc and dgcm; of EfficientNet-Lite0, to start from, for dgcm-lite0.",
+        "ImageNet's VGG-16 for the encoder of dgc and dgcm, .pth or .safetensors in torchvision's "
+        "layout; it stays as it is.",
     )
     rate: float = option(
-        1.0,
-        "Factor of the learning rates; with --init, choose less, such as 0.1.",
-        above=0,
-        max=1000,
+        1.0, "Factor of the learning rates; with --init, choose less.", above=0, max=1000
     )
-    batch: int | None = option(None, "Pairs a step; default: the stage's own.", min=1, max=2**16)
+    batch: int | None = option(
+        None,
+        "Pairs a step, of 240x240 pixels; default: on a GPU 84 and 64, on a CPU 4.",
+        min=1,
+        max=2**16,
+    )
     validation_count: int = option(
-        64, "Pairs of held-back photographs.", flag="--validation-pairs", min=1, max=2**20
+        32, "Pairs of each kind that validate.", flag="--validation-pairs", min=1, max=2**16
     )
     half_precision: bool = option(
-        False, "Convolutions in bfloat16, everything else in single precision."
+        False, "Convolutions in bfloat16, as always on a GPU; the rest in single precision."
     )
-    validate_minutes: float = 5.0  # between validations
-    save_minutes: float = 1.0  # between checkpoints
-    average_decay: float = 0.998  # at most, of the exponential moving average of the weights
+    validate_seconds: float = 300.0  # between validations
+    save_seconds: float = 60.0  # between checkpoints
+    average_decay: float = 0.999  # at most, of the exponential moving average of the weights
 
     def __post_init__(self) -> None:
         check_options(self)
-        preset(self.network)  # raises InputError for a name of no network
-        if (self.minutes is None) == (self.steps is None):
-            raise InputError("a run needs its length, in minutes or in steps, and one of them only")
-        if self.encoder is not None and self.init is not None and self.init_part == "encoder":
-            raise InputError("encoder and init_part=encoder both set the encoder")
-        if self.schedule.encoder == 1 and self.encoder_is_frozen:
-            raise InputError(
-                f"the schedule trains the encoder of {self.network} alone: it is frozen"
-            )
+        config = self.config  # raises InputError for a name of no network
+        if (self.seconds is None) == (self.steps is None):
+            raise InputError("a run needs its length, in seconds or in steps, and one of them only")
+        if config.any_shape and self.encoder is not None:
+            raise InputError(ArgumentName("encoder"), f"is VGG-16, which {self.network} has not")
+        if not config.any_shape and self.encoder is None and self.init is None:
+            needs = f"or init is needed: the VGG-16 of {self.network} is not trained"
+            raise InputError(ArgumentName("encoder"), needs)
 
     @property
     def network(self) -> str:
@@ -85,14 +103,3 @@ class TrainingOptions:
     @property
     def config(self) -> NetworkConfig:
         return preset(self.network)
-
-    @property
-    def encoder_is_frozen(self) -> bool:
-        """Whether no stage trains the encoder: VGG-16's of ImageNet, as in the paper."""
-        is_vgg = self.config.pyramid != "efficientnet-lite0"
-        return is_vgg and self.encoder is not None
-
-    @property
-    def stages(self) -> Schedule:
-        """The schedule, without the share of an encoder that is frozen."""
-        return self.schedule.without_encoder() if self.encoder_is_frozen else self.schedule

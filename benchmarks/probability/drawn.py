@@ -21,7 +21,7 @@ from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.training.synthesis.posed_depth import PosedFrame, read_rgbd
+from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
 
 _ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
 # Edges of the bins of overlap: share of image 2's depth that is seen in image 1, and points that
@@ -50,7 +50,7 @@ def drawn_rgbd(folder: Path, count: int, seed: int) -> list[Pair]:
             if frame1 is frame2 or not len(points) or _is_still(T, np.median(points[:, 2])):
                 continue
             names = (f"images/{frame.image.name}" for frame in (frame1, frame2))
-            pairs.append(_pair(folder, [*names], [Camera(frame1.K), Camera(frame2.K)], T))
+            pairs.append(_pair(folder, [*names], [frame1.camera, frame2.camera], T))
             back = points @ T[:3, :3] - T[:3, 3] @ T[:3, :3]
             overlaps.append(_overlap(frame1, depth1, back))
     return _chosen(pairs, np.array(overlaps), _OVERLAPS, count, seed)
@@ -135,14 +135,17 @@ def _probes(frame: PosedFrame, depth: np.ndarray) -> np.ndarray:
     z = depth[y, x].astype(np.float64)
     known = z > 0
     pixels = np.stack([x[known], y[known]], -1).astype(np.float64)
-    rays = (pixels - frame.K[:2, 2]) / np.diag(frame.K)[:2]
+    rays = (pixels - frame.camera.K[:2, 2]) / np.diag(frame.camera.K)[:2]
     return np.column_stack([rays, np.ones(len(rays))]) * z[known][:, None]
 
 
 def _overlap(frame: PosedFrame, depth: np.ndarray, points: np.ndarray) -> float:
     """Share of points (N, 3), in the frame's axes, that it sees."""
     z = points[:, 2]
-    pixels = points[:, :2] / np.maximum(z, 1e-6)[:, None] * np.diag(frame.K)[:2] + frame.K[:2, 2]
+    pixels = (
+        points[:, :2] / np.maximum(z, 1e-6)[:, None] * np.diag(frame.camera.K)[:2]
+        + frame.camera.K[:2, 2]
+    )
     column, row = np.rint(pixels.clip(-1e6, 1e6)).astype(int).T
     height, width = depth.shape
     inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)

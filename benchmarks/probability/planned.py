@@ -88,37 +88,35 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
 
 
 def _rendered(folders: list[Path], entry: PlanEntry) -> Maker:
-    from dgc_pose.training.synthesis.options import SceneOptions
-    from dgc_pose.training.synthesis.photos import load_held_back
-    from dgc_pose.training.synthesis.render.rendered_pairs import render_pairs
+    from dgc_pose.training.draw import Draw
+    from dgc_pose.training.photos import load_held_back
+    from dgc_pose.training.room_pairs import RoomOptions, room_pairs
 
-    textures = load_held_back(folders[0]).textures
-    scenes = SceneOptions(
-        rotation_deg=(5.0, 70.0), roll_deg=8.0, min_overlap=0.15, texture_span=(0.3, 0.6)
+    photos = load_held_back(folders[0])
+    options = RoomOptions(
+        orbit_deg=(5.0, 70.0), enough=0.15, tries=6, spans=((1.5, 3.0), (0.9, 1.8))
     )
+    shape = _RENDERED_SIZE, _RENDERED_SIZE
 
     def make(number: int) -> PosedPair:
-        import torch
-
-        generator = torch.Generator().manual_seed(1000 * entry.seed + number)
-        return posed_pair(render_pairs(textures, 1, _RENDERED_SIZE, generator, scenes), {})
+        draw = Draw("cpu", "rendered", entry.seed, number)
+        return posed_pair(room_pairs(photos, 1, shape, draw, options), {})
 
     return make
 
 
 def _planes(folders: list[Path], entry: PlanEntry) -> Maker:
-    """Planes with a relief, whose homographies have two poses; see `synthesis.render.plane_pairs`.
-    The heights of the reliefs come in turn."""
-    from dgc_pose.training.synthesis.draw import seeded
-    from dgc_pose.training.synthesis.photos import load_held_back
-    from dgc_pose.training.synthesis.render.plane_pairs import RELIEFS, render_plane_pair
+    """Planes with a relief, whose homographies have two poses; see `planes`. The heights of the
+    reliefs come in turn."""
+    from dgc_pose.benchmarks.probability.planes import RELIEFS, plane_pair
+    from dgc_pose.training.draw import Draw
+    from dgc_pose.training.photos import load_held_back
 
-    textures = load_held_back(folders[0], _PLANE_PHOTO).textures
+    photos = load_held_back(folders[0], _PLANE_PHOTO)
 
     def make(number: int) -> PosedPair:
-        generator = seeded("planes", entry.seed, number)
-        relief = RELIEFS[number % len(RELIEFS)]
-        return posed_pair(render_plane_pair(textures, PLANE_SIZE, generator, relief), {})
+        draw = Draw("cpu", "planes", entry.seed, number)
+        return posed_pair(plane_pair(photos, PLANE_SIZE, draw, RELIEFS[number % len(RELIEFS)]), {})
 
     return make
 

@@ -14,6 +14,7 @@ from dgc_pose.benchmarks.probability.collection import read_collection, read_eng
 from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
+from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.competition import choice_shares, utility
@@ -29,7 +30,6 @@ from dgc_pose.estimation.probability import (
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
-from dgc_pose.training.evaluation.reliability import Reliability, draw_reliability
 
 _DEFAULTS = EstimationOptions()
 _KINDS: dict[MatchKind, str] = {

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from dgc_pose.benchmarks.spline import TPS_KNOTS, thin_plate_spline
 from dgc_pose.geometry.pixels import cell_centres, rescale
 from dgc_pose.images.image import Image
 from dgc_pose.matching import (
@@ -21,7 +22,6 @@ from dgc_pose.network.net import DGCNet, global_correlation, l2_normalise
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import choose_device, load_network, network_fingerprint
 from dgc_pose.runtime.torch_engine import for_inference, network_input
-from dgc_pose.training.synthesis.spline import TPS_KNOTS, thin_plate_spline
 
 WEIGHTS = Path(__file__).parent / "rocco.safetensors"  # of the regressions, in half precision
 ENCODER = "encoder"  # in its header, the fingerprint of the pyramid that they were trained on

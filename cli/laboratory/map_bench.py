@@ -21,14 +21,14 @@ from dgc_pose.benchmarks.map_report import (
     summaries,
     write_pairs,
 )
+from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
+from dgc_pose.benchmarks.reliability import plot_reliability
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
 from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
-from dgc_pose.training.evaluation.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
-from dgc_pose.training.evaluation.reliability import plot_reliability
 from dgc_pose.viz import save_figure
 
 if TYPE_CHECKING:

@@ -7,12 +7,9 @@ from dgc_pose.network.config import NetworkConfig
 
 class Pyramid(nn.Module):
     """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1): 3x3
-    convolutions with ReLU, and a max-pool at the end of all levels but the first.
+    convolutions with ReLU, and a max-pool at the end of all levels but the first."""
 
-    batch_norm: after each convolution, in training only; folded afterwards.
-    """
-
-    def __init__(self, config: NetworkConfig, batch_norm: bool = False) -> None:
+    def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         assert not isinstance(config.pyramid, str)
         inputs = 3
@@ -20,8 +17,6 @@ class Pyramid(nn.Module):
             layers: list[nn.Module] = []
             for channels in level:
                 layers.append(nn.Conv2d(inputs, channels, 3, padding=1))
-                if batch_norm:
-                    layers.append(nn.BatchNorm2d(channels))
                 layers.append(nn.ReLU())
                 inputs = channels
             if index > 0:

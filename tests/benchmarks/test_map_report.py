@@ -13,8 +13,8 @@ from dgc_pose.benchmarks.map_report import (
     report_data,
     summaries,
 )
-from dgc_pose.training.evaluation.map_scores import PairScores
-from dgc_pose.training.evaluation.reliability import Reliability
+from dgc_pose.benchmarks.map_scores import PairScores
+from dgc_pose.benchmarks.reliability import Reliability
 
 
 def pair(method: str, group: str, name: str, aepe: float, valid: int = 28800) -> PairScores:

@@ -48,7 +48,8 @@ def test_own_weights_survive_the_disk_at_half_precision(tmp_path: Path) -> None:
     assert loaded.config == preset("dgcm-lite0")
     for key, value in net.state_dict().items():
         if not key.endswith("num_batches_tracked"):
-            assert torch.equal(loaded.state_dict()[key], value.half().float()), key
+            stored = value if "running" in key else value.half().float()
+            assert torch.equal(loaded.state_dict()[key], stored), key
     assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
 
 

@@ -10,24 +10,31 @@ from dgc_pose.training.options import TrainingOptions
 
 
 def _stage(net: DGCNet) -> ActiveStage:
-    return ActiveStage("encoder", net, TrainingOptions(minutes=1.0))
+    return ActiveStage("encoder", net, TrainingOptions(seconds=1.0))
 
 
-def test_a_backbone_learns_at_a_quarter_of_the_rate() -> None:
+def test_the_rate_rises_and_then_falls() -> None:
+    stage = _stage(DGCNet(preset("dgcm-lite0")))
+    rates = [stage.set_rate(step / 100) for step in range(101)]
+    assert max(rates) == pytest.approx(1e-3, rel=0.01) and rates[0] < 0.1 * max(rates)
+    assert rates[2:] == sorted(rates[2:], reverse=True) and rates[-1] == pytest.approx(2e-5)
+
+
+def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
     net = DGCNet(preset("dgcm-lite0"))
     stage = _stage(net)
     rate = stage.set_rate(0.5)
     rest, backbone = stage.optimizer.param_groups
-    assert rest["lr"] == rate and backbone["lr"] == pytest.approx(rate / 4)
+    assert rest["lr"] == rate and backbone["lr"] == pytest.approx(0.35 * rate)
     body = [*net.pyramid.get_submodule("stem").parameters()]
     body += net.pyramid.get_submodule("blocks").parameters()
     shapes = [parameter.shape for parameter in backbone["params"]]
     assert shapes == [parameter.shape for parameter in body]
-    # Levels 0 and 1 are frozen in this stage; all else is in one group or the other.
-    fine = [net.pyramid.get_submodule(f"level_{level}") for level in (0, 1)]
-    frozen = sum(p.numel() for level in fine for p in level.parameters())
+    # Levels 0 and 1 and the decoders stay in this stage; the temperatures are the stage's own.
+    heads = [m for n, m in net.pyramid.named_children() if n.startswith(("head", "lift", "merge"))]
     trained = sum(p.numel() for group in (rest, backbone) for p in group["params"])
-    assert trained == sum(p.numel() for p in stage.module.parameters()) - frozen
+    own = sum(p.numel() for part in heads for p in part.parameters())
+    assert trained == own + sum(p.numel() for p in body) + 4
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.3, 0.998])

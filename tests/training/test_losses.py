@@ -5,9 +5,17 @@ import math
 import torch
 import torch.nn.functional as F
 
+from dgc_pose.network.correlation import match_scores
 from dgc_pose.network.net import global_correlation, l2_normalise
-from dgc_pose.training.losses import contrastive_loss, map_loss, mask_loss
-from dgc_pose.training.synthesis.map_pairs import level_truth
+from dgc_pose.training.draw import Draw
+from dgc_pose.training.losses import (
+    absolute_map_loss,
+    likelihood_loss,
+    map_loss,
+    mask_loss,
+    window_loss,
+)
+from dgc_pose.training.map_pairs import level_truth
 
 
 def _identity(size: int) -> torch.Tensor:
@@ -41,38 +49,70 @@ def test_level_truth_leaves_out_edges_and_holes() -> None:
     assert not whole[0, :, 2].any() and whole[0, :, [0, 1, 3]].all()
 
 
-def test_contrastive_loss_equals_its_definition() -> None:
+def test_the_likelihood_of_matches_equals_its_definition() -> None:
     generator = torch.Generator().manual_seed(0)
-    size, stride, scale = 4, 8, 7.0
-    source, target = l2_normalise(torch.randn(2, 1, 6, size, size, generator=generator))
-    truth = 31 * torch.rand(1, size, size, 2, generator=generator)
-    valid = torch.rand(1, size, size, generator=generator) < 0.7
+    (rows, columns), stride, scale = (4, 5), 8, 7.0
+    source, target = l2_normalise(torch.randn(2, 6, rows, columns, generator=generator))[:, None]
+    truth = torch.rand(1, 20, 2, generator=generator) * torch.tensor([39.0, 31.0])
+    valid = torch.rand(1, 20, generator=generator) < 0.7
     evidence = scale * global_correlation(source, target).flatten(2)
-    loss, share = contrastive_loss(evidence, truth.flatten(1, 2), valid.flatten(1), stride)
+    likely = match_scores(evidence) / 2
+    loss, share = likelihood_loss(likely, truth, valid, stride, (rows, columns))
     total, near = 0.0, 0
     logits = {
-        (s, t): scale * float(source[0, :, s // size, s % size] @ target[0, :, t // size, t % size])
-        for s in range(16)
-        for t in range(16)
+        (x, y, t): scale * float(source[0, :, y, x] @ target[0, :, t // columns, t % columns])
+        for x in range(columns)
+        for y in range(rows)
+        for t in range(20)
     }
-    for t in range(16):
-        if not valid[0, t // size, t % size]:
+    cells = [(x, y) for x in range(columns) for y in range(rows)]
+    for t in range(20):
+        if not valid[0, t]:
             continue
-        x, y = (((truth[0, t // size, t % size] + 0.5) / stride - 0.5).clamp(0, size - 1)).tolist()
-        x0, y0 = min(int(x), size - 2), min(int(y), size - 2)
-        for dy in (0, 1):
-            for dx in (0, 1):
-                weight = (1 - abs(x - x0 - dx)) * (1 - abs(y - y0 - dy))
-                s = (y0 + dy) * size + x0 + dx
-                over_s = math.log(sum(math.exp(logits[k, t]) for k in range(16)))
-                over_t = math.log(sum(math.exp(logits[s, k]) for k in range(16)))
-                total -= weight * (2 * logits[s, t] - over_s - over_t) / 2
-        best = max(range(16), key=lambda k: logits[k, t])
-        bx, by = ((truth[0, t // size, t % size] + 0.5) / stride - 0.5).tolist()
-        near += math.hypot(best % size - bx, best // size - by) < 1.5
+        bx, by = ((truth[0, t] + 0.5) / stride - 0.5).tolist()
+        x, y = min(max(bx, 0), columns - 1), min(max(by, 0), rows - 1)
+        for cx, cy in cells:
+            weight = max(0, 1 - abs(x - cx)) * max(0, 1 - abs(y - cy))
+            over_s = math.log(sum(math.exp(logits[(*cell, t)]) for cell in cells))
+            over_t = math.log(sum(math.exp(logits[cx, cy, k]) for k in range(20)))
+            total -= weight * (2 * logits[cx, cy, t] - over_s - over_t) / 2
+        best = max(cells, key=lambda cell: logits[(*cell, t)])
+        near += math.hypot(best[0] - bx, best[1] - by) < 1.5
     count = int(valid.sum())
     assert math.isclose(float(loss), total / count, rel_tol=1e-4)
     assert math.isclose(float(share), near / count, rel_tol=1e-6)
+
+
+def test_the_window_loss_is_least_for_features_that_find_the_truth() -> None:
+    """Of a shift by whole cells of the means, against a loop; and by less than with another."""
+    generator = torch.Generator().manual_seed(1)
+    wide = l2_normalise(torch.randn(1, 32, 28, 36, generator=generator))
+    smooth = l2_normalise(F.avg_pool2d(wide, 3, 1))
+    source, target = smooth[:, :, :24, :32], smooth[:, :, 2:26, 1:33]
+    y, x = torch.meshgrid(torch.arange(12.0), torch.arange(16.0), indexing="ij")
+    centres = 8 * torch.stack([x, y], -1).view(1, -1, 2) + 3.5
+    truth = centres + torch.tensor([4.0, 8.0])
+    valid = ((truth > 16) & (truth < torch.tensor([128.0, 96.0]) - 16)).all(-1)
+    assert 40 < valid.sum() < 160
+    losses = [
+        float(window_loss(source, target, (truth + shift, valid), Draw("cpu", 0), 500))
+        for shift in (0.0, 4.0)
+    ]
+    means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2)
+    expected = []
+    for t in valid[0].nonzero()[:, 0].tolist():
+        row, column = t // 16, t % 16
+        at = 2 * row + 2, 2 * column + 1
+        scores = [
+            20 * float(means[0, :, r, c] @ wanted[0, :, row, column])
+            for r in range(at[0] - 3, at[0] + 4)
+            for c in range(at[1] - 3, at[1] + 4)
+        ]
+        own = 20 * float(means[0, :, at[0], at[1]] @ wanted[0, :, row, column])
+        expected.append(math.log(sum(map(math.exp, scores))) - own)
+    # The loss draws the windows, which the loop has in the middle.
+    assert math.isclose(losses[0], sum(expected) / len(expected), rel_tol=0.15)
+    assert losses[1] > 2 * losses[0]
 
 
 def test_map_loss_is_a_mean_over_valid_cells_of_logarithms() -> None:
@@ -83,15 +123,18 @@ def test_map_loss_is_a_mean_over_valid_cells_of_logarithms() -> None:
     assert float(map_loss(error, torch.zeros_like(valid))) == 0.0
 
 
+def test_the_papers_map_loss_is_the_mean_of_its_errors() -> None:
+    error = torch.tensor([[[[1.0, -2.0], [torch.nan, 0.0]]]])
+    assert float(absolute_map_loss(error, torch.tensor([[[True, False]]]))) == 3.0
+
+
 def test_nothing_flows_back_from_what_is_not_valid() -> None:
     """NaN in the truth where it does not hold reaches neither the loss nor the gradient."""
     source, target = torch.randn(2, 1, 6, 4, 4, requires_grad=True)
-    truth = 31 * torch.rand(1, 4, 4, 2)
-    valid = torch.rand(1, 4, 4) < 0.5
+    truth, valid = 31 * torch.rand(1, 16, 2), torch.rand(1, 16) < 0.5
     truth[~valid] = torch.nan
-    evidence = 7.0 * global_correlation(source, target).flatten(2)
-    flat = truth.flatten(1, 2), valid.flatten(1)
-    loss, share = contrastive_loss(evidence, *flat, 8)
+    likely = match_scores(7.0 * global_correlation(source, target).flatten(2))
+    loss, share = likelihood_loss(likely, truth, valid, 8, (4, 4))
     (gradient,) = torch.autograd.grad(loss, source)
     assert loss.isfinite() and share.isfinite() and gradient.isfinite().all()
 

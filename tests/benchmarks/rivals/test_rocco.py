@@ -7,11 +7,11 @@ import torch
 from scipy.interpolate import RBFInterpolator
 
 from dgc_pose.benchmarks.rivals.rocco import ENCODER, WEIGHTS, GeometricNet, load_rocco
+from dgc_pose.benchmarks.spline import TPS_KNOTS
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import read_tensors
 from dgc_pose.network.weights import load_network, network_fingerprint
-from dgc_pose.training.synthesis.spline import TPS_KNOTS
 
 _AFFINE = np.array([[0.9, -0.2, 0.1], [0.15, 1.1, -0.05]])
 _SPLINE = TPS_KNOTS.double().numpy() + 0.1 * np.random.default_rng(4).normal(size=(9, 2))

@@ -1,0 +1,181 @@
+"""Figures of dense maps as the paper gives them: of one pair, and over the pairs of a group.
+
+AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over pixels. All errors
+are in pixels of the 240x240 images, over the pixels whose true correspondence is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.benchmarks.reliability import Reliability
+from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
+
+PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
+PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
+WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
+RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
+# The mask of dgcm-lite0 is trained on "visible, with an error below" so many pixels.
+FOUND_PX = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class LevelMap:
+    """A level's map of one pair and the true one, in pixels of the 240x240 input."""
+
+    points: np.ndarray  # (S, S, 2) float32, for each cell of the target a point of the source
+    truth: np.ndarray  # (S, S, 2) float32
+    valid: np.ndarray  # (S, S) bool, cells of known truth
+
+    @property
+    def aepe(self) -> float:
+        """Mean Euclidean error over the valid cells, pixels; NaN without any."""
+        errors = endpoint_errors(self.points, self.truth, self.valid)
+        return float(errors.mean()) if len(errors) else float("nan")
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """A method's maps and mask of one pair, with the truth."""
+
+    levels: tuple[LevelMap, ...]  # coarse to fine, up to 240 cells a side; of a network from 15 on
+    matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
+    known: np.ndarray  # (240, 240) bool, pixels of known visibility
+
+    @property
+    def finest(self) -> LevelMap:
+        return self.levels[-1]
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
+        finest = self.finest
+        distance = np.full(finest.valid.shape, np.inf)
+        distance[finest.valid] = endpoint_errors(finest.points, finest.truth, finest.valid)
+        return distance
+
+
+@dataclass(frozen=True, eq=False)
+class PairScores:
+    """One method's figures of one pair."""
+
+    method: str
+    group: str
+    name: str
+    valid: int  # pixels of known correspondence; without any, the errors below are NaN
+    aepe: float  # pixels
+    # Coarse to fine: of the maps of 15 to 240 cells a side; NaN for one that the method has not.
+    level_aepe: tuple[float, ...]
+    near: np.ndarray  # (200,) int, valid pixels within each of PCK_THRESHOLDS
+    within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
+    jaccard: float  # of the mask against the visible pixels; NaN without a mask
+    jaccard_found: float  # the same against the pixels visible and found to within FOUND_PX
+    # Matches within RIGHT_PX, over all target pixels of known visibility; None without a mask.
+    reliability: Reliability | None
+
+
+@dataclass(frozen=True, eq=False)
+class MapSummary:
+    """One method's figures over the pairs of a group."""
+
+    method: str
+    group: str
+    pairs: int
+    aepe: float  # pixels, mean over the pairs that have valid pixels
+    level_aepe: tuple[float, ...]  # the same, coarse to fine
+    pck: np.ndarray  # (200,) share of all valid pixels within each of PCK_THRESHOLDS
+    within: tuple[float, ...]  # share of all valid pixels within each of WITHIN
+    jaccard: float  # mean over pairs; NaN without a mask
+    jaccard_found: float
+    reliability: Reliability | None  # the pairs' counts together; None without a mask
+
+
+def score_map(
+    method: str, group: str, name: str, comparison: Comparison, per_axis: bool = False
+) -> PairScores:
+    """The figures of one pair. With `per_axis` the PCK curve takes max(|dx|, |dy|), as the authors'
+    evaluation does; all other errors are Euclidean."""
+    finest, distances, matchability = comparison.finest, comparison.errors, comparison.matchability
+    euclidean = distances[finest.valid]
+    curve = endpoint_errors(finest.points, finest.truth, finest.valid, per_axis=per_axis)
+    overlap = overlap_found = float("nan")
+    reliability = None
+    absent = len(LEVEL_SIZES) - len(comparison.levels)
+    if matchability is not None:
+        known = comparison.known
+        mask = matchability[known] > 0.5
+        overlap = jaccard(mask, finest.valid[known])
+        overlap_found = jaccard(mask, distances[known] < FOUND_PX)
+        reliability = Reliability.of(matchability[known], distances[known] <= RIGHT_PX)
+    return PairScores(
+        method=method,
+        group=group,
+        name=name,
+        valid=len(euclidean),
+        aepe=finest.aepe,
+        level_aepe=(float("nan"),) * absent + tuple(level.aepe for level in comparison.levels),
+        near=count_within(curve, PCK_THRESHOLDS),
+        within=count_within(euclidean, WITHIN),
+        jaccard=overlap,
+        jaccard_found=overlap_found,
+        reliability=reliability,
+    )
+
+
+def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
+    """The figures of one method over its pairs; `group` names them, by default the first's."""
+    pixels = sum(pair.valid for pair in scores)
+    levels = zip(*(pair.level_aepe for pair in scores), strict=True)
+    parts = [pair.reliability for pair in scores if pair.reliability is not None]
+    return MapSummary(
+        method=scores[0].method,
+        group=scores[0].group if group is None else group,
+        pairs=len(scores),
+        aepe=_mean([pair.aepe for pair in scores if pair.valid]),
+        # A pair may have valid cells at a fine level and none at a coarse one.
+        level_aepe=tuple(_mean([v for v in values if not np.isnan(v)]) for values in levels),
+        pck=_share(np.sum([pair.near for pair in scores], axis=0), pixels),
+        within=tuple(_share(np.sum([pair.within for pair in scores], axis=0), pixels).tolist()),
+        jaccard=_mean([pair.jaccard for pair in scores]),
+        jaccard_found=_mean([pair.jaccard_found for pair in scores]),
+        reliability=sum(parts[1:], parts[0]) if parts else None,
+    )
+
+
+def endpoint_errors(
+    map: np.ndarray, truth: np.ndarray, valid: np.ndarray, per_axis: bool = False
+) -> np.ndarray:
+    """Distances (N,) float64 between map and truth at the N valid cells, in the maps' unit.
+
+    map, truth: (..., 2); valid: (...) bool. Euclidean; with `per_axis` max(|dx|, |dy|), as in the
+    DGC-Net authors' evaluation, which is never stricter.
+    """
+    offsets = map[valid].astype(np.float64) - truth[valid].astype(np.float64)
+    return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
+
+
+def count_within(errors: np.ndarray, thresholds: Sequence[float] | np.ndarray) -> np.ndarray:
+    """Number (K,) of errors (N,) that are at most each threshold (K,); NaN never is.
+
+    Over N this is the "percentage of correct keypoints" (PCK).
+    """
+    # NaN sorts last, beyond every threshold.
+    return np.searchsorted(np.sort(errors), np.asarray(thresholds, np.float64), side="right")
+
+
+def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
+    """Intersection over union of two bool masks of the same shape, in [0, 1]; 1 if both are
+    empty."""
+    union = int((prediction | truth).sum())
+    return int((prediction & truth).sum()) / union if union else 1.0
+
+
+def _share(counts: np.ndarray, total: int) -> np.ndarray:
+    return counts / total if total else np.full(counts.shape, np.nan)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")

@@ -1,0 +1,107 @@
+"""Figures of a pair and of a group, against loops over single pixels."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dgc_pose.benchmarks.map_scores import (
+    PCK_THRESHOLDS,
+    Comparison,
+    LevelMap,
+    score_map,
+    summarise_maps,
+)
+
+
+def comparison(
+    seed: int = 0, *, masked: bool = True, blind: bool = False, known: np.ndarray | None = None
+) -> Comparison:
+    """A pair whose errors spread over the PCK thresholds, on small grids."""
+    rng = np.random.default_rng(seed)
+    levels = []
+    for cells in (2, 4, 6, 8, 12):
+        truth = rng.uniform(0, 240, (cells, cells, 2))
+        valid = rng.random((cells, cells)) < (0.0 if blind else 0.7)
+        levels.append(LevelMap(truth + rng.normal(0, 4, truth.shape), truth, valid))
+    mask = rng.random((12, 12)) if masked else None
+    return Comparison(tuple(levels), mask, np.ones((12, 12), bool) if known is None else known)
+
+
+def offsets(pair: Comparison) -> list[tuple[int, int, float, float]]:
+    level = pair.finest
+    return [
+        (y, x, *(level.points[y, x] - level.truth[y, x]).tolist())
+        for y, x in np.argwhere(level.valid).tolist()
+    ]
+
+
+@pytest.mark.parametrize("per_axis", [False, True])
+def test_a_pairs_errors_are_those_of_its_valid_pixels(per_axis: bool) -> None:
+    pair = comparison()
+    found = score_map("net", "I", "wall", pair, per_axis)
+    distances = [math.hypot(dx, dy) for _, _, dx, dy in offsets(pair)]
+    assert (found.method, found.group, found.name) == ("net", "I", "wall")
+    assert found.valid == len(distances) > 50
+    assert found.aepe == pytest.approx(sum(distances) / len(distances))
+    assert found.level_aepe[-1] == pytest.approx(found.aepe) and len(found.level_aepe) == 5
+    assert found.within.tolist() == [sum(d <= limit for d in distances) for limit in (1, 3, 5)]
+    curve = [max(abs(dx), abs(dy)) for _, _, dx, dy in offsets(pair)] if per_axis else distances
+    assert found.near.tolist() == [sum(d <= limit for d in curve) for limit in PCK_THRESHOLDS]
+
+
+def test_the_mask_is_scored_against_both_meanings() -> None:
+    pair = comparison()
+    found = score_map("net", "", "wall", pair)
+    near = {(y, x): math.hypot(dx, dy) for y, x, dx, dy in offsets(pair)}
+    assert pair.matchability is not None
+    said = {(y, x) for y, x in np.ndindex(12, 12) if pair.matchability[y, x] > 0.5}
+    visible = set(near)
+    good = {place for place, distance in near.items() if distance < 4}
+    assert found.jaccard == pytest.approx(len(said & visible) / len(said | visible))
+    assert found.jaccard_found == pytest.approx(len(said & good) / len(said | good))
+    assert found.jaccard != found.jaccard_found
+    # A match is right within 3 px, and wrong where there is nothing.
+    assert found.reliability is not None and found.reliability.counts.sum() == 144
+    assert found.reliability.correct.sum() == sum(v <= 3 for v in near.values()) > 0
+
+
+def test_a_mask_is_not_judged_where_nothing_is_known() -> None:
+    pair = comparison()
+    known = pair.finest.valid | (np.arange(12) < 4)
+    found = score_map("net", "", "wall", comparison(known=known))
+    assert pair.matchability is not None
+    mask, valid = (pair.matchability > 0.5)[known], pair.finest.valid[known]
+    assert found.jaccard == pytest.approx((mask & valid).sum() / (mask | valid).sum())
+    assert found.jaccard > score_map("net", "", "wall", pair).jaccard
+    assert found.reliability is not None and found.reliability.counts.sum() == known.sum() < 144
+
+
+def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
+    pairs = [comparison(0), comparison(1)]
+    own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
+    found = summarise_maps(own)
+    assert (found.method, found.group, found.pairs) == ("net", "I", 2)
+    assert found.aepe == pytest.approx((own[0].aepe + own[1].aepe) / 2)
+    for level in range(5):
+        both = [scores.level_aepe[level] for scores in own]
+        assert found.level_aepe[level] == pytest.approx(np.nanmean(both))
+    distances = [math.hypot(dx, dy) for pair in pairs for _, _, dx, dy in offsets(pair)]
+    expected = [np.mean([d <= limit for d in distances]) for limit in PCK_THRESHOLDS]
+    np.testing.assert_allclose(found.pck, expected)
+    assert found.within[1] == pytest.approx(np.mean([d <= 3 for d in distances]))
+    assert found.jaccard == pytest.approx((own[0].jaccard + own[1].jaccard) / 2)
+    pooled = found.reliability
+    assert pooled is not None and pooled.counts.sum() == 2 * 144
+    assert summarise_maps(own, "all").group == "all"
+
+
+def test_a_pair_with_nothing_to_find_has_no_error() -> None:
+    blind = score_map("net", "I", "blind", comparison(2, blind=True))
+    assert blind.valid == 0 and math.isnan(blind.aepe)
+    seen = score_map("net", "I", "seen", comparison(3))
+    both = summarise_maps([blind, seen])
+    assert both.pairs == 2
+    assert both.aepe == seen.aepe
+    np.testing.assert_array_equal(both.pck, summarise_maps([seen]).pck)
+    assert np.isnan(summarise_maps([blind]).pck).all()

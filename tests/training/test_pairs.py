@@ -1,0 +1,58 @@
+"""Batches of all kinds, and the data that they are made of."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from depth_folder import rendered, write_rgbd
+from photos import drawn_photos, write_photos
+
+from dgc_pose.errors import InputError
+from dgc_pose.training.data import TRAINING, load_data
+from dgc_pose.training.draw import Draw
+from dgc_pose.training.options import Shares
+from dgc_pose.training.pairs import PairSource, round_up
+
+
+def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn() -> None:
+    for count, share in ((100, 0.08), (4, 0.2)):
+        numbers = [round_up(count * share, k / 50) - round_up(0, k / 50) for k in range(50)]
+        assert sum(numbers) / 50 == pytest.approx(count * share, abs=0.03)
+        assert max(numbers) - min(numbers) <= 1
+        total = [round_up(count, k / 50) for k in range(50)]
+        assert total == [count] * 50
+
+
+def test_batches_repeat_and_are_of_the_shape_asked_for() -> None:
+    source = PairSource(drawn_photos(6, 64, places=2), shares=Shares(0.4, 0.3, 0.3, 0.5))
+    pairs, again, other = (source.make(5, (48, 80), Draw("cpu", seed)) for seed in (0, 0, 1))
+    assert pairs.image1.shape == (5, 3, 48, 80) and pairs.map.shape == (5, 48, 80, 2)
+    assert torch.equal(pairs.image2, again.image2) and not torch.equal(pairs.map, other.map)
+    assert not (pairs.valid & ~pairs.known).any()
+    with pytest.raises(InputError, match="no data for the kinds"):
+        PairSource(drawn_photos(2, 64), shares=Shares(0, 0.5, 0, 0.5)).make(
+            1, (48, 48), Draw("cpu")
+        )
+
+
+def test_shares_are_read_from_percentages() -> None:
+    assert Shares.parse("50, 0,25,25") == Shares(0.5, 0, 0.25, 0.25)
+    for text in ("45,55", "a,b,c,d", "", "0,0,0,0", "-1,1,1,1", "nan,1,1,1"):
+        with pytest.raises(InputError, match="four percentages"):
+            Shares.parse(text)
+
+
+def test_held_scenes_validate_and_the_others_train(tmp_path: Path) -> None:
+    write_photos(tmp_path / "photos", 40)
+    for k, name in enumerate("ab"):
+        write_rgbd(tmp_path / "posed" / name, rendered(3 + k, (96, 72)))
+    data = load_data(tmp_path / "photos", posed=[tmp_path / "posed"], held=["b"])
+    assert list(data) == [TRAINING, "photos", "rooms", "posed"]
+    training, validating = data[TRAINING].frames, data["posed"].frames
+    assert training is not None and validating is not None
+    assert set(training.frames.flatten().tolist()) == {0, 1}
+    assert set(validating.frames.flatten().tolist()) == {2, 3}
+    for source in data.values():
+        assert source.make(2, (48, 48), Draw("cpu", 0)).valid.any()
+    with pytest.raises(InputError, match="there is no scene c"):
+        load_data(tmp_path / "photos", posed=[tmp_path / "posed"], held=["c"])

@@ -1,0 +1,38 @@
+"""Depths of a plane sweep, against those of a ray-caster in float64."""
+
+import multi_view
+import numpy as np
+import pytest
+import torch
+
+from dgc_pose.training.bank import ImageBank
+from dgc_pose.training.plane_sweep import swept_depths
+from dgc_pose.training.views import Cameras
+
+pytestmark = pytest.mark.slow
+
+
+def test_depths_are_those_of_the_scene() -> None:
+    views = multi_view.render_views(5, step=0.5)
+    textures, K = multi_view.draw_textures(), multi_view.K
+    bank = ImageBank.of([view.pixels for view in views])
+    poses = np.stack([np.column_stack([view.R, view.t]) for view in views])
+    intrinsics = torch.tensor([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]).float().expand(5, 4)
+    cameras = Cameras(intrinsics, torch.from_numpy(poses).float())
+    found = swept_depths(bank, cameras, list(range(5)), torch.tensor([[2.5, 9.0]]).expand(5, 2))
+    for k in (1, 2, 3):
+        truth = multi_view.render(views[k].R, views[k].centre, textures, fine=1)[1]
+        depth = found[k].numpy()
+        assert depth.shape == truth.shape
+        known = (depth > 0) & np.isfinite(truth)
+        error = np.abs(depth[known] / truth[known] - 1)
+        assert known.mean() > 0.3
+        assert np.median(error) < 0.01 and (error < 0.03).mean() > 0.95
+
+
+def test_a_frame_without_neighbours_has_no_depth() -> None:
+    image = multi_view.render_views(1)[0].pixels
+    cameras = Cameras(torch.tensor([[225.0, 226, 121, 87]] * 2), torch.eye(3, 4).expand(2, 3, 4))
+    reach = torch.tensor([[1.0, 9.0]] * 2)
+    for depth in swept_depths(ImageBank.of([image, image]), cameras, [0, 1], reach):
+        assert not depth.any()

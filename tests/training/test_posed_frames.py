@@ -1,0 +1,143 @@
+"""Folders of posed photographs: what is read, and what is refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from depth_folder import poses, rendered, write_rgbd
+from scene_pair import RenderedPair
+
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.training.posed_frames import read_rgbd, read_scene, read_scenes
+
+
+@pytest.fixture(scope="module")
+def pair() -> RenderedPair:
+    return rendered(0, (60, 48))
+
+
+def write_listed(root: Path, pair: RenderedPair, *, depth: bool) -> Path:
+    """The pair in the layout with cameras.txt; its depth has 5,000 steps a metre."""
+    write_rgbd(root, pair)
+    lines = []
+    for name, pose in zip(("00003", "00017"), poses(pair), strict=True):
+        K = pair.K1[0, 0], pair.K1[1, 1], pair.K1[0, 2], pair.K1[1, 2]
+        values = [*K, *pose[:3].ravel(), 0.5, 9.0]
+        lines.append(" ".join([f"{name}.png", *map(repr, map(float, values))]))
+        path = root / f"depth/{name}.png"
+        stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(path), 5 * stored)
+    (root / "cameras.txt").write_text("\n".join(lines) + "\n")
+    for name in ("poses.txt", "K.txt"):
+        (root / name).unlink()
+    if depth:
+        (root / "depth_scale.txt").write_text("5000\n")
+    return root
+
+
+@pytest.mark.parametrize("write", [write_rgbd, lambda r, p: write_listed(r, p, depth=True)])
+def test_sensors_depths_are_read_in_order_and_in_metres(
+    pair: RenderedPair, tmp_path: Path, write: Callable[[Path, RenderedPair], Path]
+) -> None:
+    write(tmp_path / "walk", pair)
+    (tmp_path / "no_scene").mkdir()
+    (frames,) = read_scenes(tmp_path).values()
+    assert [frame.image.name for frame in frames] == ["00003.png", "00017.png"]
+    for frame, depth, pose in zip(frames, (pair.depth1, pair.depth2), poses(pair), strict=True):
+        np.testing.assert_allclose(frame.read_depth(), depth, atol=6e-4)
+        np.testing.assert_allclose(frame.cam_from_world, pose, atol=1e-9)
+        np.testing.assert_allclose(frame.camera.K, pair.K1)
+
+
+def test_frames_without_depth_have_their_reach(pair: RenderedPair, tmp_path: Path) -> None:
+    frames = read_scene(write_listed(tmp_path / "walk", pair, depth=False))
+    assert [frame.reach for frame in frames] == [(0.5, 9.0)] * 2
+    assert [frame.depth for frame in frames] == [None, None]
+
+
+def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path: Path) -> None:
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(
+        camera_id=1, model="SIMPLE_RADIAL", width=64, height=48, params=[60, 32, 24, 0.1]
+    )
+    model.add_camera_with_trivial_rig(camera)
+    (tmp_path / "images").mkdir()
+    rng = np.random.default_rng(0)
+    for k in range(3):
+        cv2.imwrite(str(tmp_path / f"images/{k}.png"), np.zeros((48, 64, 3), np.uint8))
+        points = [pycolmap.Point2D(xy) for xy in 40 * rng.random((30, 2))]
+        image = pycolmap.Image(name=f"{k}.png", camera_id=1, image_id=k + 1, points2D=points)
+        model.add_image_with_trivial_frame(
+            image, pycolmap.Rigid3d(pycolmap.Rotation3d(np.eye(3)), np.array([0.1 * k, 0, k]))
+        )
+    for n in range(30):
+        track = pycolmap.Track()
+        for k in range(3):
+            track.add_element(k + 1, n)
+        model.add_point3D(np.array([0, 0, 2.0 + n / 29]), track)
+    (tmp_path / "sparse/0").mkdir(parents=True)
+    model.write(str(tmp_path / "sparse/0"))
+    frames = read_scene(tmp_path)
+    assert [frame.image.name for frame in frames] == ["0.png", "1.png", "2.png"]
+    for k, frame in enumerate(frames):
+        assert frame.camera.distortion is not None and frame.camera.K[0, 2] == 31.5
+        np.testing.assert_allclose(frame.cam_from_world[:3, 3], (0.1 * k, 0, k))
+        assert frame.reach is not None
+        nearest, farthest = frame.reach
+        assert 0.7 * (2 + k) < nearest < 2 + k and 3 + k < farthest < 1.3 * (3 + k)
+
+
+def _scaled_pose(root: Path, factor: float) -> None:
+    poses = np.loadtxt(root / "poses.txt")
+    poses[1, :11] *= factor
+    np.savetxt(root / "poses.txt", poses)
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda r: (r / "depth/00017.png").unlink(), "2 images, 1 depths and 2 poses"),
+        (lambda r: (r / "poses.txt").write_text("1 2 3"), "rows of 16 numbers"),
+        (lambda r: (r / "poses.txt").write_text("nan " * 32), "must be finite"),
+        (lambda r: _scaled_pose(r, 1.1), r"poses.txt:2: a pose must be a rotation"),
+        (lambda r: np.savetxt(r / "K.txt", [[9, 1, 5], [0, 9, 5], [0, 0, 1]]), "without skew"),
+        (lambda r: (r / "K.txt").unlink(), "K.txt"),
+    ],
+)
+def test_a_damaged_folder_is_named(
+    pair: RenderedPair, tmp_path: Path, damage: Callable[[Path], object], message: str
+) -> None:
+    root = write_rgbd(tmp_path / "walk", pair)
+    damage(root)
+    with pytest.raises((InputError, OSError), match=message):
+        read_rgbd(root)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
+        (lambda text: text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: the depths must"),
+    ],
+)
+def test_a_wrong_line_of_cameras_is_named(
+    pair: RenderedPair, tmp_path: Path, change: Callable[[str], str], message: str
+) -> None:
+    path = write_listed(tmp_path / "walk", pair, depth=False) / "cameras.txt"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(InputError, match=message):
+        read_scene(tmp_path / "walk")
+
+
+def test_a_folder_without_scenes_and_a_depth_in_colour_are_refused(
+    pair: RenderedPair, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="holds no scenes"):
+        read_scenes(tmp_path)
+    root = write_rgbd(tmp_path / "walk", pair)
+    cv2.imwrite(str(root / "depth/00003.png"), np.zeros((48, 60, 3), np.uint8))
+    with pytest.raises(ImageError, match="one channel"):
+        read_rgbd(root)[0].read_depth()

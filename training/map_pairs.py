@@ -1,0 +1,89 @@
+"""Batches of image pairs with their true maps, at the finest level and at coarser ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+# Cells whose four central pixels map this far apart (pixels) straddle two surfaces: not valid.
+_STRADDLES_PX = 6.0
+Batch = TypeVar("Batch")  # a dataclass of tensors
+
+
+@dataclass(frozen=True)
+class MapPairs:
+    """A batch of pairs with the truth; pixel (0, 0) is the centre of the top-left pixel."""
+
+    image1: Tensor  # (B, 3, H, W) source in [0, 1]
+    image2: Tensor  # (B, 3, H, W) target in [0, 1]
+    map: Tensor  # (B, H, W, 2) x and y in the source of each target pixel, pixels
+    valid: Tensor  # (B, H, W) bool, the target's pixel is visible in the source
+    # (B, H, W) bool, `valid` is the truth; else `valid` is False and neither map nor mask is
+    # learnt. Left out: the truth is known everywhere.
+    known: Tensor = field(default=None)  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.known is None:
+            object.__setattr__(self, "known", torch.ones_like(self.valid))
+
+    def to(self, device: torch.device | str) -> MapPairs:
+        """The batch on another device."""
+        return changed(self, lambda values: values.to(device))
+
+    def chosen(self, which: slice | Tensor) -> MapPairs:
+        """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
+        return changed(self, lambda values: values[which])
+
+
+def changed(batch: Batch, change: Callable[[Tensor], Tensor]) -> Batch:
+    """A dataclass of tensors with every tensor changed."""
+    made: Batch = type(batch)(*(change(value) for value in _tensors(batch)))
+    return made
+
+
+def joined(parts: Sequence[Batch]) -> Batch:
+    """Several batches, one after the other."""
+    made: Batch = type(parts[0])(*map(torch.cat, zip(*map(_tensors, parts), strict=True)))
+    return made
+
+
+def _tensors(batch: Any) -> list[Tensor]:
+    return [getattr(batch, field.name) for field in fields(batch)]
+
+
+def image_arrays(images: Tensor) -> np.ndarray:
+    """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
+    return (255 * images.permute(0, 2, 3, 1)).round().byte().contiguous().cpu().numpy()
+
+
+def level_truth(truth: Tensor, valid: Tensor, rows: int) -> tuple[Tensor, Tensor]:
+    """The true map at a level of so many rows, (B, rows, columns, 2) pixels at the cells' centres,
+    and the mask of valid cells.
+
+    truth: (B, H, W, 2) pixels; valid: (B, H, W). The centre of a cell of s > 1 pixels lies between
+    its four central pixels: its truth is their mean, valid if all are and lie on one surface.
+    """
+    stride = truth.shape[1] // rows
+    if stride == 1:
+        return truth, valid
+    central = _central_pixels(truth, stride)
+    spread = (central.amax(0) - central.amin(0)).amax(-1)
+    whole = level_known(valid, rows)
+    return central.mean(0), whole & (spread < max(_STRADDLES_PX, 2.0 * stride / 4))
+
+
+def level_known(known: Tensor, rows: int) -> Tensor:
+    """Cells (B, rows, columns) whose central pixels are all known, of known pixels (B, H, W)."""
+    stride = known.shape[1] // rows
+    return known if stride == 1 else _central_pixels(known, stride).all(0)
+
+
+def _central_pixels(values: Tensor, stride: int) -> Tensor:
+    """The four pixels around the cells' centres: (B, H, W, ...) to (4, B, h, w, ...)."""
+    two = (stride // 2 - 1, stride // 2)
+    return torch.stack([values[:, y::stride, x::stride] for y in two for x in two])

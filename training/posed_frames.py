@@ -1,0 +1,164 @@
+"""Photographs with poses, and depth if a sensor has it, from the folders that hold them.
+
+A scene is a folder with its photographs in `images/` and, beside it, one of
+
+- `K.txt` (3x3, pixels of the images), `poses.txt`, line i the 4x4 world-from-camera matrix, row by
+  row, of the i-th file in sorted order, and `depth/`, 16-bit PNG of the images' size, along the
+  optical axis, 0 if unknown; a step is a millimetre if the poses are in metres;
+- `cameras.txt` with a line a frame: name, fx fy cx cy, the twelve numbers of [R | t], camera from
+  world, row by row, nearest and farthest depth; for a sensor's depth `depth/<stem>.png` and
+  `depth_scale.txt`, the steps a unit of length;
+- COLMAP's model, there or in `sparse/`, or another that `localization.load_model` reads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.geometry.rotation import is_rotation
+from dgc_pose.images.image import image_size, read_pixels
+from dgc_pose.localization.model import load_model
+
+_NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths that a frame's reach is of
+_MARGIN = 1.25  # beyond these
+
+
+@dataclass(frozen=True, eq=False)
+class PosedFrame:
+    """A view whose pose is known. Pixels have (0, 0) at the top-left one's centre."""
+
+    image: Path
+    camera: Camera  # of the image as stored
+    cam_from_world: np.ndarray  # (4, 4) float64
+    depth: Path | None = None  # z along the optical axis; 0: unknown
+    step: float = 1e-3  # units of length, of the stored depth
+    reach: tuple[float, float] | None = None  # nearest and farthest depth, for want of a sensor's
+
+    def read_depth(self) -> np.ndarray:
+        """(h, w) float32, units of length, 0 if unknown. Raises ImageError with the path."""
+        assert self.depth is not None
+        stored = read_pixels(self.depth)
+        if stored.ndim != 2:
+            raise ImageError(f"{self.depth} is not a depth image of one channel")
+        return stored.astype(np.float32) * np.float32(self.step)
+
+
+def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
+    """The frames of a scene's folder, or of all scenes in a folder, by the folders' names.
+
+    Raises InputError, with the path, if there are none or a file is malformed; ImageError if a file
+    is not an image; OSError.
+    """
+    root = Path(root)
+    folders = [root] if (root / "images").is_dir() else sorted(root.iterdir())
+    scenes = {f.name: read_scene(f) for f in folders if (f / "images").is_dir()}
+    if not scenes:
+        raise InputError(f"{root}: holds no scenes, which have a folder images")
+    return scenes
+
+
+def read_scene(root: str | Path) -> list[PosedFrame]:
+    """The frames of a scene's folder, in order. Raises as `read_scenes` does."""
+    root = Path(root)
+    if (root / "poses.txt").exists():
+        return read_rgbd(root)
+    if (root / "cameras.txt").exists() and not (root / "images.txt").exists():
+        return _read_listed(root)
+    model = load_model(root, root / "images")
+    frames = []
+    for name in sorted(model.points):
+        pose = np.vstack([model.poses[name], (0, 0, 0, 1)])
+        depths = model.points[name][0] @ pose[2, :3] + pose[2, 3]
+        nearest, farthest = np.quantile(depths[depths > 0], (_NEAREST, _FARTHEST))
+        reach = nearest / _MARGIN, farthest * _MARGIN
+        frames.append(PosedFrame(root / "images" / name, model.cameras[name], pose, reach=reach))
+    if len(frames) < 2:
+        raise InputError(
+            f"{root}: no points tell the depths of two images; they are searched there"
+        )
+    return frames
+
+
+def read_rgbd(root: str | Path) -> list[PosedFrame]:
+    """The frames of a posed RGB-D folder, in order.
+
+    Raises InputError, with the path, if the folder has another layout, the numbers of its files
+    differ or a matrix is malformed; ImageError if a file is not an image; OSError.
+    """
+    root = Path(root)
+    images = _files(root / "images", (".jpg", ".jpeg", ".png"))
+    depths = _files(root / "depth", (".png",))
+    K = parse_camera(str(root / "K.txt")).K
+    if abs(K[0, 1]) > 1e-6 * K[0, 0]:
+        raise InputError(f"{root / 'K.txt'}: K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
+    poses = _read_poses(root / "poses.txt")
+    if not len(images) == len(depths) == len(poses):
+        counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
+        raise InputError(f"{root}: {counts}; there must be as many of each")
+    frames = []
+    for line, (image, depth, pose) in enumerate(zip(images, depths, poses, strict=True), start=1):
+        _check_pose(pose, f"{root / 'poses.txt'}:{line}")
+        if image_size(image) != image_size(depth):
+            raise InputError(f"{depth} is not of the size of {image.name}")
+        frames.append(PosedFrame(image, Camera(K), np.linalg.inv(pose), depth))
+    return frames
+
+
+def _read_listed(root: Path) -> list[PosedFrame]:
+    path, scale = root / "cameras.txt", root / "depth_scale.txt"
+    step = None
+    if scale.exists():
+        with read_as("a number of steps", scale):
+            step = 1 / float(read_text(scale))
+    frames = []
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        where = f"{path}:{number}"
+        name, *words = line.split() or [""]
+        with read_as("a name and 18 numbers", where):
+            values = np.array(words, float)
+            fx, fy, cx, cy = values[:4]
+            pose = np.vstack([values[4:16].reshape(3, 4), (0, 0, 0, 1)])
+            nearest, farthest = map(float, values[16:])
+        _check_pose(pose, where)
+        if not 0 < nearest < farthest < np.inf:
+            raise InputError(f"{where}: the depths must be positive and rise, not {words[16:]}")
+        camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
+        frame = PosedFrame(root / "images" / name, camera, pose, reach=(nearest, farthest))
+        if step is not None:
+            depth = root / "depth" / f"{Path(name).stem}.png"
+            frame = replace(frame, depth=depth, step=step)
+        frames.append(frame)
+    return frames
+
+
+def _check_pose(pose: np.ndarray, where: str) -> None:
+    if not is_rotation(pose[:3, :3]) or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
+        raise InputError(f"{where}: a pose must be a rotation and a translation, [R t; 0 0 0 1]")
+
+
+def _read_poses(path: Path) -> np.ndarray:
+    """World-from-camera matrices (N, 4, 4) float64. Raises InputError with the path; OSError."""
+    try:
+        poses = np.array(read_text(path).split(), dtype=np.float64).reshape(-1, 4, 4)
+    except ValueError:
+        raise InputError(f"{path}: expected rows of 16 numbers") from None
+    if not np.isfinite(poses).all():
+        raise InputError(f"{path}: the numbers must be finite")
+    return poses
+
+
+def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder")
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+    if not files:
+        raise InputError(f"{folder}: holds no {' or '.join(suffixes)}")
+    return files
