@@ -19,9 +19,10 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import intrinsics
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
+from dgc_pose.images.image import image_size
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
+from dgc_pose.training.posed_frames import PosedFrame, read_rgbd, read_scenes
 
 _ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
 # Edges of the bins of overlap: share of image 2's depth that is seen in image 1, and points that
@@ -35,6 +36,12 @@ _FRAMES = 60  # of a sequence, evenly chosen; all pairs of them are looked at
 _AGREES = 0.05  # of the depth
 _DTU_ROTATION = 60.0  # degrees
 _DTU_OVERLAP = 0.2  # of the space at DTU's depths
+# Posed photographs: edges of the bins of the larger of rotation and parallax, degrees, and how many
+# pairs of each are taken in a turn.
+_CHANGES = (10, 20, 35, 55)
+_A_TURN = (1, 2, 3, 3, 2)
+_LOOKED_AT = 1500  # pairs of a scene
+_POSED_OVERLAP = 0.08  # of the space at three depths, in both directions
 
 
 def drawn_rgbd(folder: Path, count: int, seed: int) -> list[Pair]:
@@ -80,6 +87,57 @@ def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
             pairs.append(_pair(folder, names, [cameras[i], cameras[j]], T))
             common.append(len(shared))
     return _chosen(pairs, np.array(common), _COMMON, count, seed)
+
+
+def drawn_posed(folder: Path, count: int, seed: int) -> list[Pair]:
+    """Pairs of photographs of a folder of posed scenes, at most `count` of each, the wider ones
+    more often. Names begin with the scene's. Raises as `read_scenes` does."""
+    pairs = []
+    for number, (scene, frames) in enumerate(read_scenes(folder).items()):
+        rng = np.random.default_rng(seed + number)
+        sized = [(frame, image_size(frame.image)) for frame in frames]
+        ways = list(permutations(sized, 2))
+        rng.shuffle(ways)
+        bins: list[list[Pair]] = [[] for _ in _A_TURN]
+        for (frame1, size1), (frame2, size2) in ways[:_LOOKED_AT]:
+            shared = _shared(frame1, frame2, size1, size2), _shared(frame2, frame1, size2, size1)
+            if min(shared) < _POSED_OVERLAP:
+                continue
+            names = [f"{scene}/images/{frame.image.name}" for frame in (frame1, frame2)]
+            T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
+            pair = _pair(folder, names, [frame1.camera, frame2.camera], T)
+            bins[int(np.digitize(_change_deg(frame1, pair), _CHANGES))].append(pair)
+        chosen: list[Pair] = []
+        while any(bins) and len(chosen) < count:
+            for members, often in zip(bins, _A_TURN, strict=True):
+                chosen += [members.pop() for _ in range(min(often, len(members)))]
+        chosen = chosen[:count]
+        rng.shuffle(chosen)  # type: ignore[arg-type]
+        pairs += chosen
+    return pairs
+
+
+def _change_deg(frame1: PosedFrame, pair: Pair) -> float:
+    """The larger of the rotation and the parallax at the middle of camera 1's depths."""
+    assert frame1.reach is not None and pair.R is not None and pair.t is not None
+    parallax = math.atan(np.linalg.norm(pair.t) / math.sqrt(math.prod(frame1.reach)))
+    return max(rotation_error_deg(pair.R, np.eye(3)), math.degrees(parallax))
+
+
+def _shared(
+    frame1: PosedFrame, frame2: PosedFrame, size1: tuple[int, int], size2: tuple[int, int]
+) -> float:
+    """Share of what camera 1 sees at three depths within its reach that camera 2 sees too."""
+    assert frame1.reach is not None
+    (width1, height1), (width2, height2) = size1, size2
+    T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
+    x, y = np.meshgrid(np.arange(0.5, 8) * width1 / 8, np.arange(0.5, 8) * height1 / 8)
+    pixels = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
+    rays = pixels @ np.linalg.inv(frame1.camera.K).T
+    points = np.vstack([rays * depth for depth in np.geomspace(*frame1.reach, 5)[1:4]])
+    seen = (points @ T[:3, :3].T + T[:3, 3]) @ frame2.camera.K.T
+    x, y = (seen[:, :2] / np.maximum(seen[:, 2:], 1e-9)).T
+    return float(((seen[:, 2] > 0) & (x > 0) & (x < width2) & (y > 0) & (y < height2)).mean())
 
 
 def drawn_dtu(folder: Path, count: int, seed: int) -> list[Pair]:

@@ -105,14 +105,14 @@ def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
 
 def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     """The `ErrorModel` of the focal lengths of the records of the part `fit` that fitted them, with
-    poses that are not altogether wrong. Without any the jackknife's errors stay as they are."""
+    poses that are not altogether wrong. Without any the raw errors stay as they are."""
     samples = [
         (row, row.evidence)
         for row in rows
         if row.entry.part == "fit"
         and row.exact
         and row.evidence
-        and row.evidence.jackknife_focal_90_percent is not None
+        and row.evidence.raw_focal_90_percent is not None
         and row.exact_cameras
         and row.rotation_error_deg < _ALTOGETHER_WRONG_DEG
         and folded(row.translation_error_deg) < _ALTOGETHER_WRONG_DEG
@@ -170,20 +170,20 @@ def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
 
 
 def _error_model(samples: Samples, part: str) -> dict[str, float]:
-    """Quantile regression of log (error / jackknife's error) on the jackknife's error.
+    """Quantile regression of log (error / raw error) on the raw error.
 
     The quantile is the least that holds for nine poses in ten of scenes left out: a scene's own
     errors have more in common than the fit knows.
     """
     unit = "percent" if part == "focal" else "deg"
     usable = [
-        (row, jackknife)
+        (row, raw)
         for row, evidence in samples
-        if (jackknife := getattr(evidence, f"jackknife_{part}_90_{unit}")) is not None
+        if (raw := getattr(evidence, f"raw_{part}_90_{unit}")) is not None
     ]
-    X = np.array([[log_error(jackknife)] for _, jackknife in usable])
+    X = np.array([[log_error(raw)] for _, raw in usable])
     errors = np.array([max(getattr(row, f"{part}_error_{unit}"), 1e-4) for row, _ in usable])
-    y = np.log(errors / np.array([max(jackknife, 1e-4) for _, jackknife in usable]))
+    y = np.log(errors / np.array([max(raw, 1e-4) for _, raw in usable]))
     scenes = np.array([row.scene for row, _ in usable])
     for quantile in _QUANTILES:
         within = np.zeros(len(y), bool)

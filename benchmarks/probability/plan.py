@@ -9,6 +9,7 @@ never on both sides. Kinds:
   folder of its image's name.
 - `rgbd`: a folder of posed RGB-D frames; pairs are drawn from it (`drawn.py`).
 - `sparse`: a COLMAP text model with its images.
+- `posed`: a folder of posed scenes as `dgc-pose train` has them; `pairs` of each at most.
 - `dtu`: a folder of DTU in any layout; pairs up to 60 degrees apart.
 - `rendered`: `path` is a folder of photographs as textures.
 - `planes`: the same, of planes with a relief, whose homographies have two poses.
@@ -28,7 +29,7 @@ from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
 EntryKind = Literal[
-    "list", "rgbd", "sparse", "dtu", "rendered", "planes", "unrelated", "textureless"
+    "list", "rgbd", "sparse", "posed", "dtu", "rendered", "planes", "unrelated", "textureless"
 ]
 DEFAULT_PLAN = "plan.json"  # beside this file
 

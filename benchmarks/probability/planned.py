@@ -17,7 +17,12 @@ from dgc_pose.benchmarks.posed_pairs import (
     require_images,
 )
 from dgc_pose.benchmarks.probability.altered import ALTERATIONS, altered
-from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
+from dgc_pose.benchmarks.probability.drawn import (
+    drawn_dtu,
+    drawn_posed,
+    drawn_rgbd,
+    drawn_sparse,
+)
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
@@ -33,7 +38,7 @@ _RENDERED_SIZE = 640
 _PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
 _BLANK_SIZE = (640, 480)
 Maker = Callable[[int], PosedPair]  # of a pair by its number
-_DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "dtu": drawn_dtu}
+_DRAWN = {"rgbd": drawn_rgbd, "sparse": drawn_sparse, "posed": drawn_posed, "dtu": drawn_dtu}
 
 
 @dataclass(frozen=True)

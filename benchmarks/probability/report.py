@@ -188,7 +188,7 @@ def _kind(evidence: Evidence) -> MatchKind:
     return match_kind(
         key_points=evidence.key_points,
         with_map=evidence.map_agreement is not None,
-        fitted=evidence.jackknife_focal_90_percent is not None,
+        fitted=evidence.raw_focal_90_percent is not None,
     )
 
 

@@ -2,12 +2,14 @@
 
 Errors of dense matches are correlated: neighbours lie on the same misplaced surface, so a thousand
 of them carry little more information than a few. The usual covariance takes all matches for
-independent and is several times too small. Here image 2 is divided into blocks, and the pose's
-spread is measured by leaving out one block after the other (the delete-a-group jackknife, Kott
-2001), so that correlated errors are left out together.
+independent and is several times too small. Here it is the sum of two parts. For the first, image 2
+is divided into blocks, and the pose's spread is measured by leaving out one block after the other
+(the delete-a-group jackknife, Kott 2001), so that correlated errors are left out together. The
+blocks are few, and one may hold nearly all information: the second part is the usual covariance,
+with a tenth of the matches.
 
 Cameras that are not exact are parameters as the pose is. Their prior is information that no block
-holds: to what the blocks show, the spread that the prior leaves is added.
+holds: the second part has it.
 """
 
 import math
@@ -23,7 +25,9 @@ from dgc_pose.estimation.robust_fit import MINIMAL
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
 NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
-_RIDGE = 1e-9  # keeps the remaining information regular if one block has nearly all
+# Share of the whole information that is kept when a block is left out: a block may have nearly all
+# of it. See docs/experiments.md.
+_RIDGE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,20 +77,18 @@ def pose_covariance(
     count = slopes.shape[1]
     terms = np.column_stack([information.reshape(-1, count**2), gradients])
     total = information.sum(0)
-    prior = np.zeros((count, count))
     variance = ALIKE * (scale / EFFICIENT) ** 2  # of a match: the information is in its unit
-    if count > 5:
-        prior[5:, 5:] = variance * np.eye(len(spread))
-        total = total + prior
+    prior = variance * np.diag([*np.zeros(5), *np.ones(count - 5)])
+    # The blocks show all of the errors of key points, which err independently of their neighbours.
+    beside = prior if problem.key_points else prior + total
+    total = total + prior
     covariances = []
     try:
         for shift in SHIFTS:
             covariances.append(jackknife(total, block_sums(terms, inliers.points2, shift)))
-        covariance = np.mean(covariances, axis=0)
-        if count > 5:
-            inverse = np.linalg.inv(total)
-            covariance += variance * inverse @ prior @ inverse
-        elif len(spread):  # the pose moves with the cameras
+        inverse = np.linalg.inv(total)
+        covariance = np.mean(covariances, axis=0) + variance * inverse @ beside @ inverse
+        if len(spread) and not fitted:  # the pose moves with the cameras
             moved = np.linalg.solve(total, (slopes * curvature[:, None]).T @ by_cameras)
             covariance += moved @ moved.T
     except np.linalg.LinAlgError:

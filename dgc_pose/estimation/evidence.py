@@ -40,7 +40,7 @@ class FocalCheck(NamedTuple):
     factor: float  # of both, over those of K
     std: float  # of its logarithm, calibrated
     angle_deg: float  # between the pose with these and the pose with K, the larger of R and t
-    error_90_deg: float  # nine times in ten the former is off by less, by the jackknife
+    error_90_deg: float  # nine times in ten the former is off by less, not calibrated
     log_odds: float = 0.0  # by which the matches are likelier with these than with K
 
 
@@ -65,10 +65,10 @@ class Evidence:
         collinear: Whether the inliers of either image lie on one line.
         occupied_cells: Grid cells with inliers, in the image with fewer of them.
         key_points: Whether the matches are independent detections.
-        jackknife_rotation_90_deg: Nine times in ten the error of R is below, as the jackknife has
+        raw_rotation_90_deg: Nine times in ten the error of R is below, as the jackknife has
             it, not calibrated; None if it is not known.
-        jackknife_translation_90_deg: The same of the direction of t.
-        jackknife_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
+        raw_translation_90_deg: The same of the direction of t.
+        raw_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
             K is exact.
         focal_check: The focal lengths that the matches suggest, where K is exact; None if they
             suggest none, and of a plane that leaves no others over.
@@ -105,9 +105,9 @@ class Evidence:
     collinear: bool
     occupied_cells: int
     key_points: bool
-    jackknife_rotation_90_deg: float | None
-    jackknife_translation_90_deg: float | None
-    jackknife_focal_90_percent: float | None
+    raw_rotation_90_deg: float | None
+    raw_translation_90_deg: float | None
+    raw_focal_90_percent: float | None
     focal_check: FocalCheck | None
     residual: float
     threshold_cells: float
@@ -201,9 +201,9 @@ def gather(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells
         ),
         key_points=problem.key_points,
-        jackknife_rotation_90_deg=rotation_90,
-        jackknife_translation_90_deg=translation_90,
-        jackknife_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
+        raw_rotation_90_deg=rotation_90,
+        raw_translation_90_deg=translation_90,
+        raw_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
         focal_check=check,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),

@@ -25,7 +25,7 @@ from dgc_pose.estimation.robust_fit import draw
 from dgc_pose.matches import Matches
 
 _STD = 0.5  # of ln f: a focal length that is hardly known
-_CALIBRATION = 1.5  # of the factor's deviation over the jackknife's: docs/experiments.md
+_CALIBRATION = 1.5  # of the factor's deviation over the raw one: docs/experiments.md
 _CENTRE_STD = 0.005  # of the principal point, over the focal length
 _UNCERTAIN_STD = 0.1  # standard deviation of ln f, beyond which there is a warning
 _EXPLAINED_SHARE = 0.8  # share of inliers beyond which no other focal length explains many more

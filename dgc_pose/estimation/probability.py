@@ -26,7 +26,7 @@ _CONTRADICTED_STDS = 3.0  # standard deviations that a focal length may be off
 CONTRADICTED_LOG_ODDS = 10.0  # or by which other focal lengths are likelier
 _MIN_FOCAL_ERROR = 0.08  # of its logarithm, that is worth a warning
 _MIN_DEVIATION_DEG = 1.0  # of a pose
-_MAX_LOG_FACTOR = 4.0  # of the calibrated error over the jackknife's
+_MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
 def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
@@ -86,10 +86,10 @@ FEATURES: Mapping[str, Feature] = {
         "hull_cells", 1, "the inliers cover only {e.hull_cells:.0f} grid cells", (2, 400)
     ),
     "rotation_error": Feature(
-        "jackknife_rotation_90_deg", -1, "the inliers hardly determine the rotation", (0.02, 60)
+        "raw_rotation_90_deg", -1, "the inliers hardly determine the rotation", (0.02, 60)
     ),
     "translation_error": Feature(
-        "jackknife_translation_90_deg",
+        "raw_translation_90_deg",
         -1,
         "the inliers hardly determine the translation",
         (0.05, 120),
@@ -120,7 +120,7 @@ FEATURES: Mapping[str, Feature] = {
         "map_over_chance", 1, "the dense map agrees with it no more than by chance"
     ),
     "focal_error": Feature(
-        "jackknife_focal_90_percent", -1, "the matches hardly tell the focal length", (0.3, 100)
+        "raw_focal_90_percent", -1, "the matches hardly tell the focal length", (0.3, 100)
     ),
 }
 OF_AUTO = ("focal_error",)  # of focal lengths that are fitted
@@ -129,23 +129,23 @@ OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """The error that nine right poses in ten stay below, from the jackknife's: a power of it.
+    """The error that nine right poses in ten stay below, from the raw error: a power of it.
 
-    The jackknife underestimates it: it does not show what the errors of neighbouring matches have
-    in common.
+    The raw error is that of the covariance, which does not have all that the errors of neighbouring
+    matches have in common.
     """
 
     slope: float
     intercept: float
 
     def factor(self, error_deg: float) -> float:
-        """By which the jackknife's error (at nine in ten, degrees) is scaled."""
+        """By which the raw error (at nine in ten, degrees) is scaled."""
         total = self.intercept + self.slope * log_error(error_deg)
         return math.exp(min(max(total, -_MAX_LOG_FACTOR), _MAX_LOG_FACTOR))
 
 
 def log_error(error_deg: float) -> float:
-    """The logarithm of a jackknife's error, in degrees or of a focal length in per cent, within the
+    """The logarithm of a raw error, in degrees or of a focal length in per cent, within the
     range that the model was fitted on."""
     return _log(error_deg, 0.005, 60)
 
@@ -189,19 +189,19 @@ class ProbabilityModel:
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten if the
         pose is right, which is an error of at most 10 degrees."""
-        jackknife = evidence.jackknife_rotation_90_deg, evidence.jackknife_translation_90_deg
+        raw = evidence.raw_rotation_90_deg, evidence.raw_translation_90_deg
         factors = [
             of_right(error) / before if before else 1.0
-            for error, before in zip(self.errors_90_deg(evidence), jackknife, strict=True)
+            for error, before in zip(self.errors_90_deg(evidence), raw, strict=True)
         ]
         scale = np.repeat(factors, 3)
         return covariance * np.outer(scale, scale)
 
     def errors_90_deg(self, evidence: Evidence) -> tuple[float, float]:
         """The calibrated errors of R and t, at nine in ten, of a pose that may be wrong as well; 0
-        where the jackknife has none."""
-        rotation = evidence.jackknife_rotation_90_deg or 0.0
-        translation = evidence.jackknife_translation_90_deg or 0.0
+        where there is no raw error."""
+        rotation = evidence.raw_rotation_90_deg or 0.0
+        translation = evidence.raw_translation_90_deg or 0.0
         return (
             rotation * self.rotation_error.factor(rotation),
             translation * self.translation_error.factor(translation),
@@ -251,7 +251,7 @@ def parse_models(text: str) -> FittedModels:
 
 
 def calibrated_focal_std(std: float) -> float:
-    """The standard deviation of ln f, from that by the jackknife, which may be infinite."""
+    """The standard deviation of ln f, from the raw one, which may be infinite."""
     return std * shipped_models().focal_error.factor(100 * NORMAL_90 * std)
 
 

@@ -32,7 +32,7 @@ _ROTATION_SHARE = 0.8
 # errors of dense matches resemble a translation.
 _STRICT_ROTATION_SHARE = 0.9
 _MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more for few matches
-# Expected error of R and of t, by the jackknife, nine times in ten. Of normal errors with more,
+# Raw error of R and of t, nine times in ten. Of normal errors with more,
 # less than half are within 10 degrees.
 _MAX_ERROR_DEG = 24.0
 # A prior of the focal length is wrong for all pairs of a camera alike: fitted ones ask for more.
@@ -71,7 +71,7 @@ def judge(
     first; () for a single one. Where focal lengths were fitted, the odds of `min_probability` count
     `_FITTED_ODDS` times.
     """
-    if min_probability is not None and evidence.jackknife_focal_90_percent is not None:
+    if min_probability is not None and evidence.raw_focal_90_percent is not None:
         odds = _FITTED_ODDS * min_probability
         min_probability = odds / (odds + 1 - min_probability)
     undetermined = _undetermined_translation(evidence)
@@ -195,7 +195,7 @@ def _implausible(evidence: Evidence) -> Verdict | None:
     if behind := _behind(evidence):
         return behind
     for part in ("rotation", "translation"):
-        error: float | None = getattr(evidence, f"jackknife_{part}_90_deg")
+        error: float | None = getattr(evidence, f"raw_{part}_90_deg")
         if error is not None and error > _MAX_ERROR_DEG:
             reason = (
                 f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
@@ -229,7 +229,7 @@ def _pose(evidence: Evidence) -> Verdict:
     if evidence.homography_ratio < PLANAR_SHARE:
         return Verdict("ok", STATUSES["ok"].meaning, warnings)
     share = f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers"
-    focal = evidence.jackknife_focal_90_percent or 0.0
+    focal = evidence.raw_focal_90_percent or 0.0
     if focal > _MAX_FOCAL_PERCENT and evidence.homography_ratio >= _NOTHING_BUT_PLANE:
         reason = f"{share}: a plane does not determine the focal length, which is not known"
         return Verdict("undetermined", reason)

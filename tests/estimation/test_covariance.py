@@ -8,7 +8,7 @@ from scipy.stats import chi2
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.camera_spread import CameraSpread
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.hypothesis import ALIKE, Hypothesis, pose_error_scale
 from dgc_pose.estimation.robust_fit import least_squares_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from two_view import normalised_problem, two_view_scene
@@ -41,9 +41,9 @@ def test_the_radius_ends_at_0_and_180_degrees():
     assert error_radius_deg(1e6 * np.eye(3)) == 180
 
 
-def refitted(points1, points2, scene):
+def refitted(points1, points2, scene, key_points=True):
     """The pose that the covariance is of: a Cauchy fit at its own scale."""
-    problem = normalised_problem(points1, points2, 4 * SCALE)
+    problem = normalised_problem(points1, points2, 4 * SCALE, key_points=key_points)
     scale = pose_error_scale(problem, scene.R, scene.t)
     pose = Hypothesis.of_pose(problem, *least_squares_pose(problem, scene.R, scene.t, scale))
     covariance = pose_covariance(problem, pose)
@@ -54,10 +54,11 @@ def refitted(points1, points2, scene):
 def test_the_covariance_is_that_of_poses_from_other_noise():
     clean, first, second = normalised(800, sigma_px=0.0)
     rng = np.random.default_rng(0)
-    rotations, shifts, stated = [], [], []
+    rotations, shifts, stated, dense = [], [], [], []
     for _ in range(60):
         noisy = [p + 4e-4 * rng.standard_normal(p.shape) for p in (first, second)]
         R, t, covariance = refitted(*noisy, clean)
+        dense.append(refitted(*noisy, clean, key_points=False)[2] - covariance)
         rotations.append(Rotation.from_matrix(R @ clean.R.T).as_rotvec())
         shifts.append(t - clean.t)
         stated.append(covariance)
@@ -68,6 +69,9 @@ def test_the_covariance_is_that_of_poses_from_other_noise():
     for part in (slice(0, 3), slice(3, 6)):
         ratio = np.trace(mean[part, part]) / np.trace(drawn[part, part])
         assert 0.8 < ratio < 2.0  # leaving out a block in ten is on the careful side
+        # To that of a dense map the usual covariance is added, of a tenth of the matches.
+        added = np.trace(np.mean(dense, axis=0)[part, part]) / np.trace(drawn[part, part])
+        assert 0.75 * ALIKE < added < 1.4 * ALIKE
     np.testing.assert_allclose(mean[3:, 3:] @ clean.t, 0, atol=0.05 * np.trace(mean[3:, 3:]))
 
 

@@ -68,7 +68,7 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
 ) -> None:
     """Of a normal error that is below r nine times in ten, against SciPy."""
     model = parse_models(_text(intercept=30.0)).by_kind["network"]
-    evidence = _worse(**{f"jackknife_{part}_90_deg": error_deg})
+    evidence = _worse(**{f"raw_{part}_90_deg": error_deg})
     calibrated = error_deg * getattr(model, f"{part}_error").factor(error_deg)
     within = 2 * norm.cdf(10 * norm.ppf(0.95) / calibrated) - 1
     assert model.probability(evidence) == pytest.approx(within, rel=1e-3)
@@ -80,8 +80,8 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
         {"num_inliers": 30},
         {"chance_ratio": 0.2},
         {"log10_false_alarms": -3.0},
-        {"jackknife_rotation_90_deg": 9.0},
-        {"jackknife_rotation_90_deg": None},
+        {"raw_rotation_90_deg": 9.0},
+        {"raw_rotation_90_deg": None},
         {"parallax": 1.5},
         {"homography_ratio": 0.95},
         {"run_agreement": 0.2},
@@ -112,8 +112,8 @@ def test_any_evidence_has_a_probability(count, ratio, chance, alarms, error) -> 
         inlier_ratio=ratio,
         chance_ratio=chance,
         log10_false_alarms=alarms,
-        jackknife_rotation_90_deg=error,
-        jackknife_translation_90_deg=error,
+        raw_rotation_90_deg=error,
+        raw_translation_90_deg=error,
         parallax=ratio,
         hull_cells=0.0,
         threshold_cells=0.0,

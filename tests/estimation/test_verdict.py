@@ -29,11 +29,11 @@ def verdict(**changes):
         ("chance_inliers", {"log10_false_alarms": -1.0}),
         ("chance_inliers", {"occupied_cells": 19}),
         ("collinear", {"collinear": True}),
-        ("undetermined", {"jackknife_rotation_90_deg": 25.0}),
-        ("undetermined", {"jackknife_translation_90_deg": 25.0}),
+        ("undetermined", {"raw_rotation_90_deg": 25.0}),
+        ("undetermined", {"raw_translation_90_deg": 25.0}),
         ("rotation_only", {"still_ratio": 0.91}),
         ("ambiguous", {"num_second_inliers": 30}),
-        ("rotation_only", {"strict_rotation_share": 0.92, "jackknife_rotation_90_deg": 180.0}),
+        ("rotation_only", {"strict_rotation_share": 0.92, "raw_rotation_90_deg": 180.0}),
         ("rotation_only", {"rotation_share": 0.95, "parallax": 1.0}),
         ("rotation_only", {"strict_rotation_share": 0.92}),
         ("behind_cameras", {"cheirality_ratio": 0.55}),
@@ -69,9 +69,9 @@ def test_each_gate_closes_by_itself(status, changes):
         {"chance_ratio": 0.19},
         {"occupied_cells": 20},
         {"occupied_cells": 5, "key_points": True},
-        {"jackknife_rotation_90_deg": 23.0},
+        {"raw_rotation_90_deg": 23.0},
         {"still_ratio": 0.89},
-        {"jackknife_rotation_90_deg": None},
+        {"raw_rotation_90_deg": None},
         {"rotation_share": 0.95, "parallax": 2.2},  # 1.5 x (1 + 4 / sqrt(100)) = 2.1
         {"rotation_share": 0.95, "parallax": 1.6, "num_rotation_inliers": 10_000},
         {"rotation_share": 0.7, "parallax": 1.0},
@@ -126,11 +126,11 @@ def test_the_probability_decides_and_not_the_gates() -> None:
     assert judge(GOOD_EVIDENCE, 0.3, 0.4).status == "ok"
     assert judge(GOOD_EVIDENCE, None, 0.1).status == "ok"
     for ratio, percent in ((0.97, 3.3), (0.94, 31.0)):
-        plane = _changed(homography_ratio=ratio, jackknife_focal_90_percent=percent)
+        plane = _changed(homography_ratio=ratio, raw_focal_90_percent=percent)
         assert judge(plane, LEAST, 0.9).status == "planar"
-    plane = _changed(homography_ratio=0.97, jackknife_focal_90_percent=31.0)
+    plane = _changed(homography_ratio=0.97, raw_focal_90_percent=31.0)
     assert "plane does not determine the focal length" in judge(plane, LEAST, 0.9).reason
-    fitted = _changed(jackknife_focal_90_percent=5.0)  # asks for odds of four to one
+    fitted = _changed(raw_focal_90_percent=5.0)  # asks for odds of four to one
     assert judge(fitted, LEAST, 0.79).status == "improbable"
     assert judge(fitted, LEAST, 0.81).status == "ok"
 

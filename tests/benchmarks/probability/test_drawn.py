@@ -7,7 +7,12 @@ import pytest
 from dtu_layout import WRITERS, grey_scan
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.probability.drawn import drawn_dtu, drawn_rgbd, drawn_sparse
+from dgc_pose.benchmarks.probability.drawn import (
+    drawn_dtu,
+    drawn_posed,
+    drawn_rgbd,
+    drawn_sparse,
+)
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 
@@ -58,6 +63,33 @@ def test_pairs_of_frames_carry_their_pose_and_spread_over_rotations(tmp_path) ->
 def test_frames_from_one_place_make_no_pair(tmp_path) -> None:
     _rgbd(tmp_path, [np.eye(4)] * 3)
     assert drawn_rgbd(tmp_path, 10, seed=0) == []
+
+
+def test_pairs_of_posed_scenes_are_wide_and_share_what_both_see(tmp_path) -> None:
+    away = np.diag([-1.0, 1, -1, 1])  # of a camera that sees nothing of the others'
+    poses = [*_poses(10), away]
+    for scene in ("one", "two"):
+        _rgbd(tmp_path / scene, poses)
+        lines = []
+        for k, pose in enumerate(poses):
+            pose = np.linalg.inv(pose)[:3]
+            numbers = [60, 60, 31.5, 23.5, *pose.ravel(), 1.5, 2.5]
+            lines.append(" ".join([f"{k:03d}.png", *map(repr, map(float, numbers))]))
+        (tmp_path / scene / "poses.txt").unlink()
+        (tmp_path / scene / "cameras.txt").write_text("\n".join(lines))
+    pairs = drawn_posed(tmp_path, 20, seed=1)
+    assert [pair.name1[:3] for pair in pairs] == ["one"] * 20 + ["two"] * 20
+    assert len({(pair.name1, pair.name2) for pair in pairs}) == 40
+    for pair in pairs:
+        i, j = (int(name[11:14]) for name in (pair.name1, pair.name2))
+        T = np.linalg.inv(poses[j]) @ poses[i]
+        np.testing.assert_allclose(pair.R, T[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(pair.t, T[:3, 3], atol=1e-6)
+        assert pair.path1.is_file() and max(i, j) < 10
+    angles = [rotation_error_deg(pair.R, np.eye(3)) for pair in pairs]
+    assert np.median(angles) > 20
+    again = drawn_posed(tmp_path, 20, seed=1)
+    assert [one.name1 for one in again] == [one.name1 for one in pairs]
 
 
 def _model(folder, *, camera_model: str = "PINHOLE") -> list[np.ndarray]:

@@ -177,8 +177,8 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
             inlier_ratio=ratio,
             occupied_cells=int(cells),
             map_agreement=agreement,
-            jackknife_rotation_90_deg=own,
-            jackknife_translation_90_deg=own,
+            raw_rotation_90_deg=own,
+            raw_translation_90_deg=own,
         )
         # A second pose beside every other: the likelihood tells which is right, more or less.
         poses = [PoseRecord(0.0, 0.0, error, error)]
