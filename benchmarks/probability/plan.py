@@ -45,6 +45,7 @@ class PlanEntry:
     pairs: int = option(60, min=1)  # at most
     seed: int = option(0, min=0)
     scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
+    without: tuple[str, ...] = ()  # of posed scenes: those left out
     altered: bool = False  # whether each pair is altered, see `altered.py`
     # Scenes whose true poses are a tracker's, off by a degree or more: they part right from wrong,
     # but not how accurate a pose is.
@@ -86,9 +87,7 @@ def read_plan(path: Path | None) -> list[PlanEntry]:
 
 def _entry(values: dict[str, Any]) -> PlanEntry:
     values = dict(values)
-    paths, rough = values.pop("path", []), values.pop("rough", [])
-    return PlanEntry(
-        **values,
-        path=tuple(Path(p) for p in ([paths] if isinstance(paths, str) else paths)),
-        rough=tuple(map(str, rough)),
-    )
+    paths = values.pop("path", [])
+    scenes = {name: tuple(map(str, values.pop(name, []))) for name in ("without", "rough")}
+    paths = [paths] if isinstance(paths, str) else paths
+    return PlanEntry(**values, **scenes, path=tuple(Path(p) for p in paths))

@@ -88,7 +88,8 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
     if not known.is_file():
         lists.mkdir(parents=True, exist_ok=True)
         with replaced(known) as stage:
-            write_pairs(stage, _DRAWN[entry.kind](path, entry.pairs, entry.seed))
+            pairs = _DRAWN[entry.kind](path, entry.pairs, entry.seed)
+            write_pairs(stage, [p for p in pairs if Path(p.name1).parts[0] not in entry.without])
     return read_pairs(known, path)
 
 
