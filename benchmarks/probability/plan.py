@@ -13,7 +13,7 @@ never on both sides. Kinds:
 - `dtu`: a folder of DTU in any layout; pairs up to 60 degrees apart.
 - `rendered`: `path` is a folder of photographs as textures.
 - `planes`: the same, of planes with a relief, whose homographies have two poses.
-- `unrelated`: `path` is a list of folders; two photographs of different prefixes or folders.
+- `unrelated`: `path` is a list of folders; two photographs of different places.
 - `textureless`: drawn images without structure, alone and beside photographs of `path`.
 """
 

@@ -128,15 +128,15 @@ def _planes(folders: list[Path], entry: PlanEntry) -> Maker:
 
 
 def _unrelated(folders: list[Path], entry: PlanEntry) -> Maker:
-    """Photographs of different places: of different folders, or of different prefixes in one."""
+    """Photographs of different places: of different folders, or two of a folder of photographs that
+    have a place each."""
     paths = _photographs_in(folders)
-    places = {path: f"{path.parent} {path.stem.split('_')[0]}" for path in paths}
     one_each = {path for path in paths if "photos" in path.parts and "more" not in path.parts}
     rng = np.random.default_rng(entry.seed)
     chosen: list[tuple[Path, Path]] = []
     while len(chosen) < entry.pairs:
         path1, path2 = (paths[k] for k in rng.integers(0, len(paths), 2))
-        if places[path1] != places[path2] or (path1 in one_each and path1 != path2):
+        if path1.parent != path2.parent or (path1 in one_each and path1 != path2):
             chosen.append((path1, path2))
 
     def make(number: int) -> PosedPair:
