@@ -43,7 +43,7 @@ def are_far(pose: RelativePose, camera: Camera) -> bool:
     if pose.evidence is None or not pose.hypotheses:
         return False
     allowed = math.degrees(_STAY_PX / camera.focal)
-    error = (pose.evidence.raw_rotation_90_deg or 0.0) / 2  # that of few matches is careful
+    error = pose.evidence.raw_rotation_90_deg or 0.0
     return rotation_angle_deg(pose.hypotheses[0].R) < allowed + min(error, _MOST_ERROR_DEG)
 
 
