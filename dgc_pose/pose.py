@@ -54,7 +54,7 @@ _LIKELY = 0.9
 # threshold: a scene that is nearly its mirror image does not fit as closely.
 _CLOSE = 0.1
 _FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
-_ACCURATE_DEG = 0.5  # expected errors below which the pose of a quick pass is kept
+_ACCURATE_DEG = 1.0  # expected errors below which the pose of a quick pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
 

@@ -36,7 +36,7 @@ _MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more f
 # less than half are within 10 degrees.
 _MAX_ERROR_DEG = 24.0
 # A prior of the focal length is wrong for all pairs of a camera alike: fitted ones ask for more.
-_FITTED_ODDS = 4.0
+_FITTED_ODDS = 9.0
 # Error of a fitted focal length, at nine in ten, with which a plane has a pose: a prior may be as
 # sure, and the matches only seem to be.
 _MAX_FOCAL_PERCENT = 4.0
