@@ -7,37 +7,42 @@ import torch
 from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel
 
-from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.stages import DecoderStage, EncoderStage, StageName
-
-Stage = EncoderStage | DecoderStage
 
 _RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
 _WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
-_BACKBONE_RATE = 0.35  # times the rate of the rest, to keep what ImageNet taught
+_DECAY = 0.999  # at most, of the exponential moving average of the weights
+# The layers that ImageNet taught learn more slowly.
+_BACKBONE, _BACKBONE_RATE = ("net.pyramid.stem.", "net.pyramid.blocks."), 0.35
 
 
 class ActiveStage:
-    """One stage of a run, from the network's present weights, on the device of the network."""
+    """One stage of a run, from the network's present weights, on the device of the network.
 
-    def __init__(self, name: StageName, net: DGCNet, options: TrainingOptions) -> None:
+    rate: factor of the learning rates.
+    """
+
+    def __init__(self, name: StageName, net: DGCNet, rate: float) -> None:
         self.name = name
-        self.module: Stage = EncoderStage(net) if name == "encoder" else DecoderStage(net)
+        self.module = EncoderStage(net) if name == "encoder" else DecoderStage(net)
         self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.module.train()
-        self.parameters = [p for p in self.module.parameters() if p.requires_grad]
-        self._rate = _RATE * options.rate
-        groups = _rate_groups(self.module)
+        named = self.module.named_parameters()
+        trained = {key: parameter for key, parameter in named if parameter.requires_grad}
+        self.parameters = list(trained.values())
+        backbone = [parameter for key, parameter in trained.items() if key.startswith(_BACKBONE)]
+        rest = [parameter for key, parameter in trained.items() if not key.startswith(_BACKBONE)]
+        groups = [{"params": rest, "share": 1.0}, {"params": backbone, "share": _BACKBONE_RATE}]
+        self._rate = _RATE * rate
         self.optimizer = torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY, betas=_BETAS)
-        self._average = moving_average(self.module, options.average_decay)
+        self._average = moving_average(self.module, _DECAY)
 
     @property
-    def average(self) -> Stage:
+    def average(self) -> EncoderStage | DecoderStage:
         """The module by its averaged weights, in evaluation mode."""
-        return cast(Stage, self._average.module)
+        return cast(EncoderStage | DecoderStage, self._average.module)
 
     def set_rate(self, progress: float) -> float:
         """The learning rate at a progress of the stage, from 0 to 1, which the next step uses: a
@@ -46,7 +51,7 @@ class ActiveStage:
         warm = min(1.0, 0.05 + 0.95 * progress / _WARM_UP)
         rate = self._rate * warm * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
         for group in self.optimizer.param_groups:
-            group["lr"] = rate * group["factor"]
+            group["lr"] = rate * group["share"]
         return rate
 
     def step(self, loss: Tensor) -> Tensor:
@@ -89,20 +94,3 @@ def moving_average(module: nn.Module, decay: float) -> AveragedModel:
     average = AveragedModel(module, multi_avg_fn=update, use_buffers=True)
     average.n_averaged += 1  # the initial weights count
     return average.eval().requires_grad_(False)
-
-
-def _rate_groups(module: nn.Module) -> list[dict[str, Any]]:
-    """The trainable parameters as an optimiser's groups, each with the `factor` of its rate."""
-    backbone = {
-        parameter
-        for pyramid in module.modules()
-        if isinstance(pyramid, EfficientPyramid)
-        for part in (pyramid.stem, pyramid.blocks)
-        for parameter in part.parameters()
-    }
-    trainable = [p for p in module.parameters() if p.requires_grad]
-    groups = [
-        {"params": [p for p in trainable if p not in backbone], "factor": 1.0},
-        {"params": [p for p in trainable if p in backbone], "factor": _BACKBONE_RATE},
-    ]
-    return [group for group in groups if group["params"]]

@@ -13,33 +13,27 @@ from dgc_pose.version import version
 
 def card(
     options: TrainingOptions,
-    data: Mapping[str, PairSource],
+    training: PairSource,
     device: torch.device,
     stages: Mapping[str, Mapping[str, Any]],
 ) -> str:
-    """Markdown.
-
-    data: what trains, and what validates; stages: of each its steps, pairs, seconds and figures.
-    """
-    training = data["training"]
-    scenes = training.scenes
+    """Markdown. stages: of each its steps, pairs, seconds and figures by what validates."""
+    photos, posed = training.photos, "none"
+    if training.posed is not None:
+        scenes = training.posed.scenes
+        posed = f"{len(scenes.scene)} of {len(scenes.names)} scenes ({', '.join(scenes.names)}), "
+        posed += f"{len(training.posed.frames)} pairs train"
     shares = ", ".join(f"{name} {share:.0%}" for name, share in vars(options.shares).items())
-    given = {"init": options.init, "encoder": options.encoder}
-    start = ", ".join(f"{name} {value}" for name, value in given.items() if value is not None)
+    threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
+    is_gpu = device.type == "cuda"
     rows = {
         "network": options.network,
-        "photographs": f"{training.photos.single}, and {len(training.photos.places)} places in "
-        "other light",
-        "posed photographs": "none"
-        if scenes is None
-        else f"{len(scenes.scene)} of {len(scenes.names)} scenes ({', '.join(scenes.names)}), "
-        f"{len(training.frames or ())} pairs train",
+        "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
+        "posed photographs": posed,
         "pairs": f"{shares}; kinds without data have none",
-        "start": start or "random weights",
+        "start": f"init {options.init}, encoder {options.encoder}",
         "seed, rates": f"{options.seed}, {options.rate:g} times the usual",
-        "hardware": torch.cuda.get_device_name(device)
-        if device.type == "cuda"
-        else f"{platform.machine()}, {torch.get_num_threads()} threads",
+        "hardware": torch.cuda.get_device_name(device) if is_gpu else threads,
         "made by": f"dgc-pose {version()}, torch {torch.__version__}",
         "chosen": "nothing: the moving average of the last step's weights is stored",
     }

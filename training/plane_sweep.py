@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.training.bank import ImageBank
-from dgc_pose.training.views import Cameras, Shape, inside, pixel_grid
+from dgc_pose.training.views import Cameras, Shape, angle_deg, inside, pixel_grid
 
 _SWEEPS = ((256, 72), (144, 56))  # longest side, pixels, and planes: fine, then coarse
 _MOST = 5  # neighbours that a frame is compared with
@@ -22,17 +22,14 @@ _CROWD = 0.3  # share of the pixels around one that are kept: alone it is chance
 _FILL = (9, 0.35, 0.02)  # window of a filled pixel, share known in it, their relative spread
 
 
-def swept_depths(
-    bank: ImageBank, cameras: Cameras, frames: list[int], reach: Tensor
-) -> list[Tensor]:
-    """Depths (h, w) of frames of one scene, 0 if unknown, smaller than the photographs.
+def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]:
+    """Depths (h, w) of the bank's images, views of one scene, 0 if unknown, smaller than these.
 
-    reach: (n, 2), nearest and farthest depth of each frame. Two sweeps; what the fine one leaves
-    unknown is the coarse one's, and small holes in a smooth surface are filled.
+    reach: (n, 2), nearest and farthest depth of each. Two sweeps; what the fine one leaves unknown
+    is the coarse one's, and small holes in a smooth surface are filled.
     """
-    views = cameras[torch.tensor(frames, device=reach.device)]
-    near = _neighbours(bank.size(torch.tensor(frames, device=reach.device)), views, reach)
-    fine, coarse = (_sweep(bank, views, frames, reach, near, *sizes) for sizes in _SWEEPS)
+    near = _neighbours(bank.sizes[:, 0].float(), views, reach)
+    fine, coarse = (_sweep(bank, views, reach, near, *sizes) for sizes in _SWEEPS)
     depths = []
     for depth, low in zip(fine, coarse, strict=True):
         wide = F.interpolate(low[None, None], depth.shape, mode="nearest")[0, 0]
@@ -51,8 +48,7 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
         seen, depth = views.project(own.expand(len(size), -1, -1))
         shown = (inside(seen, size[:, None]) & (depth > 0)).float().mean(1)
         rays, others = own - views.centre[k], own - views.centre[:, None]
-        cosine = F.cosine_similarity(rays[None], others, dim=-1).clamp(-1, 1)
-        angle = torch.rad2deg(torch.acos(cosine)).median(1).values
+        angle = angle_deg(rays[None], others).median(1).values
         scale = (rays.norm(dim=-1) / others.norm(dim=-1).clamp(min=1e-9)).median(1).values
         off = ((angle - _ANGLE_DEG) / _ANGLE_SPREAD) ** 2 + (scale.log() / 0.5) ** 2
         fit = torch.exp(-off) * shown * (angle > _LEAST_ANGLE_DEG)
@@ -64,7 +60,6 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
 def _sweep(
     bank: ImageBank,
     views: Cameras,
-    frames: list[int],
     reach: Tensor,
     near: list[list[int]],
     side: int,
@@ -72,13 +67,14 @@ def _sweep(
 ) -> list[Tensor]:
     """Depths (h, w), 0 where no plane stands out or the neighbours' depths disagree."""
     greys, K = [], []
-    for frame, own in zip(frames, views.K, strict=True):
-        size = bank.size(torch.tensor(frame, device=own.device))
+    for frame, own in enumerate(views.K):
+        image = torch.tensor(frame, device=own.device)
+        size = bank.size(image)
         factor = min(1.0, side / float(size.max()))
         width, height = (round(factor * extent) for extent in size.cpu().tolist())
         scale = own.new_tensor([width, height]) / size
         points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
-        colours = bank.sample(torch.tensor(frame, device=own.device), points, 1 / scale[:1])
+        colours = bank.sample(image, points, 1 / scale[:1])
         greys.append(colours @ own.new_tensor([0.299, 0.587, 0.114]))
         K.append(torch.cat([own[:2] * scale, (own[2:] + 0.5) * scale - 0.5]))
     small = Cameras(torch.stack(K), views.pose)
@@ -94,17 +90,14 @@ def _swept(
     if len(near) < 2:
         return torch.zeros_like(grey)
     pixels = pixel_grid(_shape(grey), grey.device)
-    inverse = torch.lerp(
-        1 / reach[1], 1 / reach[0], torch.linspace(0, 1, planes, device=grey.device)
-    )
-    levels = (1 / inverse)[:, None, None].expand(-1, *grey.shape)
-    place = views[k : k + 1].unproject(
-        pixels[None, None].expand(1, planes, -1, -1, -1), levels[None]
-    )
+    share = torch.linspace(0, 1, planes, device=grey.device)
+    inverse = torch.lerp(1 / reach[1], 1 / reach[0], share)
+    levels = (1 / inverse)[None, :, None, None].expand(1, -1, *grey.shape)
+    place = views[[k]].unproject(pixels.expand(1, planes, -1, -1, -1), levels)
     mean, variance = _moments(grey[None, None])
     scores = []
     for j in near:
-        seen, depth = views[j : j + 1].project(place)
+        seen, depth = views[[j]].project(place)
         grid = (2 * seen[0] + 1) / seen.new_tensor(greys[j].shape[::-1]) - 1
         other = F.grid_sample(greys[j].expand(planes, 1, -1, -1), grid, align_corners=False)
         other_mean, other_variance = _moments(other)
@@ -114,9 +107,8 @@ def _swept(
         scores.append(torch.where(shown, score[:, 0], -1.0))
     scored = torch.stack(scores).topk(min(3, len(scores)), 0).values.clamp(min=-0.2).mean(0)
     best, index = scored.max(0)
-    below, above = (
-        scored.gather(0, (index + step).clamp(0, planes - 1)[None])[0] for step in (-1, 1)
-    )
+    near_best = ((index + step).clamp(0, planes - 1)[None] for step in (-1, 1))
+    below, above = (scored.gather(0, plane)[0] for plane in near_best)
     # The peak of a parabola through three planes, which are even in the inverse depth.
     shift = 0.5 * (above - below) / (2 * best - below - above).clamp(min=1e-4)
     found = 1 / (inverse[index] + shift.clamp(-0.5, 0.5) * (inverse[1] - inverse[0]))
@@ -130,10 +122,10 @@ def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Te
     """The depths (h, w) of a frame that neighbours confirm: one of few, two of more than three."""
     depth = depths[k]
     pixels = pixel_grid(_shape(depth), depth.device)[None]
-    place = views[k : k + 1].unproject(pixels, depth[None])
+    place = views[[k]].unproject(pixels, depth[None])
     votes = torch.zeros_like(depth)
     for j in near:
-        seen, expected = (part[0] for part in views[j : j + 1].project(place))
+        seen, expected = (part[0] for part in views[[j]].project(place))
         x, y = (axis.round().long() for axis in seen.unbind(-1))
         height, width = depths[j].shape
         there = depths[j][y.clamp(0, height - 1), x.clamp(0, width - 1)]

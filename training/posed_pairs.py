@@ -13,17 +13,22 @@ from torch import Tensor
 
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.posed_scenes import FramePairs, PosedScenes
-from dgc_pose.training.views import Cameras, Shape, inside, middle_of, pixel_grid, root_area
-from dgc_pose.training.warped_pairs import rotation_2d
+from dgc_pose.training.posed_scenes import FramePairs
+from dgc_pose.training.views import (
+    Cameras,
+    Shape,
+    inside,
+    middle_of,
+    pixel_grid,
+    root_area,
+    rotation_2d,
+)
 
 _AGREES = 0.03  # of the depth expected in the source: within this of it, the pixel is visible
 _HIDDEN = 0.07  # nearer by more, the pixel is occluded; else it is not known
 
 
-def posed_pairs(
-    scenes: PosedScenes, pairs: FramePairs, count: int, shape: Shape, draw: Draw
-) -> MapPairs:
+def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapPairs:
     """Random pairs of views of `shape`, cut from the frames: rolled, scaled down to 0.55 of the
     frame, about what both show.
 
@@ -31,8 +36,8 @@ def posed_pairs(
     agrees there. It is not visible if it projects outside, or well behind the source's depth. It is
     not known if the depth of either is missing, or the two contradict each other.
     """
-    place = draw.uniform(count).double() * pairs.chance[-1]
-    chosen = torch.searchsorted(pairs.chance, place).clamp(max=len(pairs) - 1)
+    scenes, place = pairs.scenes, draw.uniform(count).double() * pairs.chance[-1]
+    chosen = torch.searchsorted(pairs.chance, place).clamp(max=len(pairs.frames) - 1)
     source, target = pairs.frames[chosen].unbind(1)
     middle1, middle2 = pairs.middles[chosen].unbind(1)
     linear1, shift1 = _random_cuts(scenes.bank.size(source), middle1, shape, draw)

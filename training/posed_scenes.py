@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 from tqdm import tqdm
 
@@ -18,10 +17,11 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.pixels import pixel_grid as centres
 from dgc_pose.images.image import load_image, resize_by
+from dgc_pose.network.weights import load_checkpoint
 from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths
 from dgc_pose.training.posed_frames import PosedFrame
-from dgc_pose.training.views import Cameras, inside
+from dgc_pose.training.views import Cameras, angle_deg, inside
 
 LONGEST = 512  # pixels of a frame's longer side in memory, at most
 _PROBE = (16, 20)  # rows and columns of points by which a frame's overlap with others is estimated
@@ -36,7 +36,7 @@ class PosedScenes:
     """The frames of all scenes. A scene's unit of length is about its depth."""
 
     names: tuple[str, ...]  # of the scenes
-    scene: Tensor  # (N,) int64, of each frame, on the CPU
+    scene: Tensor  # (N,) int64, of each frame
     bank: ImageBank  # of the frames, without lens distortion
     cameras: Cameras  # of the bank's images
     depth: Tensor  # (T,) float32, row by row, along the optical axis, 0: unknown
@@ -59,95 +59,79 @@ class PosedScenes:
 class FramePairs:
     """Pairs of frames that share enough, of one or more scenes."""
 
+    scenes: PosedScenes
     frames: Tensor  # (P, 2) int64, source and target
     middles: Tensor  # (P, 2, 2), of what both show, pixels of the source and of the target
     chance: Tensor  # (P,) float64, summed up, that a pair is drawn with
 
-    def __len__(self) -> int:
-        return len(self.frames)
-
 
 def load_posed(
-    scenes: Mapping[str, Sequence[PosedFrame]],
-    device: torch.device | str,
-    kept: Path | None = None,
+    scenes: Mapping[str, Sequence[PosedFrame]], device: torch.device | str, kept: Path
 ) -> PosedScenes:
     """Read the frames of scenes; a plane sweep finds the depths of those without a sensor's.
 
-    kept: a file of the depths that were swept before, by scene, or for the depths that are found.
-    Raises ImageError if a file cannot be read, InputError if `kept` is of other frames.
+    kept: a folder with the depths that were swept before, a file a scene, or for those that are
+    found. Raises ImageError if a file cannot be read, InputError if a kept file is of other frames.
     """
-    images, depths, cameras, reaches = [], [], [], []
-    every = [frame for frames in scenes.values() for frame in frames]
-    for frame in tqdm(every, desc="frames", unit="", disable=None, leave=False):
-        pixels, K, depth = _prepared(frame)
-        images.append(pixels)
-        depths.append(depth)
-        cameras.append((K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-        known = depth[depth > 0]
-        reaches.append(frame.reach if frame.reach or not len(known) else (known.min(), known.max()))
-    number = np.repeat(np.arange(len(scenes)), [len(frames) for frames in scenes.values()])
-    poses = np.stack([frame.cam_from_world for frame in every])[:, :3]
-    reach = np.array([(1.0, 1.0) if ends is None else ends for ends in reaches])
-    for k in range(len(scenes)):
+    images: list[np.ndarray] = []
+    K: list[Tensor] = []
+    poses: list[Tensor] = []
+    depths: list[Tensor] = []
+    for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
+        pixels, pinholes, sensed = zip(*map(_prepared, frames), strict=True)
+        reach = np.array(
+            [f.reach or _reach(depth) for f, depth in zip(frames, sensed, strict=True)]
+        )
+        pose = np.stack([frame.cam_from_world for frame in frames])[:, :3]
         # In single precision: about the cameras, and in units of the depth.
-        own = number == k
-        unit = np.median(np.sqrt(reach[own].prod(1)))
-        middle = -np.einsum("nij,ni->nj", poses[own, :, :3], poses[own, :, 3]).mean(0)
-        poses[own, :, 3] += poses[own, :, :3] @ middle
-        poses[own, :, 3] /= unit
-        reach[own] /= unit
-        for frame in np.flatnonzero(own):
-            depths[frame] = depths[frame] / np.float32(unit)
-    bank = ImageBank.of(images, device)
-    every_camera = Cameras(_tensor(cameras, device), _tensor(poses, device))
-    maps = [torch.from_numpy(depth) for depth in depths]
-    found = torch.load(kept, weights_only=True) if kept is not None and kept.exists() else {}
-    for k, name in enumerate(tqdm(scenes, desc="depths", unit="", disable=None, leave=False)):
-        frames = np.flatnonzero(number == k).tolist()
-        if every[frames[0]].depth is None:
-            if name not in found:
-                swept = swept_depths(bank, every_camera, frames, _tensor(reach[frames], device))
-                found[name] = [depth.cpu() for depth in swept]
-            if len(found[name]) != len(frames):
-                raise InputError(
-                    f"{kept}: holds {len(found[name])} depths of {name}, whose frames "
-                    f"are {len(frames)}"
-                )
-            for frame, depth in zip(frames, found[name], strict=True):
-                maps[frame] = depth
-    if kept is not None and found and not kept.exists():
-        kept.parent.mkdir(exist_ok=True)
-        with replaced(kept) as temporary:
-            torch.save(found, temporary)
-    counts = torch.tensor([depth.numel() for depth in maps])
-    size = torch.tensor([depth.shape[::-1] for depth in maps])
+        unit = np.median(np.sqrt(reach.prod(1)))
+        middle = -np.einsum("nij,ni->nj", pose[..., :3], pose[..., 3]).mean(0)
+        pose[..., 3] = (pose[..., 3] + pose[..., :3] @ middle) / unit
+        K.append(torch.from_numpy(np.stack(pinholes)).float().to(device))
+        poses.append(torch.from_numpy(pose).float().to(device))
+        images += pixels
+        if frames[0].depth is not None:
+            depths += [torch.from_numpy(depth / np.float32(unit)).to(device) for depth in sensed]
+            continue
+        path = kept / f"{name}.pt"
+        if not path.exists():
+            bounds = torch.from_numpy(reach / unit).float().to(device)
+            swept = swept_depths(ImageBank.of(pixels, device), Cameras(K[-1], poses[-1]), bounds)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replaced(path) as temporary:
+                torch.save(swept, temporary)
+        found = load_checkpoint(path, device)
+        if len(found) != len(frames):
+            raise InputError(f"{path}: holds {len(found)} depths, and {name} {len(frames)} frames")
+        depths += found
+    counts = torch.tensor([depth.numel() for depth in depths], device=device)
     return PosedScenes(
         tuple(scenes),
-        torch.from_numpy(number),
-        bank,
-        every_camera,
-        torch.cat([depth.flatten() for depth in maps]).to(device),
-        (counts.cumsum(0) - counts).to(device),
-        size.to(device),
+        torch.tensor([k for k, views in enumerate(K) for _ in views], device=device),
+        ImageBank.of(images, device),
+        Cameras(torch.cat(K), torch.cat(poses)),
+        torch.cat([depth.flatten() for depth in depths]),
+        counts.cumsum(0) - counts,
+        torch.tensor([depth.shape[::-1] for depth in depths], device=device),
     )
 
 
-def _tensor(values: object, device: torch.device | str) -> Tensor:
-    return torch.tensor(np.asarray(values), dtype=torch.float32, device=device)
+def _reach(depth: np.ndarray) -> tuple[float, float]:
+    """The least and the largest of the known depths."""
+    known = depth[depth > 0]
+    return (known.min(), known.max()) if len(known) else (1.0, 1.0)
 
 
 def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels, K and depths (h, w), 0 if unknown, of a frame without its lens distortion, LONGEST
-    pixels at most."""
+    """Pixels, fx fy cx cy and depths (h, w), 0 if unknown, of a frame without its lens distortion,
+    LONGEST pixels at most."""
     pixels = load_image(frame.image).pixels
     height, width = pixels.shape[:2]
     camera = replace(frame.camera, size=(width, height))
     depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.read_depth()
     if camera.distortion is not None:
         ideal = replace(camera, distortion=None).normalise(centres((width, height)).reshape(-1, 2))
-        place = camera.project(ideal).reshape(height, width, 2).astype(np.float32)
-        x, y = np.ascontiguousarray(place[..., 0]), np.ascontiguousarray(place[..., 1])
+        x, y = cv2.split(camera.project(ideal).reshape(height, width, 2).astype(np.float32))
         pixels = cv2.remap(pixels, x, y, cv2.INTER_LINEAR)
         if frame.depth is not None:
             depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
@@ -155,22 +139,20 @@ def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     size = pixels.shape[1], pixels.shape[0]
     if depth.shape[1] > size[0]:
         depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
-    return pixels, camera.resized(size).K, depth
+    K = camera.resized(size).K
+    return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth
 
 
 def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs | None:
     """The pairs of some scenes: an overlap of 0.2 and more, the more often the more the view
     changes; a scene weighs as the root of the number of its pairs. None without any."""
-    parts = []
-    for k, name in enumerate(scenes.names):
-        if name in names:
-            frames = (scenes.scene == k).nonzero()[:, 0].to(scenes.start.device)
-            parts.append(_scene_pairs(scenes, frames))
+    chosen = [k for k, name in enumerate(scenes.names) if name in names]
+    parts = [_scene_pairs(scenes, (scenes.scene == k).nonzero()[:, 0]) for k in chosen]
     parts = [part for part in parts if len(part[0])]
     if not parts:
         return None
     frames, middles, weights = map(torch.cat, zip(*parts, strict=True))
-    return FramePairs(frames, middles, weights.double().cumsum(0))
+    return FramePairs(scenes, frames, middles, weights.double().cumsum(0))
 
 
 def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -181,30 +163,28 @@ def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, T
     points = grid * size[:, None] - 0.5
     depth, cameras = scenes.depth_at(frames, points), scenes.cameras[frames]
     known, place = depth > 0, cameras.unproject(points, depth)
-    others = torch.arange(count, device=size.device)
     pairs, middles, weights = [], [], []
-    for k in range(count):  # of the source
-        source = cameras[others.new_full((count,), k)]
-        seen, away = source.project(place)
-        there = scenes.depth_at(frames[k].expand(count), seen)
+    for k, frame in enumerate(frames):  # of the source
+        seen, away = cameras[[k] * count].project(place)
+        there = scenes.depth_at(frame.expand(count), seen)
         ahead = known & (away > 0)
         compared = ahead & (there > 0)
         agree = compared & ((there / away - 1).abs() < _AGREES)
-        right = agree.sum(1) / compared.sum(1).clamp(min=1)
+        agreeing = agree.sum(1)
+        right = agreeing / compared.sum(1).clamp(min=1)
         shown = (ahead & inside(seen, size[k])).sum(1) / known.sum(1).clamp(min=1)
         rays1, rays2 = place - cameras.centre[:, None], place - cameras.centre[k]
-        cosine = F.cosine_similarity(rays1, rays2, dim=-1).clamp(-1, 1)
-        parallax = (torch.rad2deg(torch.acos(cosine)) * agree).sum(1) / agree.sum(1).clamp(min=1)
+        parallax = (angle_deg(rays1, rays2) * agree).sum(1) / agreeing.clamp(min=1)
         R = cameras.pose[k, :, :3] @ cameras.pose[..., :3].mT
         trace = R.diagonal(dim1=1, dim2=2).sum(1)
         turn = torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
         roll = torch.rad2deg(torch.atan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])).abs()
         good = (shown * right > _LEAST_OVERLAP) & (right > _LEAST_RIGHT) & (roll < _MOST_ROLL_DEG)
-        good &= (agree.sum(1) >= _LEAST_POINTS) & (others != k)
+        good &= (agreeing >= _LEAST_POINTS) & (frames != frame)
         change = parallax.maximum(0.5 * turn)
-        share = agree.float() / agree.sum(1, keepdim=True).clamp(min=1)
+        share = agree.float() / agreeing[:, None].clamp(min=1)
         both = torch.stack([(part * share[..., None]).sum(1) for part in (seen, points)], 1)
-        pairs.append(torch.stack([frames[k].expand(count), frames], 1)[good])
+        pairs.append(torch.stack([frame.expand(count), frames], 1)[good])
         middles.append(both[good])
         weights.append((0.15 + change / 25).clamp(max=2.5)[good])
     weight = torch.cat(weights)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,8 +19,7 @@ _SAME = 1e-3  # of the depth: a surface this much nearer does not hide a point
 _TINY = 1e-9  # in place of a direction's zero
 
 
-@dataclass(frozen=True)
-class Rooms:
+class Rooms(NamedTuple):
     """B rooms of P primitives: a box seen from inside, boxes, then ellipsoids. World y points
     down."""
 
@@ -36,10 +35,8 @@ class Rooms:
 
     def chosen(self, which: Tensor) -> Rooms:
         """Some of the rooms, by their indices."""
-        tensors: dict[str, Any] = {
-            k: v[which] for k, v in vars(self).items() if isinstance(v, Tensor)
-        }
-        return replace(self, **tensors)
+        parts = self._asdict().items()
+        return self._replace(**{k: part[which] for k, part in parts if k != "ellipsoids"})
 
 
 @dataclass(frozen=True)
@@ -96,11 +93,10 @@ def _ball(start: Tensor, step: Tensor) -> Tensor:
 def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tuple[Tensor, Tensor]:
     """The views (B, 3, H, W) of rooms, RGB in [0, 1], textured with photographs of the bank, and
     their depths (B, H, W)."""
-    count = len(cameras.K)
-    rays = cameras.rays(pixel_grid(shape, bank.texels.device).expand(count, -1, -1, -1))
-    rays = rays.flatten(1, 2) @ cameras.pose[..., :3]
+    pixels = pixel_grid(shape, bank.texels.device).flatten(0, 1).expand(len(cameras.K), -1, -1)
+    rays = cameras.rays(pixels) @ cameras.pose[..., :3]
     depth, which = first_hits(rooms, cameras.centre, rays)
-    room = torch.arange(count, device=which.device)[:, None]
+    room = torch.arange(len(rays), device=which.device)[:, None]
     local = cameras.centre[:, None] + rays * depth[..., None] - rooms.centre[room, which]
     local = torch.einsum("bnji,bnj->bni", rooms.axes[room, which], local)
     axis = (local / rooms.half[room, which]).abs().argmax(-1)
@@ -118,7 +114,7 @@ def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tup
         spacing = depth / cameras.K[:, :1] * scale
         colours += rooms.weight[at][..., layer, None] * bank.sample(photo, points, spacing)
     image = (colours * rooms.gain[at]).clamp(0, 1).mT.unflatten(2, shape)
-    return image, depth.view(count, *shape)
+    return image, depth.unflatten(1, shape)
 
 
 def correspond(
@@ -141,5 +137,6 @@ def render_pairs(
     image2, depth2 = render(rooms, target, shape, bank)
     pixels = pixel_grid(shape, bank.texels.device).flatten(0, 1).expand(len(depth2), -1, -1)
     found, visible = correspond(rooms, source, target, depth2.flatten(1), pixels, shape)
-    maps = MapPairs(image1, image2, found.unflatten(1, shape), visible.unflatten(1, shape))
+    truth, valid = found.unflatten(1, shape), visible.unflatten(1, shape)
+    maps = MapPairs(image1, image2, truth, valid, torch.ones_like(valid))
     return RoomPairs(maps, source, target, depth1, depth2)

@@ -39,7 +39,7 @@ class Cameras:
         """(B, 3), world."""
         return -(self.pose[..., :3].mT @ self.pose[..., 3:])[..., 0]
 
-    def __getitem__(self, which: Tensor | slice) -> Cameras:
+    def __getitem__(self, which: Tensor | slice | list[int]) -> Cameras:
         return Cameras(self.K[which], self.pose[which])
 
     def seen_by(self, other: Cameras) -> Cameras:
@@ -81,6 +81,17 @@ def about_axis(angle: Tensor, axis: int) -> Tensor:
     turn[..., j, i] = angle.sin()
     turn[..., i, j] = -turn[..., j, i]
     return turn
+
+
+def rotation_2d(angle: Tensor) -> Tensor:
+    """Rotations (B, 2, 2) by angles (B,), radians."""
+    return about_axis(angle, 2)[:, :2, :2]
+
+
+def angle_deg(rays1: Tensor, rays2: Tensor) -> Tensor:
+    """Angles (...), degrees, between rays (..., 3)."""
+    cosine = torch.nn.functional.cosine_similarity(rays1, rays2, dim=-1)
+    return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
 
 
 def pixel_grid(shape: Shape, device: torch.device) -> Tensor:

@@ -34,9 +34,6 @@ class TrainFiles:
         (), "Name of a scene of --posed that validates and does not train; may be repeated."
     )
     resume: bool = option(False, "Continue the run in --out.")
-    stop_after: float | None = option(
-        None, "Stop after so many seconds; --resume continues the run.", above=0, max=10**9
-    )
     device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
     threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1, max=1024)
 
@@ -57,8 +54,8 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     import torch
 
     from dgc_pose.network.weights import choose_device
-    from dgc_pose.training.data import load_data
-    from dgc_pose.training.run import DEPTHS, Trainer
+    from dgc_pose.training.pairs import load_data
+    from dgc_pose.training.run import Trainer
 
     if files.threads is not None:
         torch.set_num_threads(files.threads)
@@ -67,15 +64,12 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
         files.photos,
         files.light,
         files.posed,
+        depths=files.out / "depths",
         held=files.held,
         shares=options.shares,
         device=device,
-        depths=files.out / DEPTHS,
     )
     trainer = Trainer(data, files.out, options, device, files.resume)
     with only_writer(files.out):
-        trainer.run(files.stop_after)
-    if trainer.complete:
-        click.echo(f"wrote {trainer.weights_path}")
-    else:
-        click.echo(f"stopped after {trainer.step} steps, {trainer.progress:.0%} of the run")
+        trainer.run()
+    click.echo(f"wrote {trainer.weights_path}")

@@ -6,11 +6,10 @@ from torch import nn
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.active_stage import ActiveStage, moving_average
-from dgc_pose.training.options import TrainingOptions
 
 
 def _stage(net: DGCNet) -> ActiveStage:
-    return ActiveStage("encoder", net, TrainingOptions(seconds=1.0))
+    return ActiveStage("encoder", net, rate=1.0)
 
 
 def test_the_rate_rises_and_then_falls() -> None:
