@@ -23,16 +23,12 @@ def card(
         scenes = training.posed.scenes
         posed = f"{len(scenes.scene)} of {len(scenes.names)} scenes ({', '.join(scenes.names)}), "
         posed += f"{len(training.posed.frames)} pairs train"
-    shares = ", ".join(f"{name} {share:.0%}" for name, share in vars(options.shares).items())
     threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
     is_gpu = device.type == "cuda"
     rows = {
-        "network": options.network,
+        **{name: value for name, value in vars(options).items() if value not in (None, ())},
         "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
         "posed photographs": posed,
-        "pairs": f"{shares}; kinds without data have none",
-        "start": f"init {options.init}, encoder {options.encoder}",
-        "seed, rates": f"{options.seed}, {options.rate:g} times the usual",
         "hardware": torch.cuda.get_device_name(device) if is_gpu else threads,
         "made by": f"dgc-pose {version()}, torch {torch.__version__}",
         "chosen": "nothing: the moving average of the last step's weights is stored",

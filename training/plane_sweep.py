@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.training.bank import ImageBank
-from dgc_pose.training.views import Cameras, Shape, angle_deg, inside, pixel_grid
+from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
 _SWEEPS = ((256, 72), (144, 56))  # longest side, pixels, and planes: fine, then coarse
 _MOST = 5  # neighbours that a frame is compared with
@@ -89,7 +89,7 @@ def _swept(
     grey = greys[k]
     if len(near) < 2:
         return torch.zeros_like(grey)
-    pixels = pixel_grid(_shape(grey), grey.device)
+    pixels = pixel_grid(grey.shape, grey.device)
     share = torch.linspace(0, 1, planes, device=grey.device)
     inverse = torch.lerp(1 / reach[1], 1 / reach[0], share)
     levels = (1 / inverse)[None, :, None, None].expand(1, -1, *grey.shape)
@@ -103,7 +103,7 @@ def _swept(
         other_mean, other_variance = _moments(other)
         product = _window_mean(other * grey) - other_mean * mean
         score = product / ((other_variance + _NOISE) * (variance + _NOISE)).sqrt()
-        shown = inside(seen[0], _shape(greys[j])) & (depth[0] > 0)
+        shown = inside(seen[0], greys[j].shape) & (depth[0] > 0)
         scores.append(torch.where(shown, score[:, 0], -1.0))
     scored = torch.stack(scores).topk(min(3, len(scores)), 0).values.clamp(min=-0.2).mean(0)
     best, index = scored.max(0)
@@ -121,7 +121,7 @@ def _swept(
 def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Tensor:
     """The depths (h, w) of a frame that neighbours confirm: one of few, two of more than three."""
     depth = depths[k]
-    pixels = pixel_grid(_shape(depth), depth.device)[None]
+    pixels = pixel_grid(depth.shape, depth.device)[None]
     place = views[[k]].unproject(pixels, depth[None])
     votes = torch.zeros_like(depth)
     for j in near:
@@ -162,7 +162,3 @@ def _window_mean(values: Tensor) -> Tensor:
         pad = (size[0] // 2, size[1] // 2)
         values = F.avg_pool2d(values, size, 1, pad, count_include_pad=False)
     return values
-
-
-def _shape(values: Tensor) -> Shape:
-    return values.shape[0], values.shape[1]

@@ -13,7 +13,7 @@ A scene is a folder with its photographs in `images/` and, beside it, one of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -122,15 +122,13 @@ def _read_listed(root: Path) -> list[PosedFrame]:
             step = 1 / float(read_text(scale))
     frames = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
-        where = f"{path}:{number}"
-        with read_as("a name and 18 numbers", where):
+        with read_as("a name and 18 numbers", f"{path}:{number}"):
             name, *words = line.split()
-            values = np.array(words, float)
-            pose = np.vstack([values[4:16].reshape(3, 4), (0, 0, 0, 1)])
-            nearest, farthest = values[16:]
+            K, Rt, (nearest, farthest) = np.split(np.array(words, float), (4, 16))
+            pose = np.vstack([Rt.reshape(3, 4), (0, 0, 0, 1)])
         if not 0 < nearest < farthest < np.inf:
-            raise InputError(f"{where}: the depths must be positive and rise, not {words[16:]}")
-        depth = None if step is None else root / "depth" / f"{Path(name).stem}.png"
-        camera, reach = Camera(values[:4]), (nearest, farthest)
-        frames.append(PosedFrame(root / "images" / name, camera, pose, depth, step or 0, reach))
+            raise InputError(f"{path}:{number}: the depths must be positive and rise")
+        image, depth = root / "images" / name, root / "depth" / f"{Path(name).stem}.png"
+        frame = PosedFrame(image, Camera(K), pose, reach=(nearest, farthest))
+        frames.append(frame if step is None else replace(frame, depth=depth, step=step))
     return frames

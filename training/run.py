@@ -13,6 +13,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
+from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet
@@ -30,7 +31,7 @@ from dgc_pose.training.stages import SHAPES, StageName
 CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
 _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
-_VALIDATE_SECONDS, _SAVE_SECONDS = 300.0, 60.0  # between validations, and between checkpoints
+_SAVE_SECONDS = 60.0  # between checkpoints
 _BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION_BATCH = 8
@@ -94,8 +95,7 @@ class Trainer:
         A line of figures goes to standard error every few steps. Raises DgcPoseError if training
         has diverged.
         """
-        saved = validated = self.elapsed
-        origin = time.perf_counter() - self.elapsed
+        saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
             self._write({}, validates=True)  # the first steps may spoil what later ones regain
         while self.progress < 1:
@@ -103,15 +103,11 @@ class Trainer:
             before, self.elapsed = self.elapsed, time.perf_counter() - origin
             self.stages[self.stage.name]["seconds"] += self.elapsed - before
             ends = self.progress >= 1 or self._place()[0] != self.stage.name
-            validates = ends or self.elapsed - validated > _VALIDATE_SECONDS
-            if not validates and self.step % _STEPS_A_ROW:
-                continue
-            self._write(figures, validates)
-            if validates:
-                validated = self.elapsed
-            if ends or self.elapsed - saved > _SAVE_SECONDS:
-                self.save()
-                saved = self.elapsed
+            if ends or self.step % _STEPS_A_ROW == 0:
+                self._write(figures, validates=ends)
+                if ends or self.elapsed - saved > _SAVE_SECONDS:
+                    self.save()
+                    saved = self.elapsed
         net = self.stage.average.finished()
         save_weights(net, self.weights_path)
         text = card(self.options, self.data[TRAINING], self.device, self.stages)
@@ -141,12 +137,12 @@ class Trainer:
     @torch.no_grad()
     def validate(self) -> dict[str, dict[str, float]]:
         """Figures of the averaged weights, by what validates."""
-        module, result = self.stage.average, {}
+        result = {}
         for kind, batches in self._validation.items():
             draw = Draw(self.device, "validation")
-            rows = [module(pairs, draw, 1.0)[1] for pairs in batches]
+            rows = [self.stage.average(pairs, draw, 1.0)[1] for pairs in batches]
             result[kind] = {
-                key: float(torch.stack([row[key] for row in rows]).mean()) for key in rows[0]
+                key: sum(float(row[key]) for row in rows) / len(rows) for key in rows[0]
             }
         self.stages[self.stage.name]["figures"] = result
         return result
@@ -167,17 +163,13 @@ class Trainer:
     def _load(self, path: Path, net: DGCNet) -> None:
         state = load_checkpoint(path, self.device)
         network = self.options.network
-        if not isinstance(state, dict) or "preset" not in state:
-            raise WeightsError(f"{path}: not the checkpoint of a run")
-        if state["preset"] != network:
-            raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
-        try:
+        with read_as(f"a checkpoint of the present {network}", path, WeightsError):
+            if state["preset"] != network:
+                raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
             self.stage = self._enter(state["stage"], net)
             self.stage.load_state_dict(state)
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
             self.stages = dict(state["stages"])
-        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise WeightsError(f"{path}: its weights do not fit the present {network}") from error
 
     def _enter(self, stage: StageName, net: DGCNet) -> ActiveStage:
         self.stages[stage] = {"steps": 0, "pairs": 0, "seconds": 0.0, "figures": {}}

@@ -16,6 +16,7 @@ from dgc_pose.network.net import DGCNet, l2_normalise, normalise, upsample
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.losses import (
     absolute_map_loss,
+    chosen_cells,
     likelihood_loss,
     map_loss,
     mask_loss,
@@ -82,9 +83,8 @@ class EncoderStage(nn.Module):
         for stride, grid in grids.items():
             truth, valid = level_truth(pairs.map, pairs.valid, grid[0])
             truths[stride] = truth.flatten(1, 2), valid.flatten(1, 2)
-        truth, valid = truths[4]
-        chosen = random_cells(valid, _QUERIES, draw)
-        truths[4] = truth.gather(1, chosen[..., None].expand(-1, -1, 2)), valid.gather(1, chosen)
+        chosen = random_cells(truths[4][1], _QUERIES, draw)
+        truths[4] = chosen_cells(truths[4], chosen)
         queries = t2.flatten(2).gather(2, chosen[:, None].expand(-1, t2.shape[1], -1))
         lengths = (level.norm(dim=1).mean() / _LONGEST - 1 for level in full[1:])
         total = 0.5 * window_loss(s2, t2, truths[8], draw, _WINDOW_QUERIES)

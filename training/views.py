@@ -94,7 +94,7 @@ def angle_deg(rays1: Tensor, rays2: Tensor) -> Tensor:
     return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
 
 
-def pixel_grid(shape: Shape, device: torch.device) -> Tensor:
+def pixel_grid(shape: tuple[int, ...], device: torch.device) -> Tensor:
     """The pixels' centres (H, W, 2)."""
     y, x = (torch.arange(side, dtype=torch.float32, device=device) for side in shape)
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)
@@ -110,7 +110,7 @@ def root_area(shape: Shape) -> float:
     return math.sqrt(shape[0] * shape[1])
 
 
-def inside(points: Tensor, size: Tensor | Shape) -> Tensor:
+def inside(points: Tensor, size: Tensor | tuple[int, ...]) -> Tensor:
     """Which points (..., 2), pixels, lie in an image, its outer edges included.
 
     size: (..., 2), width and height, or the shape of a view.

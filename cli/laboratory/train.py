@@ -10,7 +10,7 @@ import click
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.files.outputs import only_writer
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 from dgc_pose.training.options import TrainingOptions
 
 
@@ -35,10 +35,6 @@ class TrainFiles:
     )
     resume: bool = option(False, "Continue the run in --out.")
     device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
-    threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1, max=1024)
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @click.command()
@@ -51,14 +47,10 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     after any kill), log.jsonl, the depths found of posed photographs and, at the end, the weights
     as .safetensors with their card as .md.
     """
-    import torch
-
     from dgc_pose.network.weights import choose_device
     from dgc_pose.training.pairs import load_data
     from dgc_pose.training.run import Trainer
 
-    if files.threads is not None:
-        torch.set_num_threads(files.threads)
     device = choose_device(files.device)
     data = load_data(
         files.photos,

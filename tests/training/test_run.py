@@ -78,7 +78,12 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
             torch.testing.assert_close(value, net.state_dict()[key], rtol=2e-3, atol=1e-5)
     assert load_matcher(str(tmp_path / "dgcm-lite0.safetensors")).name
     card = (tmp_path / "dgcm-lite0.md").read_text()
-    for words in ("6, and 2 places", "init dgcm-lite0", "## encoder\n\n2 steps, ", "found16 0."):
+    for words in (
+        "6, and 2 places",
+        "| init | dgcm-lite0 |",
+        "## encoder\n\n2 steps, ",
+        "found16 0.",
+    ):
         assert words in card
 
 

@@ -27,7 +27,7 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos: Path, tmp_path: 
     out = tmp_path / "run"
     write_rgbd(tmp_path / "posed", rendered(3, (96, 72)))
     words = ["train", "--photos", str(photos), "--posed", str(tmp_path / "posed")]
-    words += ["--out", str(out), "--seconds", "1", "--batch", "1", "--threads", "1"]
+    words += ["--out", str(out), "--seconds", "1", "--batch", "1"]
     words += ["--validation-pairs", "1"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.stderr
