@@ -9,7 +9,7 @@ from torch import Tensor
 from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
-_SWEEPS = ((256, 72), (144, 56))  # longest side, pixels, and planes: fine, then coarse
+_SIDE, _PLANES = 256, 72  # longest side, pixels, and planes, even in the inverse depth
 _MOST = 5  # neighbours that a frame is compared with
 _ANGLE_DEG, _ANGLE_SPREAD = 10.0, 8.0  # between the rays of neighbours, the best and around it
 _LEAST_ANGLE_DEG = 1.5
@@ -19,22 +19,29 @@ _VARIANCE, _NOISE = 6e-5, 2e-5  # of a window: the least, and what is added to i
 _CORRELATION, _MARGIN = 0.55, 0.03  # the least, and above those of planes elsewhere
 _AGREES = 0.02  # of the depth, with a neighbour's
 _CROWD = 0.3  # share of the pixels around one that are kept: alone it is chance
-_FILL = (9, 0.35, 0.02)  # window of a filled pixel, share known in it, their relative spread
 
 
 def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]:
-    """Depths (h, w) of the bank's images, views of one scene, 0 if unknown, smaller than these.
+    """Depths (h, w) of the bank's images, views of one scene, smaller than these; 0 where no plane
+    stands out or the neighbours' depths disagree.
 
-    reach: (n, 2), nearest and farthest depth of each. Two sweeps; what the fine one leaves unknown
-    is the coarse one's, and small holes in a smooth surface are filled.
+    reach: (n, 2), nearest and farthest depth of each.
     """
     near = _neighbours(bank.sizes[:, 0].float(), views, reach)
-    fine, coarse = (_sweep(bank, views, reach, near, *sizes) for sizes in _SWEEPS)
-    depths = []
-    for depth, low in zip(fine, coarse, strict=True):
-        wide = F.interpolate(low[None, None], depth.shape, mode="nearest")[0, 0]
-        depths.append(_filled(_filled(torch.where(depth > 0, depth, wide))))
-    return depths
+    greys, K = [], []
+    for frame, own in enumerate(views.K):
+        image = torch.tensor(frame, device=own.device)
+        size = bank.size(image)
+        factor = min(1.0, _SIDE / float(size.max()))
+        width, height = (round(factor * extent) for extent in size.cpu().tolist())
+        scale = own.new_tensor([width, height]) / size
+        points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
+        colours = bank.sample(image, points, 1 / scale[:1])
+        greys.append(colours @ own.new_tensor([0.299, 0.587, 0.114]))
+        K.append(torch.cat([own[:2] * scale, (own[2:] + 0.5) * scale - 0.5]))
+    small = Cameras(torch.stack(K), views.pose)
+    depths = [_swept(greys, small, k, near[k], reach[k]) for k in range(len(greys))]
+    return [_agreed(depths, small, k, near[k]) for k in range(len(greys))]
 
 
 def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
@@ -57,49 +64,22 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
     return result
 
 
-def _sweep(
-    bank: ImageBank,
-    views: Cameras,
-    reach: Tensor,
-    near: list[list[int]],
-    side: int,
-    planes: int,
-) -> list[Tensor]:
-    """Depths (h, w), 0 where no plane stands out or the neighbours' depths disagree."""
-    greys, K = [], []
-    for frame, own in enumerate(views.K):
-        image = torch.tensor(frame, device=own.device)
-        size = bank.size(image)
-        factor = min(1.0, side / float(size.max()))
-        width, height = (round(factor * extent) for extent in size.cpu().tolist())
-        scale = own.new_tensor([width, height]) / size
-        points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
-        colours = bank.sample(image, points, 1 / scale[:1])
-        greys.append(colours @ own.new_tensor([0.299, 0.587, 0.114]))
-        K.append(torch.cat([own[:2] * scale, (own[2:] + 0.5) * scale - 0.5]))
-    small = Cameras(torch.stack(K), views.pose)
-    depths = [_swept(greys, small, k, near[k], reach[k], planes) for k in range(len(greys))]
-    return [_agreed(depths, small, k, near[k]) for k in range(len(greys))]
-
-
-def _swept(
-    greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: Tensor, planes: int
-) -> Tensor:
+def _swept(greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: Tensor) -> Tensor:
     """The depth (h, w) of the plane whose correlation, the mean of the best three, is highest."""
     grey = greys[k]
     if len(near) < 2:
         return torch.zeros_like(grey)
     pixels = pixel_grid(grey.shape, grey.device)
-    share = torch.linspace(0, 1, planes, device=grey.device)
+    share = torch.linspace(0, 1, _PLANES, device=grey.device)
     inverse = torch.lerp(1 / reach[1], 1 / reach[0], share)
     levels = (1 / inverse)[None, :, None, None].expand(1, -1, *grey.shape)
-    place = views[[k]].unproject(pixels.expand(1, planes, -1, -1, -1), levels)
+    place = views[[k]].unproject(pixels.expand(1, _PLANES, -1, -1, -1), levels)
     mean, variance = _moments(grey[None, None])
     scores = []
     for j in near:
         seen, depth = views[[j]].project(place)
         grid = (2 * seen[0] + 1) / seen.new_tensor(greys[j].shape[::-1]) - 1
-        other = F.grid_sample(greys[j].expand(planes, 1, -1, -1), grid, align_corners=False)
+        other = F.grid_sample(greys[j].expand(_PLANES, 1, -1, -1), grid, align_corners=False)
         other_mean, other_variance = _moments(other)
         product = _window_mean(other * grey) - other_mean * mean
         score = product / ((other_variance + _NOISE) * (variance + _NOISE)).sqrt()
@@ -107,15 +87,15 @@ def _swept(
         scores.append(torch.where(shown, score[:, 0], -1.0))
     scored = torch.stack(scores).topk(min(3, len(scores)), 0).values.clamp(min=-0.2).mean(0)
     best, index = scored.max(0)
-    near_best = ((index + step).clamp(0, planes - 1)[None] for step in (-1, 1))
+    near_best = ((index + step).clamp(0, _PLANES - 1)[None] for step in (-1, 1))
     below, above = (scored.gather(0, plane)[0] for plane in near_best)
     # The peak of a parabola through three planes, which are even in the inverse depth.
     shift = 0.5 * (above - below) / (2 * best - below - above).clamp(min=1e-4)
     found = 1 / (inverse[index] + shift.clamp(-0.5, 0.5) * (inverse[1] - inverse[0]))
-    elsewhere = (torch.arange(planes, device=grey.device)[:, None, None] - index).abs() > 4
+    elsewhere = (torch.arange(_PLANES, device=grey.device)[:, None, None] - index).abs() > 4
     second = torch.where(elsewhere, scored, -1.0).amax(0)
     good = (best > _CORRELATION) & (variance[0, 0] > _VARIANCE) & (best - second > _MARGIN)
-    return torch.where(good & (index > 0) & (index < planes - 1), found, 0.0)
+    return torch.where(good & (index > 0) & (index < _PLANES - 1), found, 0.0)
 
 
 def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Tensor:
@@ -134,21 +114,6 @@ def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Te
     kept = (depth > 0) & (votes >= (2 if len(near) > 3 else 1))
     crowd = F.avg_pool2d(kept.float()[None, None], 5, 1, 2)[0, 0]
     return torch.where(kept & (crowd > _CROWD), depth, 0.0)
-
-
-def _filled(depth: Tensor) -> Tensor:
-    """Unknown pixels among known ones of nearly one depth get the mean of their inverse."""
-    window, share, spread = _FILL
-    known = depth > 0
-    inverse = torch.where(known, 1 / depth, 0.0)
-    count, mean, square = (
-        F.avg_pool2d(values[None, None], window, 1, window // 2)[0, 0]
-        for values in (known.float(), inverse, inverse**2)
-    )
-    mean, square = mean / count.clamp(min=1e-6), square / count.clamp(min=1e-6)
-    deviation = (square - mean**2).clamp(min=0).sqrt()
-    good = ~known & (count > share) & (deviation < spread * mean)
-    return torch.where(good, 1 / mean, depth)
 
 
 def _moments(values: Tensor) -> tuple[Tensor, Tensor]:
