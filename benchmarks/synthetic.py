@@ -94,7 +94,7 @@ def synthetic_cases(
 
 def _warped(photos: Photos, warps: tuple[_Warps, ...], draw: Draw, changed: bool) -> MapPairs:
     """A batch, with occluders if it is to be changed. Its light is that of the photographs."""
-    chosen = photos.drawn(_BATCH, draw)
+    chosen = draw.integers(_BATCH, count=photos.single)
     size = photos.bank.size(chosen)
     pixels = pixel_grid((INPUT_SIZE, INPUT_SIZE), draw.device).expand(_BATCH, -1, -1, -1)
     grid = ((2 * pixels + 1) / INPUT_SIZE - 1).flatten(1, 2)

@@ -16,8 +16,7 @@ from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import Shares
 from dgc_pose.training.photos import Photos, load_photos
 from dgc_pose.training.posed_frames import read_scenes
-from dgc_pose.training.posed_pairs import posed_pairs
-from dgc_pose.training.posed_scenes import FramePairs, frame_pairs, load_posed
+from dgc_pose.training.posed_pairs import FramePairs, frame_pairs, load_posed, posed_pairs
 from dgc_pose.training.room_pairs import room_pairs
 from dgc_pose.training.views import Shape
 from dgc_pose.training.warped_pairs import warped_pairs

@@ -46,10 +46,6 @@ class Photos:
         table = torch.stack([first, counts], 1).to(device)
         return cls(ImageBank.of(every, device), len(images), table)
 
-    def drawn(self, count: int, draw: Draw) -> Tensor:
-        """Single photographs (B,)."""
-        return draw.integers(count, count=self.single)
-
     def places_drawn(self, count: int, draw: Draw) -> tuple[Tensor, Tensor]:
         """Two photographs (B,) each of one place."""
         first, photographs = self.places[draw.integers(count, count=len(self.places))].unbind(1)

@@ -2,11 +2,12 @@
 
 import json
 import math
+import platform
 import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from safetensors.torch import save
@@ -19,14 +20,14 @@ from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import COUNTER
 from dgc_pose.network.weights import load_checkpoint
-from dgc_pose.training.active_stage import ActiveStage
-from dgc_pose.training.card import card
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.optimiser import moving_average, optimiser, rate_at
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
-from dgc_pose.training.stages import SHAPES, StageName
+from dgc_pose.training.stages import SHAPES, DecoderStage, EncoderStage, StageName
+from dgc_pose.version import version
 
 CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
@@ -35,6 +36,7 @@ _SAVE_SECONDS = 60.0  # between checkpoints
 _BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION_BATCH = 8
+_LARGEST_GRADIENT = 3.0  # norm over all parameters
 _HALF_MAX = torch.finfo(torch.float16).max
 
 Row = dict[str, Any]
@@ -77,7 +79,7 @@ class Trainer:
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
         self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
-        self.stage = self._enter(self._place()[0], net)
+        self._enter(self._place()[0], net)
         if path.exists():
             self._load(path, net)
 
@@ -101,25 +103,24 @@ class Trainer:
         while self.progress < 1:
             figures = self.train_step()
             before, self.elapsed = self.elapsed, time.perf_counter() - origin
-            self.stages[self.stage.name]["seconds"] += self.elapsed - before
-            ends = self.progress >= 1 or self._place()[0] != self.stage.name
+            self.stages[self.stage]["seconds"] += self.elapsed - before
+            ends = self.progress >= 1 or self._place()[0] != self.stage
             if ends or self.step % _STEPS_A_ROW == 0:
                 self._write(figures, validates=ends)
                 if ends or self.elapsed - saved > _SAVE_SECONDS:
                     self.save()
                     saved = self.elapsed
-        net = self.stage.average.finished()
+        net = self.average.finished()
         save_weights(net, self.weights_path)
-        text = card(self.options, self.data[TRAINING], self.device, self.stages)
+        text = _card(self.options, self.data[TRAINING], self.device, self.stages)
         write_text(self.weights_path.with_suffix(".md"), text)
         return net
 
     def train_step(self) -> dict[str, Tensor]:
         """One optimiser step; its figures, still on the device."""
         name, within = self._place()
-        if name != self.stage.name:
-            self.stage = self._enter(name, self.stage.average.finished())
-        rate = self.stage.set_rate(within)
+        if name != self.stage:
+            self._enter(name, self.average.finished())
         draw = Draw(self.device, self.options.seed, name, self.step)
         shapes = SHAPES[name] if self.options.config.any_shape else (_SQUARE,)
         shape = shapes[self.step % len(shapes)]
@@ -127,8 +128,15 @@ class Trainer:
         batch = self.options.batch or usual
         count = max(1, batch * INPUT_SIZE**2 // (shape[0] * shape[1]))
         pairs = self.data[TRAINING].make(count, shape, draw)
-        loss, figures = self.stage.module(pairs, draw, within)
-        norm = self.stage.step(loss)
+        loss, figures = self.module(pairs, draw, within)
+        rate = self.options.rate * rate_at(within)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * group["share"]
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.module.parameters(), _LARGEST_GRADIENT)
+        self.optimizer.step()
+        self._average.update_parameters(self.module)
         self.step += 1
         self.stages[name]["steps"] += 1
         self.stages[name]["pairs"] += count
@@ -140,11 +148,11 @@ class Trainer:
         result = {}
         for kind, batches in self._validation.items():
             draw = Draw(self.device, "validation")
-            rows = [self.stage.average(pairs, draw, 1.0)[1] for pairs in batches]
+            rows = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
             result[kind] = {
                 key: sum(float(row[key]) for row in rows) / len(rows) for key in rows[0]
             }
-        self.stages[self.stage.name]["figures"] = result
+        self.stages[self.stage]["figures"] = result
         return result
 
     def save(self) -> None:
@@ -154,8 +162,10 @@ class Trainer:
             "elapsed": self.elapsed,
             "step": self.step,
             "stages": self.stages,
-            "stage": self.stage.name,
-            **self.stage.state_dict(),
+            "stage": self.stage,
+            "module": self.module.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
         }
         with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
             torch.save(state, temporary)
@@ -166,14 +176,26 @@ class Trainer:
         with read_as(f"a checkpoint of the present {network}", path, WeightsError):
             if state["preset"] != network:
                 raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
-            self.stage = self._enter(state["stage"], net)
-            self.stage.load_state_dict(state)
+            self._enter(state["stage"], net)
+            self.module.load_state_dict(state["module"])
+            self._average.load_state_dict(state["average"])
+            self.optimizer.load_state_dict(state["optimizer"])
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
             self.stages = dict(state["stages"])
 
-    def _enter(self, stage: StageName, net: DGCNet) -> ActiveStage:
+    @property
+    def average(self) -> EncoderStage | DecoderStage:
+        """The stage's module by its averaged weights, in evaluation mode."""
+        return cast(EncoderStage | DecoderStage, self._average.module)
+
+    def _enter(self, stage: StageName, net: DGCNet) -> None:
+        self.stage = stage
         self.stages[stage] = {"steps": 0, "pairs": 0, "seconds": 0.0, "figures": {}}
-        return ActiveStage(stage, net, self.options.rate)
+        self.module = EncoderStage(net) if stage == "encoder" else DecoderStage(net)
+        self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.module.train()
+        self.optimizer = optimiser(self.module)
+        self._average = moving_average(self.module)
 
     def _place(self) -> tuple[StageName, float]:
         """The stage by the run's progress, and the progress within that stage."""
@@ -196,12 +218,13 @@ class Trainer:
         if not math.isfinite(numbers.get("loss", 0) + numbers.get("gradient", 0)):
             raise DgcPoseError(
                 f"{self.out}: the loss or its gradient is no number at step {self.step} of the "
-                f"{self.stage.name} stage; the checkpoint is from before"
+                f"{self.stage} stage; the checkpoint is from before"
             )
-        name, stage = self.stage.name, self.stages[self.stage.name]
+        stage = self.stages[self.stage]
         numbers["pairs_per_second"] = stage["pairs"] / max(stage["seconds"], 1e-9)
-        print(f"{name} step {self.step}, {self.elapsed:.0f} s  {_text(numbers)}", file=sys.stderr)
-        row: Row = {"stage": name, "step": self.step, "seconds": self.elapsed, **numbers}
+        row: Row = {"stage": self.stage, "step": self.step, "seconds": self.elapsed, **numbers}
+        place = f"{self.stage} step {self.step}, {self.elapsed:.0f} s"
+        print(f"{place}  {_text(numbers)}", file=sys.stderr)
         if validates:
             row["validation"] = self.validate()
             for kind, found in row["validation"].items():
@@ -214,6 +237,36 @@ class Trainer:
 def _text(figures: Mapping[str, float]) -> str:
     """Figures for people."""
     return "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
+
+
+def _card(
+    options: TrainingOptions, training: PairSource, device: torch.device, stages: Mapping[str, Row]
+) -> str:
+    """Of weights: what they were trained on, how, and on what machine. Markdown."""
+    photos, posed = training.photos, "none"
+    if training.posed is not None:
+        scenes = training.posed.scenes
+        posed = f"{len(scenes.scene)} of {len(scenes.names)} scenes ({', '.join(scenes.names)}), "
+        posed += f"{len(training.posed.frames)} pairs train"
+    threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
+    is_gpu = device.type == "cuda"
+    rows = {
+        **{name: value for name, value in vars(options).items() if value not in (None, ())},
+        "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
+        "posed photographs": posed,
+        "hardware": torch.cuda.get_device_name(device) if is_gpu else threads,
+        "made by": f"dgc-pose {version()}, torch {torch.__version__}",
+        "chosen": "nothing: the moving average of the last step's weights is stored",
+    }
+    lines = [f"# {options.network}", "", "| | |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for name, value in rows.items()]
+    for name, stage in stages.items():
+        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds."
+        lines += ["", f"## {name}", "", done, "", "| validation | figures |", "|---|---|"]
+        for kind, figures in stage["figures"].items():
+            text = ", ".join(f"{key} {value:.3f}" for key, value in figures.items())
+            lines.append(f"| {kind} | {text} |")
+    return "\n".join(lines) + "\n"
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:

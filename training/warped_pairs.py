@@ -29,7 +29,7 @@ def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bo
     if light:
         source, target = photos.places_drawn(count, draw)
     else:
-        source = target = photos.drawn(count, draw)
+        source = target = draw.integers(count, count=photos.single)
     to_source, to_target = _random_views(bank.size(target), shape, draw)
     pixels = pixel_grid(shape, draw.device).expand(count, -1, -1, -1)
     in_target = _apply(to_target, pixels)[0]
@@ -108,7 +108,7 @@ def occluded(
     angle = torch.atan2(offset[..., 1], offset[..., 0])
     edge = 1 - 0.25 * torch.sin(3 * angle + draw.uniform(count, 1, 1, high=2 * math.pi))
     hidden = (offset.norm(dim=-1) < edge) & draw.chance(count, 1, 1, share=share)
-    other = photos.drawn(count, draw)
+    other = draw.integers(count, count=photos.single)
     size = photos.bank.size(other)[:, None, None]
     shift = draw.uniform(count, 1, 1, 2, low=-0.2, high=0.2)
     points = size / 2 + 0.4 * size.amin(-1, keepdim=True) * (place + shift)

@@ -13,8 +13,13 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.light import other_light
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.room_pairs import RoomOptions, random_textures
-from dgc_pose.training.rooms import RoomPairs, Rooms, render_pairs
+from dgc_pose.training.room_pairs import (
+    RoomOptions,
+    RoomPairs,
+    Rooms,
+    random_textures,
+    render_pairs,
+)
 from dgc_pose.training.views import Cameras, inside, middle_of, pixel_grid
 
 # Heights of the reliefs, in widths of the plane that view 1 sees

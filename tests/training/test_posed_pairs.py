@@ -16,8 +16,13 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
-from dgc_pose.training.posed_pairs import posed_pairs
-from dgc_pose.training.posed_scenes import FramePairs, PosedScenes, frame_pairs, load_posed
+from dgc_pose.training.posed_pairs import (
+    FramePairs,
+    PosedScenes,
+    frame_pairs,
+    load_posed,
+    posed_pairs,
+)
 
 SIZE = (240, 180)
 LEVELS = (50, 200)  # blue of either frame
