@@ -138,7 +138,8 @@ def load_pair(pair: HomographyPair) -> MapPairs:
     truth = points.astype(np.float32)
     squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
     source, target = (torch.from_numpy(s).permute(2, 0, 1)[None].float() / 255 for s in squares)
-    return MapPairs(source, target, *(torch.from_numpy(part)[None] for part in (truth, valid)))
+    parts = (truth, valid, np.ones_like(valid))
+    return MapPairs(source, target, *(torch.from_numpy(part)[None] for part in parts))
 
 
 def true_map(

@@ -16,38 +16,33 @@ from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import normalise
 from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
 
+_SIZE = (INPUT_SIZE, INPUT_SIZE)
+
 
 @torch.no_grad()
 def compare(net: nn.Module, pairs: MapPairs) -> list[Comparison]:
     """The net's forward pass on a batch of 240x240 pairs, split into pairs.
 
-    net: a `DGCNet`, or another module with its `config` that gives a `Prediction`. It runs in
-    evaluation mode; its mode is restored.
+    net: a `DGCNet` in evaluation mode, or another module with its `config` that gives a
+    `Prediction`.
     """
     align_corners = cast(NetworkConfig, net.config).align_corners
-    was_training = net.training
-    net.eval()
+    device = next(net.parameters()).device
     images = [
-        normalise(image).contiguous(memory_format=torch.channels_last)
+        normalise(image.to(device)).contiguous(memory_format=torch.channels_last)
         for image in (pairs.image1, pairs.image2)
     ]
     prediction = net(*images)
-    net.train(was_training)
-    size = (INPUT_SIZE, INPUT_SIZE)
     levels = []
     for level in prediction.maps:
         truth, valid = level_truth(pairs.map, pairs.valid, level.shape[-1])
-        points = to_pixels(level.float().movedim(1, -1), size, align_corners)
-        levels.append(
-            [LevelMap(*map(_array, parts)) for parts in zip(points, truth, valid, strict=True)]
-        )
+        points = to_pixels(level.float().movedim(1, -1), _SIZE, align_corners)
+        parts = zip(_array(points), _array(truth), _array(valid), strict=True)
+        levels.append([LevelMap(*part) for part in parts])
     masks: list[np.ndarray | None] = [None] * len(pairs.map)
     if prediction.logits:
         masks = [*_array(prediction.logits[-1][:, 0].float().sigmoid())]
-    pairs_levels = zip(*levels, strict=True)
-    return [
-        Comparison(*parts) for parts in zip(pairs_levels, masks, _array(pairs.known), strict=True)
-    ]
+    return [Comparison(*parts) for parts in zip(zip(*levels, strict=True), masks, strict=True)]
 
 
 def compare_matcher(matcher: Matcher, pairs: MapPairs) -> list[Comparison]:
@@ -58,15 +53,14 @@ def compare_matcher(matcher: Matcher, pairs: MapPairs) -> list[Comparison]:
     """
     comparisons = []
     images = zip(image_arrays(pairs.image1), image_arrays(pairs.image2), strict=True)
-    truths = zip(_array(pairs.map), _array(pairs.valid), _array(pairs.known), strict=True)
-    size = (INPUT_SIZE, INPUT_SIZE)
-    for pixels, (truth, valid, known) in zip(images, truths, strict=True):
+    truths = zip(_array(pairs.map), _array(pairs.valid), strict=True)
+    for pixels, truth in zip(images, truths, strict=True):
         dense = matcher.match(*map(Image, pixels)).correspondence_map
         assert dense is not None
-        shift = cv2.resize(dense.map - dense.grid, size, interpolation=cv2.INTER_LINEAR)
-        mask = cv2.resize(dense.matchability, size, interpolation=cv2.INTER_NEAREST)
-        points = (pixel_grid(size) + shift).astype(np.float32)
-        comparisons.append(Comparison((LevelMap(points, truth, valid),), mask, known))
+        shift = cv2.resize(dense.map - dense.grid, _SIZE, interpolation=cv2.INTER_LINEAR)
+        mask = cv2.resize(dense.matchability, _SIZE, interpolation=cv2.INTER_NEAREST)
+        points = (pixel_grid(_SIZE) + shift).astype(np.float32)
+        comparisons.append(Comparison((LevelMap(points, *truth),), mask))
     return comparisons
 
 

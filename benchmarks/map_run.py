@@ -59,7 +59,7 @@ def _map_method(name: str, device: torch.device) -> MapMethod:
         raise InputError(ArgumentName("methods"), f"{name}: has key points alone and no dense map")
     if kind.network:
         net = load_network(name, device)
-        return lambda pairs: compare(net, pairs.to(device))
+        return partial(compare, net)
     return partial(compare_matcher, kind.load(options, None, None))
 
 

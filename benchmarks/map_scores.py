@@ -30,11 +30,19 @@ class LevelMap:
     truth: np.ndarray  # (S, S, 2) float32
     valid: np.ndarray  # (S, S) bool, cells of known truth
 
+    def errors(self, per_axis: bool = False) -> np.ndarray:
+        """Distances (N,) float64 between map and truth at the N valid cells, pixels.
+
+        Euclidean; with `per_axis` max(|dx|, |dy|), as in the DGC-Net authors' evaluation, which is
+        never stricter.
+        """
+        offsets = self.points[self.valid].astype(np.float64) - self.truth[self.valid]
+        return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
+
     @property
     def aepe(self) -> float:
         """Mean Euclidean error over the valid cells, pixels; NaN without any."""
-        errors = endpoint_errors(self.points, self.truth, self.valid)
-        return float(errors.mean()) if len(errors) else float("nan")
+        return _mean(self.errors())
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +51,6 @@ class Comparison:
 
     levels: tuple[LevelMap, ...]  # coarse to fine, up to 240 cells a side; of a network from 15 on
     matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
-    known: np.ndarray  # (240, 240) bool, pixels of known visibility
 
     @property
     def finest(self) -> LevelMap:
@@ -52,9 +59,8 @@ class Comparison:
     @property
     def errors(self) -> np.ndarray:
         """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
-        finest = self.finest
-        distance = np.full(finest.valid.shape, np.inf)
-        distance[finest.valid] = endpoint_errors(finest.points, finest.truth, finest.valid)
+        distance = np.full(self.finest.valid.shape, np.inf)
+        distance[self.finest.valid] = self.finest.errors()
         return distance
 
 
@@ -73,8 +79,7 @@ class PairScores:
     within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
     jaccard: float  # of the mask against the visible pixels; NaN without a mask
     jaccard_found: float  # the same against the pixels visible and found to within FOUND_PX
-    # Matches within RIGHT_PX, over all target pixels of known visibility; None without a mask.
-    reliability: Reliability | None
+    reliability: Reliability | None  # of matches within RIGHT_PX; None without a mask
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +105,13 @@ def score_map(
     evaluation does; all other errors are Euclidean."""
     finest, distances, matchability = comparison.finest, comparison.errors, comparison.matchability
     euclidean = distances[finest.valid]
-    curve = endpoint_errors(finest.points, finest.truth, finest.valid, per_axis=per_axis)
     overlap = overlap_found = float("nan")
     reliability = None
     absent = len(LEVEL_SIZES) - len(comparison.levels)
     if matchability is not None:
-        known = comparison.known
-        mask = matchability[known] > 0.5
-        overlap = jaccard(mask, finest.valid[known])
-        overlap_found = jaccard(mask, distances[known] < FOUND_PX)
-        reliability = Reliability.of(matchability[known], distances[known] <= RIGHT_PX)
+        overlap = jaccard(matchability > 0.5, finest.valid)
+        overlap_found = jaccard(matchability > 0.5, distances < FOUND_PX)
+        reliability = Reliability.of(matchability, distances <= RIGHT_PX)
     return PairScores(
         method=method,
         group=group,
@@ -117,7 +119,7 @@ def score_map(
         valid=len(euclidean),
         aepe=finest.aepe,
         level_aepe=(float("nan"),) * absent + tuple(level.aepe for level in comparison.levels),
-        near=count_within(curve, PCK_THRESHOLDS),
+        near=count_within(finest.errors(per_axis), PCK_THRESHOLDS),
         within=count_within(euclidean, WITHIN),
         jaccard=overlap,
         jaccard_found=overlap_found,
@@ -145,18 +147,6 @@ def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> Ma
     )
 
 
-def endpoint_errors(
-    map: np.ndarray, truth: np.ndarray, valid: np.ndarray, per_axis: bool = False
-) -> np.ndarray:
-    """Distances (N,) float64 between map and truth at the N valid cells, in the maps' unit.
-
-    map, truth: (..., 2); valid: (...) bool. Euclidean; with `per_axis` max(|dx|, |dy|), as in the
-    DGC-Net authors' evaluation, which is never stricter.
-    """
-    offsets = map[valid].astype(np.float64) - truth[valid].astype(np.float64)
-    return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
-
-
 def count_within(errors: np.ndarray, thresholds: Sequence[float] | np.ndarray) -> np.ndarray:
     """Number (K,) of errors (N,) that are at most each threshold (K,); NaN never is.
 
@@ -177,5 +167,5 @@ def _share(counts: np.ndarray, total: int) -> np.ndarray:
     return counts / total if total else np.full(counts.shape, np.nan)
 
 
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else float("nan")
+def _mean(values: Sequence[float] | np.ndarray) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")

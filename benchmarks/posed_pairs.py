@@ -19,7 +19,7 @@ from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matching.cache import BoundedCache
 
 if TYPE_CHECKING:
-    from dgc_pose.training.rooms import RoomPairs
+    from dgc_pose.training.room_pairs import RoomPairs
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view

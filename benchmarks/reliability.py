@@ -58,13 +58,6 @@ class Reliability:
         """Mean confidence (B,) of each bin; NaN if the bin is empty."""
         return _quotient(self.confidence, self.counts)
 
-    def share_correct_above(self, confidence: float) -> float:
-        """Share of right matches among those of at least this confidence, an edge of the bins; NaN
-        if there are none."""
-        first = round(confidence * len(self.counts))
-        total = int(self.counts[first:].sum())
-        return int(self.correct[first:].sum()) / total if total else float("nan")
-
     @property
     def calibration_error(self) -> float:
         """Expected calibration error in [0, 1]: |mean confidence - share correct| of the bins,

@@ -25,10 +25,9 @@ def thin_plate_spline(control: Tensor, values: Tensor) -> Warp:
     weights = torch.linalg.solve(system.double(), right.double()).to(values.dtype)
 
     def warp(points: Tensor) -> Tensor:
-        knots = control.to(points, non_blocking=True).expand(len(points), -1, -1)
-        basis = _kernel(torch.cdist(points, knots))
+        basis = _kernel(torch.cdist(points, control.expand(len(points), -1, -1)))
         affine = F.pad(points, (1, 0), value=1.0)
-        return torch.cat([basis, affine], -1) @ weights.to(points, non_blocking=True)
+        return torch.cat([basis, affine], -1) @ weights
 
     return warp
 

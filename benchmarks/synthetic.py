@@ -5,7 +5,6 @@ occluders, as its lists have none; and ray-cast 3D scenes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -84,7 +83,7 @@ def synthetic_cases(
         if changed:
             views = other_light(torch.cat([batch.image1, batch.image2]), draw)
             image1, image2 = views.chunk(2)
-            batch = replace(batch, image1=image1, image2=image2)
+            batch = batch._replace(image1=image1, image2=image2)
         chosen = batch.chosen(slice(min(len(batch.map), pairs - done)))
         # The target may show the plane's horizon, which no real view does.
         horizons = (chosen.map >= FAR).flatten(1).any(1).tolist()
@@ -95,7 +94,7 @@ def synthetic_cases(
 
 def _warped(photos: Photos, warps: tuple[_Warps, ...], draw: Draw, changed: bool) -> MapPairs:
     """A batch, with occluders if it is to be changed. Its light is that of the photographs."""
-    chosen, _ = photos.drawn(_BATCH, draw)
+    chosen = draw.integers(_BATCH, count=photos.single)
     size = photos.bank.size(chosen)
     pixels = pixel_grid((INPUT_SIZE, INPUT_SIZE), draw.device).expand(_BATCH, -1, -1, -1)
     grid = ((2 * pixels + 1) / INPUT_SIZE - 1).flatten(1, 2)
@@ -115,7 +114,8 @@ def _warped(photos: Photos, warps: tuple[_Warps, ...], draw: Draw, changed: bool
     )
     valid = (source.abs() <= 1).all(-1) & (behind[:, 0] < 0.5) & ~hidden2
     truth = ((source + 1) * INPUT_SIZE - 1) / 2
-    return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, valid)
+    known = torch.ones_like(valid)
+    return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, valid, known)
 
 
 def _scenes(photos: Photos, draw: Draw, changed: bool) -> MapPairs:

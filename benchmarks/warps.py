@@ -14,7 +14,7 @@ from torch import Tensor
 
 from dgc_pose.benchmarks.spline import TPS_KNOTS, Warp, thin_plate_spline
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.warped_pairs import rotation_2d
+from dgc_pose.training.views import rotation_2d
 
 FAR = 1e6  # normalised coordinate of points beyond a homography's horizon
 _CORNERS = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])

@@ -14,8 +14,7 @@ from PIL import Image
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import image_arrays
-from dgc_pose.training.room_pairs import RoomOptions, random_rooms
-from dgc_pose.training.rooms import render
+from dgc_pose.training.room_pairs import RoomOptions, random_rooms, render
 from dgc_pose.training.views import Cameras
 
 SEED, SIZE, PHOTO = 5, (800, 600), 3

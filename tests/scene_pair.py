@@ -14,8 +14,15 @@ from torch.nn.functional import normalize
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import image_arrays
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.room_pairs import RoomOptions, overlap, random_rooms
-from dgc_pose.training.rooms import FACES, Rooms, correspond, render
+from dgc_pose.training.room_pairs import (
+    FACES,
+    RoomOptions,
+    Rooms,
+    correspond,
+    overlap,
+    random_rooms,
+    render,
+)
 from dgc_pose.training.views import Cameras, pixel_grid
 
 PairKind = Literal["general", "planar", "rotation_only"]

@@ -39,9 +39,6 @@ class ImageBank:
         parts = torch.from_numpy(np.concatenate(levels)), torch.from_numpy(start), table
         return cls(*(part.to(device) for part in parts))
 
-    def __len__(self) -> int:
-        return len(self.start)
-
     def size(self, image: Tensor) -> Tensor:
         """Width and height (..., 2) float of images (...) int64."""
         return self.sizes[image, 0].float()
@@ -54,8 +51,9 @@ class ImageBank:
         """
         level = (_SHARPNESS * spacing).clamp(min=1).log2().long().clamp(max=LEVELS - 1)
         start, size = self.start[image, level], self.sizes[image, level]
-        inside = _mirrored((points + 0.5) / self.sizes[image, 0], 1.0) * size - 0.5
-        inside = torch.minimum(inside.clamp(min=0), size - 1)
+        place = (points + 0.5) / self.sizes[image, 0]
+        mirrored = 1 - (place.remainder(2) - 1).abs()  # on an endless row of mirrored copies
+        inside = torch.minimum((mirrored * size - 0.5).clamp(min=0), size - 1)
         first = inside.long()
         u, v = (inside - first).unsqueeze(-2).unbind(-1)
         left, top = first.unbind(-1)
@@ -80,8 +78,3 @@ def spacing(points: Tensor) -> Tensor:
     """The mean distance (B, 1, 1) of neighbours among points (B, H, W, 2)."""
     steps = points[:, 1:, 1:] - points[:, :-1, :-1]
     return steps.norm(dim=-1).mean((1, 2))[:, None, None] / math.sqrt(2)
-
-
-def _mirrored(coordinate: Tensor, side: float) -> Tensor:
-    """Coordinates on an endless row of mirrored copies, reduced to [0, side]."""
-    return side - (coordinate.remainder(2 * side) - side).abs()

@@ -20,7 +20,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dgc_pose.network.config import COARSEST, DEVIATION, MEAN, STRIDE, preset
-from dgc_pose.network.net import DGCNet, upsample
+from dgc_pose.network.efficientnet import EfficientPyramid, upsample
+from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import COUNTER
 from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.torch_engine import for_inference
@@ -29,53 +30,39 @@ _OPSET = 20
 _CELLS = (8, 11)  # rows and columns at stride 16 of the example that a graph is traced with
 
 
-class _Function(nn.Module):
-    """A function without weights."""
+class _Part(nn.Module):
+    """A function of a part of a network, whose weights keep their names, and of tensors."""
 
-    def __init__(self, function: Callable[..., Tensor]) -> None:
+    def __init__(self, function: Callable[..., Any], **part: nn.Module) -> None:
         super().__init__()
         self.function = function
+        for name, module in part.items():
+            self.add_module(name, module)
 
-    def forward(self, *arguments: Tensor) -> Tensor:
-        return self.function(*arguments)
+    def forward(self, *arguments: Any) -> Any:
+        return self.function(*self.children(), *arguments)
 
 
-class _Levels(nn.Module):
+def _levels(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
     """All levels of an image (H, W, 3) of 0 to 255, float32."""
-
-    def __init__(self, net: DGCNet) -> None:
-        super().__init__()
-        scale = 1 / (255 * torch.tensor(DEVIATION))[:, None, None]
-        self.scale = nn.Buffer(scale, persistent=False)
-        self.shift = nn.Buffer(-255 * torch.tensor(MEAN)[:, None, None] * scale, persistent=False)
-        self.pyramid = net.pyramid
-
-    def input(self, pixels: Tensor) -> Tensor:
-        return pixels.permute(2, 0, 1)[None] * self.scale + self.shift
-
-    def forward(self, pixels: Tensor) -> list[Tensor]:
-        return self.pyramid(self.input(pixels))
+    return pyramid(_input(pixels))
 
 
-class _Native(_Levels):
-    """The coarsest three levels of an image, of unit length, channels last, fine to coarse."""
-
-    def forward(self, pixels: Tensor) -> list[Tensor]:
-        levels = self.pyramid.coarse(self.input(pixels))
-        return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
+def _native(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
+    """The coarsest three levels of such an image, of unit length, channels last, fine to coarse."""
+    levels = pyramid.coarse(_input(pixels))
+    return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
 
 
-class _Decoder(nn.Module):
+def _input(pixels: Tensor) -> Tensor:
+    scale = 1 / (255 * torch.tensor(DEVIATION))[:, None, None]
+    shift = -255 * torch.tensor(MEAN)[:, None, None] * scale
+    return pixels.permute(2, 0, 1)[None] * scale + shift
+
+
+def _decode(decoder: nn.Module, features: list[Tensor], previous: Tensor, cell: Tensor) -> Tensor:
     """A level's state from the previous one at the same size."""
-
-    def __init__(self, net: DGCNet, level: int) -> None:
-        super().__init__()
-        self.add_module(f"reg_{level}", net.get_submodule(f"reg_{level}"))
-
-    def forward(self, features: list[Tensor], previous: Tensor, cell: Tensor) -> Tensor:
-        (decoder,) = self.children()
-        change: Tensor = decoder(torch.cat([*features, previous], 1))
-        return previous + change * cell
+    return previous + decoder(torch.cat([*features, previous], 1)) * cell
 
 
 def export(name: str, folder: Path) -> None:
@@ -89,13 +76,9 @@ def export(name: str, folder: Path) -> None:
     weights_of: dict[str, list[str]] = {}
 
     def write(graph: str, module: nn.Module, inputs: list[Any], shapes: list[Any]) -> None:
-        model = _graph(module.eval(), tuple(inputs), tuple(shapes))
+        model = _graph(module.eval(), tuple(inputs), (tuple(shapes),))
         weights_of[graph] = _without_weights(model, set(net.state_dict()))
         onnx.save_model(model, folder / graph)
-
-    def warp(source: Tensor, state: Tensor) -> Tensor:
-        grid = state[:, :2].movedim(1, -1)
-        return F.grid_sample(source, grid, align_corners=config.align_corners)
 
     def resample(features: Tensor, like: Tensor) -> Tensor:
         return F.interpolate(features, like.shape[2:], mode="bilinear")
@@ -103,13 +86,13 @@ def export(name: str, folder: Path) -> None:
     rows, columns = _CELLS
     c, d, h, w, u, v = (torch.export.Dim(name, min=1, max=4096) for name in "cdhwuv")
     pixels, sides = torch.rand(STRIDE * rows, STRIDE * columns, 3), {0: STRIDE * h, 1: STRIDE * w}
-    write(graphs.LEVELS, _Levels(net), [pixels], [sides])
-    write(graphs.NATIVE, _Native(net), [pixels], [sides])
+    write(graphs.LEVELS, _Part(_levels, pyramid=net.pyramid), [pixels], [sides])
+    write(graphs.NATIVE, _Part(_native, pyramid=net.pyramid), [pixels], [sides])
     features, state = torch.rand(1, 24, 12, 10), torch.rand(1, config.map_channels, 14, 18)
     any_features, pair = {1: c, 2: u, 3: v}, [features, state]
-    write(graphs.WARP, _Function(warp), pair, [(any_features, {2: h, 3: w})])
-    write(graphs.UPSAMPLE, _Function(upsample), [state], [({2: h, 3: w},)])
-    write(graphs.RESAMPLE, _Function(resample), pair, [(any_features, {1: d, 2: h, 3: w})])
+    write(graphs.WARP, _Part(net.warp), pair, [any_features, {2: h, 3: w}])
+    write(graphs.UPSAMPLE, _Part(upsample), [state], [{2: h, 3: w}])
+    write(graphs.RESAMPLE, _Part(resample), pair, [any_features, {1: d, 2: h, 3: w}])
     for level in range(COARSEST + 1):
         channels = config.level_channels[level]
         window = config.decoder_inputs(level) - 2 * channels - config.map_channels
@@ -117,7 +100,7 @@ def export(name: str, folder: Path) -> None:
         previous = torch.rand(1, config.map_channels, rows, columns)
         write(
             f"reg_{level}.onnx",
-            _Decoder(net, level),
+            _Part(_decode, **{f"reg_{level}": net.get_submodule(f"reg_{level}")}),
             [parts, previous, torch.rand(1, config.map_channels, 1, 1)],
             [[{2: h, 3: w}] * len(parts), {2: h, 3: w}, {}],
         )

@@ -1,9 +1,8 @@
 """Initialising a run from trained weights, or its encoder from ImageNet's VGG-16."""
 
 from pathlib import Path
-from typing import cast
 
-from torch import Tensor, nn
+from torch import nn
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.net import DGCNet
@@ -18,16 +17,13 @@ def initialise_from(weights: str | Path, net: DGCNet) -> None:
     correlation's temperatures are loaded. Raises WeightsError if the pyramids differ, too.
     """
     other = load_network(weights)
-    if other.config == net.config:
-        net.load_state_dict(other.state_dict())
-        return
     if other.config.pyramid != net.config.pyramid:
         raise WeightsError(
             f"{weights}: weights of {other.config.name}, whose pyramid {net.config.name} lacks"
         )
-    net.pyramid.load_state_dict(other.pyramid.state_dict())
-    if net.config.any_shape and other.config.any_shape:
-        cast(Tensor, net.correlation_scales).copy_(cast(Tensor, other.correlation_scales))
+    state, same = other.state_dict(), other.config == net.config
+    kept = {k: v for k, v in state.items() if same or k.startswith(("pyramid.", "correlation_"))}
+    net.load_state_dict(kept, strict=same)
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:

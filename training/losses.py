@@ -30,26 +30,21 @@ def likelihood_loss(
     (B, Q, 2), their true points in source pixels, each shared bilinearly by the four cells around
     it; valid: (B, Q); grid: h and w. Right is a best cell within 1.5 cells of the truth.
     """
+    rows, columns = grid
     cells = (torch.where(valid[..., None], truth, 0) + 0.5) / stride - 0.5
-    index, weight = _bilinear_cells(cells, grid)
+    last = cells.new_tensor([columns - 1, rows - 1])
+    bounded = torch.minimum(cells.clamp(min=0), last)
+    low = torch.minimum(bounded.floor(), last - 1)
+    x, y = low.long().unbind(-1)
+    fx, fy = (bounded - low).unbind(-1)
+    first = x * rows + y
+    index = torch.stack([first, first + 1, first + rows, first + rows + 1], 1)
+    weight = torch.stack([(1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy], 1)
     loss = -masked_mean((log_likely.gather(1, index).clamp(min=_LEAST_LOG) * weight).sum(1), valid)
     best = log_likely.detach().argmax(1)
-    points = torch.stack([torch.div(best, grid[0], rounding_mode="floor"), best % grid[0]], -1)
+    points = torch.stack([torch.div(best, rows, rounding_mode="floor"), best % rows], -1)
     near = (points - cells).norm(dim=-1) < 1.5
     return loss, masked_mean(near.float(), valid)
-
-
-def _bilinear_cells(cells: Tensor, grid: Grid) -> tuple[Tensor, Tensor]:
-    """The four cells around points (B, N, 2): column-major indices (B, 4, N), and their weights."""
-    last = cells.new_tensor([grid[1] - 1, grid[0] - 1])
-    cells = torch.minimum(cells.clamp(min=0), last)
-    low = torch.minimum(cells.floor(), last - 1)
-    x, y = low.long().unbind(-1)
-    fx, fy = (cells - low).unbind(-1)
-    first = x * grid[0] + y
-    index = torch.stack([first, first + 1, first + grid[0], first + grid[0] + 1], 1)
-    weight = torch.stack([(1 - fx) * (1 - fy), (1 - fx) * fy, fx * (1 - fy), fx * fy], 1)
-    return index, weight
 
 
 def window_loss(
@@ -61,12 +56,10 @@ def window_loss(
     at every cell, as the engine does. truths: true points (B, h w / 4, 2), pixels, of the
     target's cells of stride 8, of which random `queries` count, and which are valid.
     """
-    truth, valid = truths
     means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
     rows, columns = means.shape[2:]
-    chosen = random_cells(valid, queries, draw)
-    use = valid.gather(1, chosen)
-    points = truth.gather(1, chosen[..., None].expand(-1, -1, 2))
+    chosen = random_cells(truths[1], queries, draw)
+    points, use = chosen_cells(truths, chosen)
     place = torch.where(use[..., None], (points + 0.5) / 4 - 1, 0)  # in means, between cells
     middle = (place + _JITTER * draw.uniform(*place.shape, low=-1)).round()
     offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=place.device)
@@ -76,21 +69,24 @@ def window_loss(
     index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1)).long()
     channels = means.shape[1]
     near = means.flatten(2).gather(2, index.flatten(1)[:, None].expand(-1, channels, -1))
-    near = near.unflatten(2, index.shape[1:])
     query = wanted.gather(2, chosen[:, None].expand(-1, channels, -1))
-    likely = (_SHARPNESS * (near * query[..., None]).sum(1)).masked_fill(~there, -30)
-    share = (1 - (x - place[..., :1]).abs()).clamp(min=0) * (1 - (y - place[..., 1:]).abs()).clamp(
-        min=0
-    )
-    share = share * there
-    whole = use & (share.sum(-1) > 0.9)
-    return masked_mean(-(share * likely.log_softmax(-1)).sum(-1), whole)
+    scores = (near.unflatten(2, index.shape[1:]) * query[..., None]).sum(1)
+    likely = (_SHARPNESS * scores).masked_fill(~there, -30).log_softmax(-1)
+    aside, below = ((at - true).abs() for at, true in zip((x, y), place.split(1, -1), strict=True))
+    share = (1 - aside).clamp(min=0) * (1 - below).clamp(min=0) * there
+    return masked_mean(-(share * likely).sum(-1), use & (share.sum(-1) > 0.9))
 
 
 def random_cells(valid: Tensor, count: int, draw: Draw) -> Tensor:
     """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first."""
     order = draw.uniform(*valid.shape) + valid.float()
     return order.topk(min(count, valid.shape[1]), 1).indices
+
+
+def chosen_cells(truths: tuple[Tensor, Tensor], chosen: Tensor) -> tuple[Tensor, Tensor]:
+    """True points (B, n, 2) and their validity (B, n) of the cells (B, n) of all N."""
+    points, valid = truths
+    return points.gather(1, chosen[..., None].expand(-1, -1, 2)), valid.gather(1, chosen)
 
 
 def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,48 +10,21 @@ from torch import Tensor
 
 # Cells whose four central pixels map this far apart (pixels) straddle two surfaces: not valid.
 _STRADDLES_PX = 6.0
-Batch = TypeVar("Batch")  # a dataclass of tensors
 
 
-@dataclass(frozen=True)
-class MapPairs:
+class MapPairs(NamedTuple):
     """A batch of pairs with the truth; pixel (0, 0) is the centre of the top-left pixel."""
 
     image1: Tensor  # (B, 3, H, W) source in [0, 1]
     image2: Tensor  # (B, 3, H, W) target in [0, 1]
     map: Tensor  # (B, H, W, 2) x and y in the source of each target pixel, pixels
     valid: Tensor  # (B, H, W) bool, the target's pixel is visible in the source
-    # (B, H, W) bool, `valid` is the truth; else `valid` is False and neither map nor mask is
-    # learnt. Left out: the truth is known everywhere.
-    known: Tensor = field(default=None)  # type: ignore[assignment]
-
-    def __post_init__(self) -> None:
-        if self.known is None:
-            object.__setattr__(self, "known", torch.ones_like(self.valid))
-
-    def to(self, device: torch.device | str) -> MapPairs:
-        """The batch on another device."""
-        return changed(self, lambda values: values.to(device))
+    # (B, H, W) bool, `valid` is the truth; else neither map nor mask is learnt there
+    known: Tensor
 
     def chosen(self, which: slice | Tensor) -> MapPairs:
         """Some of the pairs: a slice of the batch, or those that a (B,) bool mask selects."""
-        return changed(self, lambda values: values[which])
-
-
-def changed(batch: Batch, change: Callable[[Tensor], Tensor]) -> Batch:
-    """A dataclass of tensors with every tensor changed."""
-    made: Batch = type(batch)(*(change(value) for value in _tensors(batch)))
-    return made
-
-
-def joined(parts: Sequence[Batch]) -> Batch:
-    """Several batches, one after the other."""
-    made: Batch = type(parts[0])(*map(torch.cat, zip(*map(_tensors, parts), strict=True)))
-    return made
-
-
-def _tensors(batch: Any) -> list[Tensor]:
-    return [getattr(batch, field.name) for field in fields(batch)]
+        return MapPairs(*(values[which] for values in self))
 
 
 def image_arrays(images: Tensor) -> np.ndarray:

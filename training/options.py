@@ -30,9 +30,6 @@ class Shares:
         return cls(*shares)
 
 
-DEFAULT_SHARES = Shares()
-
-
 @dataclass(frozen=True)
 class TrainingOptions:
     """One training run. Raises InputError, naming the field, for a value out of range."""
@@ -53,7 +50,7 @@ class TrainingOptions:
         0.7, "Share of the run for the encoder; VGG-16 stays as it is.", min=0, max=1
     )
     shares: Shares = option(
-        DEFAULT_SHARES,
+        Shares(),
         "Percentages of the pairs: warped photographs, those in other light, rooms, posed "
         "photographs. A kind without data has none.",
         parse=Shares.parse,
@@ -77,12 +74,6 @@ class TrainingOptions:
     validation_count: int = option(
         32, "Pairs of each kind that validate.", flag="--validation-pairs", min=1, max=2**16
     )
-    half_precision: bool = option(
-        False, "Convolutions in bfloat16, as always on a GPU; the rest in single precision."
-    )
-    validate_seconds: float = 300.0  # between validations
-    save_seconds: float = 60.0  # between checkpoints
-    average_decay: float = 0.999  # at most, of the exponential moving average of the weights
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
+import numpy as np
 import torch
 
 from dgc_pose.errors import InputError
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.light import other_light
-from dgc_pose.training.map_pairs import MapPairs, joined
-from dgc_pose.training.options import DEFAULT_SHARES, Shares
-from dgc_pose.training.photos import Photos
-from dgc_pose.training.posed_pairs import posed_pairs
-from dgc_pose.training.posed_scenes import FramePairs, PosedScenes
+from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.options import Shares
+from dgc_pose.training.photos import Photos, load_photos
+from dgc_pose.training.posed_frames import read_scenes
+from dgc_pose.training.posed_pairs import FramePairs, frame_pairs, load_posed, posed_pairs
 from dgc_pose.training.room_pairs import room_pairs
 from dgc_pose.training.views import Shape
 from dgc_pose.training.warped_pairs import warped_pairs
 
+TRAINING = "training"  # what trains; all else validates
 _OFFSETS = range(1000)
 
 
@@ -26,45 +30,70 @@ class PairSource:
     """What pairs are made of, on the device of the network."""
 
     photos: Photos
-    scenes: PosedScenes | None = None
-    frames: FramePairs | None = None  # of the scenes
-    shares: Shares = DEFAULT_SHARES
+    posed: FramePairs | None = None
+    shares: Shares = Shares()
 
     def make(self, count: int, shape: Shape, draw: Draw) -> MapPairs:
         """So many pairs of views of `shape`, in light of their own, one kind after the other.
 
         Raises InputError if the shares leave no kind that there is data for.
         """
-        kinds = {
-            "photos": self.shares.photos,
-            "light": self.shares.light if len(self.photos.places) else 0.0,
-            "rooms": self.shares.rooms,
-            "posed": self.shares.posed if self.frames is not None else 0.0,
-        }
-        total = sum(kinds.values())
-        if not total:
+        photos, posed, shares = self.photos, self.posed, self.shares
+        light = shares.light * (len(photos.places) > 0)
+        ends = np.cumsum([shares.photos, light, shares.rooms, shares.posed * (posed is not None)])
+        if not ends[-1]:
             raise InputError("shares: there is no data for the kinds of pairs that have a share")
-        offset = draw.choice(_OFFSETS) / len(_OFFSETS)  # so that small batches have all kinds, too
-        parts, before = [], 0.0
-        for kind, share in kinds.items():
-            after = before + count * share / total
-            number = round_up(after, offset) - round_up(before, offset)
-            before = after
-            if not number:
-                continue
-            if kind == "rooms":
-                parts.append(room_pairs(self.photos, number, shape, draw).maps)
-            elif kind == "posed":
-                assert self.scenes is not None and self.frames is not None
-                parts.append(posed_pairs(self.scenes, self.frames, number, shape, draw))
-            else:
-                parts.append(warped_pairs(self.photos, number, shape, draw, light=kind == "light"))
-        pairs = joined(parts)
-        views = other_light(torch.cat([pairs.image1, pairs.image2]), draw)
-        image1, image2 = views.chunk(2)
-        return replace(pairs, image1=image1, image2=image2, valid=pairs.valid & pairs.known)
+        # Evenly from a random start, so that small batches have all kinds, too.
+        places = (np.arange(count) + draw.choice(_OFFSETS) / len(_OFFSETS)) * ends[-1] / count
+        kinds = ends.searchsorted(places, "right")
+        warped, relit, rooms, cut = np.bincount(kinds, minlength=4).tolist()
+        parts = []
+        if warped:
+            parts.append(warped_pairs(photos, warped, shape, draw, light=False))
+        if relit:
+            parts.append(warped_pairs(photos, relit, shape, draw, light=True))
+        if rooms:
+            parts.append(room_pairs(photos, rooms, shape, draw).maps)
+        if cut and posed is not None:
+            parts.append(posed_pairs(posed, cut, shape, draw))
+        image1, image2, truth, valid, known = map(torch.cat, zip(*parts, strict=True))
+        image1, image2 = other_light(torch.cat([image1, image2]), draw).chunk(2)
+        return MapPairs(image1, image2, truth, valid & known, known)
 
 
-def round_up(place: float, offset: float) -> int:
-    """How many of the places offset, 1 + offset, ... lie below `place`, to its rounding."""
-    return max(0, -int((offset - place + 1e-9) // 1))
+def load_data(
+    photos: Path,
+    light: Path | None = None,
+    posed: Sequence[Path] = (),
+    *,
+    depths: Path,
+    held: Sequence[str] = (),
+    shares: Shares,
+    device: torch.device | str = "cpu",
+) -> dict[str, PairSource]:
+    """What trains, by the name TRAINING, and what validates: photographs, rooms and, with scenes
+    held back, posed photographs.
+
+    photos, light: see `load_photos`; posed: folders for `read_scenes`; depths: see `load_posed`;
+    held: names of the scenes that validate. Raises as these do, and InputError for a scene that is
+    not there or if no frames make a pair.
+    """
+    training, held_back = load_photos(photos, light, device)
+    frames = {name: scene for root in posed for name, scene in read_scenes(root).items()}
+    if missing := sorted(set(held) - set(frames)):
+        raise InputError(f"held: there is no scene {missing[0]}")
+    pairs = validating = None
+    if frames:
+        scenes = load_posed(frames, device, depths)
+        pairs = frame_pairs(scenes, frames.keys() - set(held))
+        validating = frame_pairs(scenes, held)
+        if pairs is None:
+            raise InputError(f"posed: of {len(scenes.scene)} frames no two overlap as they should")
+    sources = {
+        TRAINING: PairSource(training, pairs, shares),
+        "photos": PairSource(held_back, shares=Shares(1, 0, 0, 0)),
+        "rooms": PairSource(held_back, shares=Shares(0, 0, 1, 0)),
+    }
+    if validating is not None:
+        sources["posed"] = PairSource(held_back, validating, Shares(0, 0, 0, 1))
+    return sources

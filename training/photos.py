@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -35,22 +35,16 @@ class Photos:
     @classmethod
     def of(
         cls,
-        images: Iterable[np.ndarray],
-        places: Iterable[list[np.ndarray]] = (),
+        images: Sequence[np.ndarray],
+        places: Sequence[Sequence[np.ndarray]] = (),
         device: torch.device | str = "cpu",
     ) -> Photos:
         """Of images (h, w, 3) uint8, RGB; those of a place are aligned and of one size."""
-        images, places = list(images), list(places)
         counts = torch.tensor([len(place) for place in places], dtype=torch.int64)
         first = len(images) + counts.cumsum(0) - counts
         every = [*images, *(image for place in places for image in place)]
         table = torch.stack([first, counts], 1).to(device)
         return cls(ImageBank.of(every, device), len(images), table)
-
-    def drawn(self, count: int, draw: Draw) -> tuple[Tensor, Tensor]:
-        """Single photographs (B,), twice the same."""
-        chosen = draw.integers(count, count=self.single)
-        return chosen, chosen
 
     def places_drawn(self, count: int, draw: Draw) -> tuple[Tensor, Tensor]:
         """Two photographs (B,) each of one place."""
@@ -68,34 +62,29 @@ def load_photos(
 
     light: a folder of folders, each with aligned photographs of one place in other light, which
     train. A photograph's name alone decides whether it is held back: one that validates a run never
-    trains another. Raises ImageError if a folder holds none.
+    trains another. Raises ImageError if there are none of either, or a folder holds no place.
     """
-    training, held_back = _split(root)
-    lacking = (
-        f"{root}: {len(training) + len(held_back)} photographs; training needs dozens at least"
-    )
+    training, held_back = _split(Path(root))
     places = [] if light is None else _places(Path(light))
-    return (
-        Photos.of(_decoded(training, SIDE, lacking), places, device),
-        Photos.of(_decoded(held_back, SIDE, lacking), device=device),
-    )
+    validating = Photos.of(_decoded(held_back, SIDE), device=device)
+    return Photos.of(_decoded(training, SIDE), places, device), validating
 
 
 def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
     """The photographs that `load_photos` holds back, without decoding the others; the shorter side
-    has `side` pixels at most. Raises ImageError if there is none."""
-    training, held_back = _split(root)
-    count = len(training) + len(held_back)
-    lacking = f"{root}: {count} photographs, none of them held back: take dozens at least"
-    return Photos.of(_decoded(held_back, side, lacking))
+    has `side` pixels at most. Raises as `load_photos` does."""
+    return Photos.of(_decoded(_split(Path(root))[1], side))
 
 
-def _split(root: str | Path) -> tuple[list[Path], list[Path]]:
+def _split(root: Path) -> tuple[list[Path], list[Path]]:
     """The photographs below a folder, sorted: those that train, those held back."""
     parts: tuple[list[Path], list[Path]] = [], []
-    for path in _images(Path(root)):
+    for path in _images(root):
         digest = hashlib.sha256(path.name.encode()).hexdigest()[:8]
         parts[int(digest, 16) % _HELD_BACK == 0].append(path)
+    if not all(parts):
+        counts = f"{len(parts[0])} photographs train and {len(parts[1])} are held back"
+        raise ImageError(f"{root}: {counts}; there must be dozens at least")
     return parts
 
 
@@ -107,18 +96,18 @@ def _images(root: Path) -> list[Path]:
 
 
 def _places(root: Path) -> list[list[np.ndarray]]:
-    folders = sorted(path for path in root.iterdir() if path.is_dir())
-    places = [_decoded(_images(folder), SIDE, f"{folder}: no photographs") for folder in folders]
-    for folder, place in zip(folders, places, strict=True):
-        if len(place) < 2 or len({image.shape for image in place}) > 1:
+    places = []
+    for folder in sorted(path for path in root.iterdir() if path.is_dir()):
+        places.append(_decoded(_images(folder), SIDE))
+        if len(places[-1]) < 2 or len({image.shape for image in places[-1]}) > 1:
             raise ImageError(f"{folder}: must hold two photographs of one size and more")
     if not places:
         raise ImageError(f"{root}: holds no folders of photographs of one place")
     return places
 
 
-def _decoded(paths: list[Path], side: int, lacking: str) -> list[np.ndarray]:
-    """Raises ImageError, with the text `lacking`, if none can be read."""
+def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
+    """Those that can be read. Raises ImageError if none can."""
     images: list[np.ndarray] = []
     damaged: list[ImageError] = []  # one in thousands is no reason to stop
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
@@ -128,8 +117,8 @@ def _decoded(paths: list[Path], side: int, lacking: str) -> list[np.ndarray]:
             damaged.append(error)
             continue
         images.append(resize_by(pixels, min(1.0, side / min(pixels.shape[:2]))))
+    if damaged and not images:
+        raise damaged[0]
     if damaged:
         _log.warning("%d of %d photographs are left out: %s", len(damaged), len(paths), damaged[0])
-    if not images:
-        raise ImageError(lacking)
     return images

@@ -7,9 +7,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from dgc_pose.training.bank import ImageBank
-from dgc_pose.training.views import Cameras, Shape, inside, pixel_grid
+from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
-_SWEEPS = ((256, 72), (144, 56))  # longest side, pixels, and planes: fine, then coarse
+_SIDE, _PLANES = 256, 72  # longest side, pixels, and planes, even in the inverse depth
 _MOST = 5  # neighbours that a frame is compared with
 _ANGLE_DEG, _ANGLE_SPREAD = 10.0, 8.0  # between the rays of neighbours, the best and around it
 _LEAST_ANGLE_DEG = 1.5
@@ -19,25 +19,29 @@ _VARIANCE, _NOISE = 6e-5, 2e-5  # of a window: the least, and what is added to i
 _CORRELATION, _MARGIN = 0.55, 0.03  # the least, and above those of planes elsewhere
 _AGREES = 0.02  # of the depth, with a neighbour's
 _CROWD = 0.3  # share of the pixels around one that are kept: alone it is chance
-_FILL = (9, 0.35, 0.02)  # window of a filled pixel, share known in it, their relative spread
 
 
-def swept_depths(
-    bank: ImageBank, cameras: Cameras, frames: list[int], reach: Tensor
-) -> list[Tensor]:
-    """Depths (h, w) of frames of one scene, 0 if unknown, smaller than the photographs.
+def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]:
+    """Depths (h, w) of the bank's images, views of one scene, smaller than these; 0 where no plane
+    stands out or the neighbours' depths disagree.
 
-    reach: (n, 2), nearest and farthest depth of each frame. Two sweeps; what the fine one leaves
-    unknown is the coarse one's, and small holes in a smooth surface are filled.
+    reach: (n, 2), nearest and farthest depth of each.
     """
-    views = cameras[torch.tensor(frames, device=reach.device)]
-    near = _neighbours(bank.size(torch.tensor(frames, device=reach.device)), views, reach)
-    fine, coarse = (_sweep(bank, views, frames, reach, near, *sizes) for sizes in _SWEEPS)
-    depths = []
-    for depth, low in zip(fine, coarse, strict=True):
-        wide = F.interpolate(low[None, None], depth.shape, mode="nearest")[0, 0]
-        depths.append(_filled(_filled(torch.where(depth > 0, depth, wide))))
-    return depths
+    near = _neighbours(bank.sizes[:, 0].float(), views, reach)
+    greys, K = [], []
+    for frame, own in enumerate(views.K):
+        image = torch.tensor(frame, device=own.device)
+        size = bank.size(image)
+        factor = min(1.0, _SIDE / float(size.max()))
+        width, height = (round(factor * extent) for extent in size.cpu().tolist())
+        scale = own.new_tensor([width, height]) / size
+        points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
+        colours = bank.sample(image, points, 1 / scale[:1])
+        greys.append(colours @ own.new_tensor([0.299, 0.587, 0.114]))
+        K.append(torch.cat([own[:2] * scale, (own[2:] + 0.5) * scale - 0.5]))
+    small = Cameras(torch.stack(K), views.pose)
+    depths = [_swept(greys, small, k, near[k], reach[k]) for k in range(len(greys))]
+    return [_agreed(depths, small, k, near[k]) for k in range(len(greys))]
 
 
 def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
@@ -51,8 +55,7 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
         seen, depth = views.project(own.expand(len(size), -1, -1))
         shown = (inside(seen, size[:, None]) & (depth > 0)).float().mean(1)
         rays, others = own - views.centre[k], own - views.centre[:, None]
-        cosine = F.cosine_similarity(rays[None], others, dim=-1).clamp(-1, 1)
-        angle = torch.rad2deg(torch.acos(cosine)).median(1).values
+        angle = angle_deg(rays[None], others).median(1).values
         scale = (rays.norm(dim=-1) / others.norm(dim=-1).clamp(min=1e-9)).median(1).values
         off = ((angle - _ANGLE_DEG) / _ANGLE_SPREAD) ** 2 + (scale.log() / 0.5) ** 2
         fit = torch.exp(-off) * shown * (angle > _LEAST_ANGLE_DEG)
@@ -61,79 +64,48 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
     return result
 
 
-def _sweep(
-    bank: ImageBank,
-    views: Cameras,
-    frames: list[int],
-    reach: Tensor,
-    near: list[list[int]],
-    side: int,
-    planes: int,
-) -> list[Tensor]:
-    """Depths (h, w), 0 where no plane stands out or the neighbours' depths disagree."""
-    greys, K = [], []
-    for frame, own in zip(frames, views.K, strict=True):
-        size = bank.size(torch.tensor(frame, device=own.device))
-        factor = min(1.0, side / float(size.max()))
-        width, height = (round(factor * extent) for extent in size.cpu().tolist())
-        scale = own.new_tensor([width, height]) / size
-        points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
-        colours = bank.sample(torch.tensor(frame, device=own.device), points, 1 / scale[:1])
-        greys.append(colours @ own.new_tensor([0.299, 0.587, 0.114]))
-        K.append(torch.cat([own[:2] * scale, (own[2:] + 0.5) * scale - 0.5]))
-    small = Cameras(torch.stack(K), views.pose)
-    depths = [_swept(greys, small, k, near[k], reach[k], planes) for k in range(len(greys))]
-    return [_agreed(depths, small, k, near[k]) for k in range(len(greys))]
-
-
-def _swept(
-    greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: Tensor, planes: int
-) -> Tensor:
+def _swept(greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: Tensor) -> Tensor:
     """The depth (h, w) of the plane whose correlation, the mean of the best three, is highest."""
     grey = greys[k]
     if len(near) < 2:
         return torch.zeros_like(grey)
-    pixels = pixel_grid(_shape(grey), grey.device)
-    inverse = torch.lerp(
-        1 / reach[1], 1 / reach[0], torch.linspace(0, 1, planes, device=grey.device)
-    )
-    levels = (1 / inverse)[:, None, None].expand(-1, *grey.shape)
-    place = views[k : k + 1].unproject(
-        pixels[None, None].expand(1, planes, -1, -1, -1), levels[None]
-    )
+    pixels = pixel_grid(grey.shape, grey.device)
+    share = torch.linspace(0, 1, _PLANES, device=grey.device)
+    inverse = torch.lerp(1 / reach[1], 1 / reach[0], share)
+    levels = (1 / inverse)[None, :, None, None].expand(1, -1, *grey.shape)
+    place = views[[k]].unproject(pixels.expand(1, _PLANES, -1, -1, -1), levels)
     mean, variance = _moments(grey[None, None])
     scores = []
     for j in near:
-        seen, depth = views[j : j + 1].project(place)
+        seen, depth = views[[j]].project(place)
         grid = (2 * seen[0] + 1) / seen.new_tensor(greys[j].shape[::-1]) - 1
-        other = F.grid_sample(greys[j].expand(planes, 1, -1, -1), grid, align_corners=False)
+        other = F.grid_sample(greys[j].expand(_PLANES, 1, -1, -1), grid, align_corners=False)
         other_mean, other_variance = _moments(other)
         product = _window_mean(other * grey) - other_mean * mean
         score = product / ((other_variance + _NOISE) * (variance + _NOISE)).sqrt()
-        shown = inside(seen[0], _shape(greys[j])) & (depth[0] > 0)
+        shown = inside(seen[0], greys[j].shape) & (depth[0] > 0)
         scores.append(torch.where(shown, score[:, 0], -1.0))
     scored = torch.stack(scores).topk(min(3, len(scores)), 0).values.clamp(min=-0.2).mean(0)
     best, index = scored.max(0)
-    below, above = (
-        scored.gather(0, (index + step).clamp(0, planes - 1)[None])[0] for step in (-1, 1)
-    )
+    near_best = ((index + step).clamp(0, _PLANES - 1)[None] for step in (-1, 1))
+    below, above = (scored.gather(0, plane)[0] for plane in near_best)
     # The peak of a parabola through three planes, which are even in the inverse depth.
     shift = 0.5 * (above - below) / (2 * best - below - above).clamp(min=1e-4)
     found = 1 / (inverse[index] + shift.clamp(-0.5, 0.5) * (inverse[1] - inverse[0]))
-    elsewhere = (torch.arange(planes, device=grey.device)[:, None, None] - index).abs() > 4
+    elsewhere = (torch.arange(_PLANES, device=grey.device)[:, None, None] - index).abs() > 4
     second = torch.where(elsewhere, scored, -1.0).amax(0)
     good = (best > _CORRELATION) & (variance[0, 0] > _VARIANCE) & (best - second > _MARGIN)
-    return torch.where(good & (index > 0) & (index < planes - 1), found, 0.0)
+    return torch.where(good & (index > 0) & (index < _PLANES - 1), found, 0.0)
 
 
 def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Tensor:
     """The depths (h, w) of a frame that neighbours confirm: one of few, two of more than three."""
     depth = depths[k]
-    pixels = pixel_grid(_shape(depth), depth.device)[None]
-    place = views[k : k + 1].unproject(pixels, depth[None])
+    pixels = pixel_grid(depth.shape, depth.device)[None]
+    place = views[[k]].unproject(pixels, depth[None])
     votes = torch.zeros_like(depth)
     for j in near:
-        seen, expected = (part[0] for part in views[j : j + 1].project(place))
+        seen, expected = (part[0] for part in views[[j]].project(place))
         x, y = (axis.round().long() for axis in seen.unbind(-1))
         height, width = depths[j].shape
         there = depths[j][y.clamp(0, height - 1), x.clamp(0, width - 1)]
@@ -142,21 +114,6 @@ def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Te
     kept = (depth > 0) & (votes >= (2 if len(near) > 3 else 1))
     crowd = F.avg_pool2d(kept.float()[None, None], 5, 1, 2)[0, 0]
     return torch.where(kept & (crowd > _CROWD), depth, 0.0)
-
-
-def _filled(depth: Tensor) -> Tensor:
-    """Unknown pixels among known ones of nearly one depth get the mean of their inverse."""
-    window, share, spread = _FILL
-    known = depth > 0
-    inverse = torch.where(known, 1 / depth, 0.0)
-    count, mean, square = (
-        F.avg_pool2d(values[None, None], window, 1, window // 2)[0, 0]
-        for values in (known.float(), inverse, inverse**2)
-    )
-    mean, square = mean / count.clamp(min=1e-6), square / count.clamp(min=1e-6)
-    deviation = (square - mean**2).clamp(min=0).sqrt()
-    good = ~known & (count > share) & (deviation < spread * mean)
-    return torch.where(good, 1 / mean, depth)
 
 
 def _moments(values: Tensor) -> tuple[Tensor, Tensor]:
@@ -170,7 +127,3 @@ def _window_mean(values: Tensor) -> Tensor:
         pad = (size[0] // 2, size[1] // 2)
         values = F.avg_pool2d(values, size, 1, pad, count_include_pad=False)
     return values
-
-
-def _shape(values: Tensor) -> Shape:
-    return values.shape[0], values.shape[1]

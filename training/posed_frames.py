@@ -13,7 +13,6 @@ A scene is a folder with its photographs in `images/` and, beside it, one of
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,7 +23,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.rotation import is_rotation
-from dgc_pose.images.image import image_size, read_pixels
+from dgc_pose.images.folder import search_images
+from dgc_pose.images.image import read_pixels
 from dgc_pose.localization.model import load_model
 
 _NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths that a frame's reach is of
@@ -33,7 +33,10 @@ _MARGIN = 1.25  # beyond these
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame:
-    """A view whose pose is known. Pixels have (0, 0) at the top-left one's centre."""
+    """A view whose pose is known. Pixels have (0, 0) at the top-left one's centre.
+
+    Raises InputError, with the image, for a pose that is none or a K with a skew.
+    """
 
     image: Path
     camera: Camera  # of the image as stored
@@ -41,6 +44,13 @@ class PosedFrame:
     depth: Path | None = None  # z along the optical axis; 0: unknown
     step: float = 1e-3  # units of length, of the stored depth
     reach: tuple[float, float] | None = None  # nearest and farthest depth, for want of a sensor's
+
+    def __post_init__(self) -> None:
+        R, last = self.cam_from_world[:3, :3], self.cam_from_world[3]
+        if not (is_rotation(R) and np.allclose(last, (0, 0, 0, 1), atol=1e-6)):
+            raise InputError(f"{self.image}: its pose is no rotation and translation")
+        if abs(self.camera.K[0, 1]) > 1e-6 * self.camera.K[0, 0]:
+            raise InputError(f"{self.image}: its K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
 
     def read_depth(self) -> np.ndarray:
         """(h, w) float32, units of length, 0 if unknown. Raises ImageError with the path."""
@@ -65,9 +75,8 @@ def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
     return scenes
 
 
-def read_scene(root: str | Path) -> list[PosedFrame]:
+def read_scene(root: Path) -> list[PosedFrame]:
     """The frames of a scene's folder, in order. Raises as `read_scenes` does."""
-    root = Path(root)
     if (root / "poses.txt").exists():
         return read_rgbd(root)
     if (root / "cameras.txt").exists() and not (root / "images.txt").exists():
@@ -81,35 +90,28 @@ def read_scene(root: str | Path) -> list[PosedFrame]:
         reach = nearest / _MARGIN, farthest * _MARGIN
         frames.append(PosedFrame(root / "images" / name, model.cameras[name], pose, reach=reach))
     if len(frames) < 2:
-        raise InputError(
-            f"{root}: no points tell the depths of two images; they are searched there"
-        )
+        raise InputError(f"{root}: no two images show points, whose depths bound the search")
     return frames
 
 
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
     """The frames of a posed RGB-D folder, in order.
 
-    Raises InputError, with the path, if the folder has another layout, the numbers of its files
-    differ or a matrix is malformed; ImageError if a file is not an image; OSError.
+    Raises InputError, with the path, if the numbers of its files differ or a matrix is malformed;
+    OSError.
     """
     root = Path(root)
-    images = _files(root / "images", (".jpg", ".jpeg", ".png"))
-    depths = _files(root / "depth", (".png",))
-    K = parse_camera(str(root / "K.txt")).K
-    if abs(K[0, 1]) > 1e-6 * K[0, 0]:
-        raise InputError(f"{root / 'K.txt'}: K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
-    poses = _read_poses(root / "poses.txt")
+    folders = root / "images", root / "depth"
+    images, depths = ([f / name for name in search_images(f).names] for f in folders)
+    camera = parse_camera(str(root / "K.txt"))
+    path = root / "poses.txt"
+    with read_as("rows of 16 numbers", path):
+        poses = np.linalg.inv(np.array(read_text(path).split(), float).reshape(-1, 4, 4))
     if not len(images) == len(depths) == len(poses):
         counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
         raise InputError(f"{root}: {counts}; there must be as many of each")
-    frames = []
-    for line, (image, depth, pose) in enumerate(zip(images, depths, poses, strict=True), start=1):
-        _check_pose(pose, f"{root / 'poses.txt'}:{line}")
-        if image_size(image) != image_size(depth):
-            raise InputError(f"{depth} is not of the size of {image.name}")
-        frames.append(PosedFrame(image, Camera(K), np.linalg.inv(pose), depth))
-    return frames
+    parts = zip(images, poses, depths, strict=True)
+    return [PosedFrame(image, camera, pose, depth) for image, pose, depth in parts]
 
 
 def _read_listed(root: Path) -> list[PosedFrame]:
@@ -120,45 +122,13 @@ def _read_listed(root: Path) -> list[PosedFrame]:
             step = 1 / float(read_text(scale))
     frames = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
-        where = f"{path}:{number}"
-        name, *words = line.split() or [""]
-        with read_as("a name and 18 numbers", where):
-            values = np.array(words, float)
-            fx, fy, cx, cy = values[:4]
-            pose = np.vstack([values[4:16].reshape(3, 4), (0, 0, 0, 1)])
-            nearest, farthest = map(float, values[16:])
-        _check_pose(pose, where)
+        with read_as("a name and 18 numbers", f"{path}:{number}"):
+            name, *words = line.split()
+            K, Rt, (nearest, farthest) = np.split(np.array(words, float), (4, 16))
+            pose = np.vstack([Rt.reshape(3, 4), (0, 0, 0, 1)])
         if not 0 < nearest < farthest < np.inf:
-            raise InputError(f"{where}: the depths must be positive and rise, not {words[16:]}")
-        camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]))
-        frame = PosedFrame(root / "images" / name, camera, pose, reach=(nearest, farthest))
-        if step is not None:
-            depth = root / "depth" / f"{Path(name).stem}.png"
-            frame = replace(frame, depth=depth, step=step)
-        frames.append(frame)
+            raise InputError(f"{path}:{number}: the depths must be positive and rise")
+        image, depth = root / "images" / name, root / "depth" / f"{Path(name).stem}.png"
+        frame = PosedFrame(image, Camera(K), pose, reach=(nearest, farthest))
+        frames.append(frame if step is None else replace(frame, depth=depth, step=step))
     return frames
-
-
-def _check_pose(pose: np.ndarray, where: str) -> None:
-    if not is_rotation(pose[:3, :3]) or not np.allclose(pose[3], (0, 0, 0, 1), atol=1e-6):
-        raise InputError(f"{where}: a pose must be a rotation and a translation, [R t; 0 0 0 1]")
-
-
-def _read_poses(path: Path) -> np.ndarray:
-    """World-from-camera matrices (N, 4, 4) float64. Raises InputError with the path; OSError."""
-    try:
-        poses = np.array(read_text(path).split(), dtype=np.float64).reshape(-1, 4, 4)
-    except ValueError:
-        raise InputError(f"{path}: expected rows of 16 numbers") from None
-    if not np.isfinite(poses).all():
-        raise InputError(f"{path}: the numbers must be finite")
-    return poses
-
-
-def _files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder")
-    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
-    if not files:
-        raise InputError(f"{folder}: holds no {' or '.join(suffixes)}")
-    return files

@@ -1,29 +1,215 @@
-"""Pairs of views of posed frames: the map follows from the target's depth and the poses.
+"""Posed photographs of known depth on a device, and pairs of views cut from them.
 
-The counterpart of the paper's training on real 3D scenes. Pixels that the depths decide nothing
-about are not `MapPairs.known`.
+The map follows from the target's depth and the poses. Pixels that the depths decide nothing about
+are not `MapPairs.known`.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+import cv2
+import numpy as np
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
+from dgc_pose.errors import InputError
+from dgc_pose.files.outputs import replaced
+from dgc_pose.geometry.pixels import pixel_grid as centres
+from dgc_pose.images.image import load_image, resize_by
+from dgc_pose.network.weights import load_checkpoint
+from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.posed_scenes import FramePairs, PosedScenes
-from dgc_pose.training.views import Cameras, Shape, inside, middle_of, pixel_grid, root_area
-from dgc_pose.training.warped_pairs import rotation_2d
+from dgc_pose.training.plane_sweep import swept_depths
+from dgc_pose.training.posed_frames import PosedFrame
+from dgc_pose.training.views import (
+    Cameras,
+    Shape,
+    angle_deg,
+    inside,
+    middle_of,
+    pixel_grid,
+    root_area,
+    rotation_2d,
+)
 
-_AGREES = 0.03  # of the depth expected in the source: within this of it, the pixel is visible
+LONGEST = 512  # pixels of a frame's longer side in memory, at most
+_PROBE = (16, 20)  # rows and columns of points by which a frame's overlap with others is estimated
+_AGREES = 0.05  # of the depth, for such a point
+_VISIBLE = 0.03  # of the depth expected in the source: within this of it, the pixel is visible
 _HIDDEN = 0.07  # nearer by more, the pixel is occluded; else it is not known
+_LEAST_OVERLAP, _LEAST_RIGHT, _LEAST_POINTS = 0.2, 0.3, 12
+_MOST_ROLL_DEG = 50.0
+_MOST_COUNTED = 2000  # pairs: of more a scene's weight does not rise
 
 
-def posed_pairs(
-    scenes: PosedScenes, pairs: FramePairs, count: int, shape: Shape, draw: Draw
-) -> MapPairs:
+@dataclass(frozen=True)
+class PosedScenes:
+    """The frames of all scenes. A scene's unit of length is about its depth."""
+
+    names: tuple[str, ...]  # of the scenes
+    scene: Tensor  # (N,) int64, of each frame
+    bank: ImageBank  # of the frames, without lens distortion
+    cameras: Cameras  # of the bank's images
+    depth: Tensor  # (T,) float32, row by row, along the optical axis, 0: unknown
+    start: Tensor  # (N,) int64, a frame's first depth
+    size: Tensor  # (N, 2) int64, width and height of its depths, which cover the image
+
+    def depth_at(self, frame: Tensor, points: Tensor) -> Tensor:
+        """Depths (B, ...) of frames (B,) at points (B, ..., 2), pixels of the bank's images: those
+        of the nearest pixel, 0 outside and if unknown."""
+        wide = (len(frame),) + (1,) * (points.ndim - 2)
+        size, image = (part[frame].view(*wide, 2) for part in (self.size, self.bank.sizes[:, 0]))
+        x, y = ((points + 0.5) * (size / image)).floor().unbind(-1)
+        width, height = size.unbind(-1)
+        shown = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+        index = torch.where(shown, y * width + x, 0).long() + self.start[frame].view(wide)
+        return torch.where(shown, self.depth[index], 0.0)
+
+
+@dataclass(frozen=True)
+class FramePairs:
+    """Pairs of frames that share enough, of one or more scenes."""
+
+    scenes: PosedScenes
+    frames: Tensor  # (P, 2) int64, source and target
+    middles: Tensor  # (P, 2, 2), of what both show, pixels of the source and of the target
+    chance: Tensor  # (P,) float64, summed up, that a pair is drawn with
+
+
+def load_posed(
+    scenes: Mapping[str, Sequence[PosedFrame]], device: torch.device | str, kept: Path
+) -> PosedScenes:
+    """Read the frames of scenes; a plane sweep finds the depths of those without a sensor's.
+
+    kept: a folder with the depths that were swept before, a file a scene, or for those that are
+    found. Raises ImageError if a file cannot be read, InputError if a kept file is of other frames.
+    """
+    images: list[np.ndarray] = []
+    K: list[Tensor] = []
+    poses: list[Tensor] = []
+    depths: list[Tensor] = []
+    for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
+        pixels, pinholes, sensed = zip(*map(_prepared, frames), strict=True)
+        reach = np.array(
+            [f.reach or _reach(depth) for f, depth in zip(frames, sensed, strict=True)]
+        )
+        pose = np.stack([frame.cam_from_world for frame in frames])[:, :3]
+        # In single precision: about the cameras, and in units of the depth.
+        unit = np.median(np.sqrt(reach.prod(1)))
+        middle = -np.einsum("nij,ni->nj", pose[..., :3], pose[..., 3]).mean(0)
+        pose[..., 3] = (pose[..., 3] + pose[..., :3] @ middle) / unit
+        K.append(torch.from_numpy(np.stack(pinholes)).float().to(device))
+        poses.append(torch.from_numpy(pose).float().to(device))
+        images += pixels
+        if frames[0].depth is not None:
+            depths += [torch.from_numpy(depth / np.float32(unit)).to(device) for depth in sensed]
+            continue
+        path = kept / f"{name}.pt"
+        if not path.exists():
+            bounds = torch.from_numpy(reach / unit).float().to(device)
+            swept = swept_depths(ImageBank.of(pixels, device), Cameras(K[-1], poses[-1]), bounds)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with replaced(path) as temporary:
+                torch.save(swept, temporary)
+        found = load_checkpoint(path, device)
+        if len(found) != len(frames):
+            raise InputError(f"{path}: holds {len(found)} depths, and {name} {len(frames)} frames")
+        depths += found
+    counts = torch.tensor([depth.numel() for depth in depths], device=device)
+    return PosedScenes(
+        tuple(scenes),
+        torch.tensor([k for k, views in enumerate(K) for _ in views], device=device),
+        ImageBank.of(images, device),
+        Cameras(torch.cat(K), torch.cat(poses)),
+        torch.cat([depth.flatten() for depth in depths]),
+        counts.cumsum(0) - counts,
+        torch.tensor([depth.shape[::-1] for depth in depths], device=device),
+    )
+
+
+def _reach(depth: np.ndarray) -> tuple[float, float]:
+    """The least and the largest of the known depths."""
+    known = depth[depth > 0]
+    return (known.min(), known.max()) if len(known) else (1.0, 1.0)
+
+
+def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pixels, fx fy cx cy and depths (h, w), 0 if unknown, of a frame without its lens distortion,
+    LONGEST pixels at most."""
+    pixels = load_image(frame.image).pixels
+    height, width = pixels.shape[:2]
+    camera = replace(frame.camera, size=(width, height))
+    depth = np.zeros((1, 1), np.float32) if frame.depth is None else frame.read_depth()
+    if camera.distortion is not None:
+        ideal = replace(camera, distortion=None).normalise(centres((width, height)).reshape(-1, 2))
+        x, y = cv2.split(camera.project(ideal).reshape(height, width, 2).astype(np.float32))
+        pixels = cv2.remap(pixels, x, y, cv2.INTER_LINEAR)
+        if frame.depth is not None:
+            depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
+    pixels = resize_by(pixels, min(1.0, LONGEST / max(width, height)))
+    size = pixels.shape[1], pixels.shape[0]
+    if depth.shape[1] > size[0]:
+        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
+    K = camera.resized(size).K
+    return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth
+
+
+def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs | None:
+    """The pairs of some scenes: an overlap of 0.2 and more, the more often the more the view
+    changes; a scene weighs as the root of the number of its pairs. None without any."""
+    chosen = [k for k, name in enumerate(scenes.names) if name in names]
+    parts = [_scene_pairs(scenes, (scenes.scene == k).nonzero()[:, 0]) for k in chosen]
+    parts = [part for part in parts if len(part[0])]
+    if not parts:
+        return None
+    frames, middles, weights = map(torch.cat, zip(*parts, strict=True))
+    return FramePairs(scenes, frames, middles, weights.double().cumsum(0))
+
+
+def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Frames, middles and weights of the pairs of one scene's frames (n,)."""
+    count, size = len(frames), scenes.bank.size(frames)
+    steps = (torch.arange(n, device=size.device) / n + 0.5 / n for n in _PROBE[::-1])
+    grid = torch.stack(torch.meshgrid(*steps, indexing="xy"), -1).view(1, -1, 2)
+    points = grid * size[:, None] - 0.5
+    depth, cameras = scenes.depth_at(frames, points), scenes.cameras[frames]
+    known, place = depth > 0, cameras.unproject(points, depth)
+    pairs, middles, weights = [], [], []
+    for k, frame in enumerate(frames):  # of the source
+        seen, away = cameras[[k] * count].project(place)
+        there = scenes.depth_at(frame.expand(count), seen)
+        ahead = known & (away > 0)
+        compared = ahead & (there > 0)
+        agree = compared & ((there / away - 1).abs() < _AGREES)
+        agreeing = agree.sum(1)
+        right = agreeing / compared.sum(1).clamp(min=1)
+        shown = (ahead & inside(seen, size[k])).sum(1) / known.sum(1).clamp(min=1)
+        rays1, rays2 = place - cameras.centre[:, None], place - cameras.centre[k]
+        parallax = (angle_deg(rays1, rays2) * agree).sum(1) / agreeing.clamp(min=1)
+        R = cameras.pose[k, :, :3] @ cameras.pose[..., :3].mT
+        trace = R.diagonal(dim1=1, dim2=2).sum(1)
+        turn = torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
+        roll = torch.rad2deg(torch.atan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])).abs()
+        good = (shown * right > _LEAST_OVERLAP) & (right > _LEAST_RIGHT) & (roll < _MOST_ROLL_DEG)
+        good &= (agreeing >= _LEAST_POINTS) & (frames != frame)
+        change = parallax.maximum(0.5 * turn)
+        share = agree.float() / agreeing[:, None].clamp(min=1)
+        both = torch.stack([(part * share[..., None]).sum(1) for part in (seen, points)], 1)
+        pairs.append(torch.stack([frame.expand(count), frames], 1)[good])
+        middles.append(both[good])
+        weights.append((0.15 + change / 25).clamp(max=2.5)[good])
+    weight = torch.cat(weights)
+    weight = weight / weight.sum() * math.sqrt(min(len(weight), _MOST_COUNTED))
+    return torch.cat(pairs), torch.cat(middles), weight
+
+
+def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapPairs:
     """Random pairs of views of `shape`, cut from the frames: rolled, scaled down to 0.55 of the
     frame, about what both show.
 
@@ -31,8 +217,8 @@ def posed_pairs(
     agrees there. It is not visible if it projects outside, or well behind the source's depth. It is
     not known if the depth of either is missing, or the two contradict each other.
     """
-    place = draw.uniform(count).double() * pairs.chance[-1]
-    chosen = torch.searchsorted(pairs.chance, place).clamp(max=len(pairs) - 1)
+    scenes, place = pairs.scenes, draw.uniform(count).double() * pairs.chance[-1]
+    chosen = torch.searchsorted(pairs.chance, place).clamp(max=len(pairs.frames) - 1)
     source, target = pairs.frames[chosen].unbind(1)
     middle1, middle2 = pairs.middles[chosen].unbind(1)
     linear1, shift1 = _random_cuts(scenes.bank.size(source), middle1, shape, draw)
@@ -51,7 +237,7 @@ def posed_pairs(
     there, measured = scenes.depth_at(source, projected), depth > 0
     on_view = (expected > 1e-3 * depth) & inside(truth, shape)
     compared, ratio = on_view & (there > 0), there / expected
-    visible = measured & compared & ((ratio - 1).abs() < _AGREES)
+    visible = measured & compared & ((ratio - 1).abs() < _VISIBLE)
     known = measured & (visible | (compared & (ratio < 1 - _HIDDEN)) | ~on_view)
     return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, visible, known)
 

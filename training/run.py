@@ -2,39 +2,41 @@
 
 import json
 import math
+import platform
 import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from safetensors.torch import save
-from torch import Tensor, nn
+from torch import Tensor
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
+from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import COUNTER
 from dgc_pose.network.weights import load_checkpoint
-from dgc_pose.training.active_stage import ActiveStage
-from dgc_pose.training.card import card
-from dgc_pose.training.data import TRAINING
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.optimiser import moving_average, optimiser, rate_at
 from dgc_pose.training.options import TrainingOptions
-from dgc_pose.training.pairs import PairSource
-from dgc_pose.training.stages import SHAPES, StageName
-from dgc_pose.training.views import Shape
+from dgc_pose.training.pairs import TRAINING, PairSource
+from dgc_pose.training.stages import SHAPES, DecoderStage, EncoderStage, StageName
+from dgc_pose.version import version
 
-CHECKPOINT, LOG, DEPTHS = "checkpoint.pt", "log.jsonl", "depths.pt"
+CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
 _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
+_SAVE_SECONDS = 60.0  # between checkpoints
 _BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION_BATCH = 8
+_LARGEST_GRADIENT = 3.0  # norm over all parameters
 _HALF_MAX = torch.finfo(torch.float16).max
 
 Row = dict[str, Any]
@@ -58,6 +60,7 @@ class Trainer:
         resume: bool = False,
     ) -> None:
         self.options, self.out, self.data = options, Path(out), data
+        self.weights_path = self.out / f"{options.network}.safetensors"
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
             raise InputError(f"{path} exists already:", ArgumentName("resume"), "continues it")
@@ -70,88 +73,54 @@ class Trainer:
             initialise_from(options.init, net)
         if options.encoder is not None:
             initialise_encoder(options.encoder, net)
-        net.to(self.device).half_precision = options.half_precision or self.device.type == "cuda"
-        self._validation = {
-            name: self._validation_pairs(name, source)
-            for name, source in data.items()
-            if name != TRAINING
-        }
+        net.to(self.device).half_precision = self.device.type == "cuda"
+        self._validation = {name: self._validation_pairs(name) for name in data if name != TRAINING}
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
         self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
-        self._stage = self._enter(self._place(0.0)[0], net)
+        self._enter(self._place()[0], net)
         if path.exists():
             self._load(path, net)
 
     @property
-    def complete(self) -> bool:
-        return self.progress >= 1
-
-    @property
     def progress(self) -> float:
-        """The share of the whole run that is done, 0 to 1."""
-        if self.options.seconds is None:
-            assert self.options.steps is not None
+        """The share of the whole run that is done, 0 to 1 and more."""
+        if self.options.steps is not None:
             return self.step / self.options.steps
+        assert self.options.seconds is not None
         return self.elapsed / self.options.seconds
 
-    @property
-    def parameters(self) -> list[nn.Parameter]:
-        """Those that the present stage trains."""
-        return self._stage.parameters
+    def run(self) -> DGCNet:
+        """Train to the end, and write the weights, which are the averaged ones, and their card.
 
-    @property
-    def weights_path(self) -> Path:
-        """The file of a complete run's weights."""
-        return self.out / f"{self.options.network}.safetensors"
-
-    def run(self, seconds: float | None = None) -> DGCNet:
-        """Train to the end of the run, or for so many `seconds` more of it.
-
-        A line of progress goes to standard error every few steps. Returns the network by its
-        averaged weights, and writes them and their card if the run is complete. Raises DgcPoseError
-        if training has diverged.
+        A line of figures goes to standard error every few steps. Raises DgcPoseError if training
+        has diverged.
         """
-        end = math.inf if seconds is None else self.elapsed + seconds
-        last_saved = last_validated = last_row = self.elapsed
-        origin, pairs = time.perf_counter() - self.elapsed, 0
+        saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
-            # The first steps may spoil what later ones regain.
-            self._write({"stage": self._stage.name, "step": 0, "seconds": 0.0} | self.validate())
-        while not self.complete and self.elapsed < end:
-            figures, count = self.train_step()
-            pairs += count
+            self._write({}, validates=True)  # the first steps may spoil what later ones regain
+        while self.progress < 1:
+            figures = self.train_step()
             before, self.elapsed = self.elapsed, time.perf_counter() - origin
-            stage = self.stages[self._stage.name]
-            stage["seconds"] += self.elapsed - before
-            changes = self._place(self.progress)[0] != self._stage.name
-            done = self.complete or self.elapsed >= end
-            validates = done or changes
-            validates |= self.elapsed - last_validated > self.options.validate_seconds
-            if validates or self.step % _STEPS_A_ROW == 0:
-                row = self._row(figures, pairs / max(self.elapsed - last_row, 1e-9))
-                if validates:
-                    row |= self.validate()
-                    last_validated = self.elapsed
-                self._write(row)
-                pairs, last_row = 0, time.perf_counter() - origin
-                if done or self.elapsed - last_saved > self.options.save_seconds:
+            self.stages[self.stage]["seconds"] += self.elapsed - before
+            ends = self.progress >= 1 or self._place()[0] != self.stage
+            if ends or self.step % _STEPS_A_ROW == 0:
+                self._write(figures, validates=ends)
+                if ends or self.elapsed - saved > _SAVE_SECONDS:
                     self.save()
-                    last_saved = self.elapsed
-        net = self._stage.average.finished()
-        if self.complete:
-            save_weights(net, self.weights_path)
-            text = card(self.options, self.data, self.device, self.stages)
-            write_text(self.weights_path.with_suffix(".md"), text)
+                    saved = self.elapsed
+        net = self.average.finished()
+        save_weights(net, self.weights_path)
+        text = _card(self.options, self.data[TRAINING], self.device, self.stages)
+        write_text(self.weights_path.with_suffix(".md"), text)
         return net
 
-    def train_step(self) -> tuple[dict[str, Tensor], int]:
-        """One optimiser step: its loss and figures, still on the device, and its pairs."""
-        name, within = self._place(self.progress)
-        if name != self._stage.name:
-            self._stage = self._enter(name, self._stage.average.finished())
-        self._learning_rate = self._stage.set_rate(within)
+    def train_step(self) -> dict[str, Tensor]:
+        """One optimiser step; its figures, still on the device."""
+        name, within = self._place()
+        if name != self.stage:
+            self._enter(name, self.average.finished())
         draw = Draw(self.device, self.options.seed, name, self.step)
         shapes = SHAPES[name] if self.options.config.any_shape else (_SQUARE,)
         shape = shapes[self.step % len(shapes)]
@@ -159,25 +128,32 @@ class Trainer:
         batch = self.options.batch or usual
         count = max(1, batch * INPUT_SIZE**2 // (shape[0] * shape[1]))
         pairs = self.data[TRAINING].make(count, shape, draw)
-        loss, figures = self._stage.module(pairs, draw, within)
-        norm = self._stage.step(loss)
+        loss, figures = self.module(pairs, draw, within)
+        rate = self.options.rate * rate_at(within)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate * group["share"]
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.module.parameters(), _LARGEST_GRADIENT)
+        self.optimizer.step()
+        self._average.update_parameters(self.module)
         self.step += 1
         self.stages[name]["steps"] += 1
         self.stages[name]["pairs"] += count
-        return {"loss": loss.detach(), "gradient": norm, **figures}, count
+        return {"rate": torch.tensor(rate), "loss": loss.detach(), "gradient": norm, **figures}
 
     @torch.no_grad()
-    def validate(self) -> Row:
-        """Figures of the averaged weights, as `validation`, by what validates."""
-        module, result = self._stage.average, {}
+    def validate(self) -> dict[str, dict[str, float]]:
+        """Figures of the averaged weights, by what validates."""
+        result = {}
         for kind, batches in self._validation.items():
             draw = Draw(self.device, "validation")
-            rows = [module(pairs, draw, 1.0)[1] for pairs in batches]
+            rows = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
             result[kind] = {
-                key: float(torch.stack([r[key] for r in rows]).mean()) for key in rows[0]
+                key: sum(float(row[key]) for row in rows) / len(rows) for key in rows[0]
             }
-        self.stages[self._stage.name]["figures"] = result
-        return {"validation": result}
+        self.stages[self.stage]["figures"] = result
+        return result
 
     def save(self) -> None:
         """Write the checkpoint, as tensors and plain values."""
@@ -186,8 +162,10 @@ class Trainer:
             "elapsed": self.elapsed,
             "step": self.step,
             "stages": self.stages,
-            "stage": self._stage.name,
-            **self._stage.state_dict(),
+            "stage": self.stage,
+            "module": self.module.state_dict(),
+            "average": self._average.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
         }
         with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
             torch.save(state, temporary)
@@ -195,75 +173,100 @@ class Trainer:
     def _load(self, path: Path, net: DGCNet) -> None:
         state = load_checkpoint(path, self.device)
         network = self.options.network
-        if not isinstance(state, dict) or "preset" not in state:
-            raise WeightsError(f"{path}: not the checkpoint of a run")
-        if state["preset"] != network:
-            raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
-        try:
-            self._stage = self._enter(state["stage"], net)
-            self._stage.load_state_dict(state)
+        with read_as(f"a checkpoint of the present {network}", path, WeightsError):
+            if state["preset"] != network:
+                raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
+            self._enter(state["stage"], net)
+            self.module.load_state_dict(state["module"])
+            self._average.load_state_dict(state["average"])
+            self.optimizer.load_state_dict(state["optimizer"])
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
             self.stages = dict(state["stages"])
-        except (RuntimeError, ValueError, KeyError, TypeError, AttributeError) as error:
-            raise WeightsError(f"{path}: its weights do not fit the present {network}") from error
 
-    def _enter(self, stage: StageName, net: DGCNet) -> ActiveStage:
+    @property
+    def average(self) -> EncoderStage | DecoderStage:
+        """The stage's module by its averaged weights, in evaluation mode."""
+        return cast(EncoderStage | DecoderStage, self._average.module)
+
+    def _enter(self, stage: StageName, net: DGCNet) -> None:
+        self.stage = stage
         self.stages[stage] = {"steps": 0, "pairs": 0, "seconds": 0.0, "figures": {}}
-        return ActiveStage(stage, net, self.options)
+        self.module = EncoderStage(net) if stage == "encoder" else DecoderStage(net)
+        self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.module.train()
+        self.optimizer = optimiser(self.module)
+        self._average = moving_average(self.module)
 
-    def _place(self, progress: float) -> tuple[StageName, float]:
-        """The stage at a run's progress (0 to 1) and the progress within that stage."""
+    def _place(self) -> tuple[StageName, float]:
+        """The stage by the run's progress, and the progress within that stage."""
         share = self.options.encoder_share if self.options.config.any_shape else 0.0
-        if progress < share or share == 1:
-            return "encoder", progress / share
-        return "decoders", (progress - share) / (1 - share)
+        if self.progress < share or share == 1:
+            return "encoder", self.progress / share
+        return "decoders", (self.progress - share) / (1 - share)
 
-    def _validation_pairs(self, name: str, source: PairSource) -> list[MapPairs]:
+    def _validation_pairs(self, name: str) -> list[MapPairs]:
         """The same pairs for every run."""
         draw = Draw(self.device, "validation", name)
-        shape: Shape = (208, 272) if name == "posed" and self.options.config.any_shape else _SQUARE
+        shape = (208, 272) if name == "posed" and self.options.config.any_shape else _SQUARE
         batch = min(_VALIDATION_BATCH, self.options.validation_count)
         batches = range(self.options.validation_count // batch)
-        return [source.make(batch, shape, draw) for _ in batches]
+        return [self.data[name].make(batch, shape, draw) for _ in batches]
 
-    def _write(self, row: Row) -> None:
-        print(progress_line(row), file=sys.stderr, flush=True)
+    def _write(self, figures: Mapping[str, Tensor], validates: bool) -> None:
+        """A row of the log. Raises DgcPoseError if a step has diverged, before it is saved."""
+        numbers = {name: float(value) for name, value in figures.items()}
+        if not math.isfinite(numbers.get("loss", 0) + numbers.get("gradient", 0)):
+            raise DgcPoseError(
+                f"{self.out}: the loss or its gradient is no number at step {self.step} of the "
+                f"{self.stage} stage; the checkpoint is from before"
+            )
+        stage = self.stages[self.stage]
+        numbers["pairs_per_second"] = stage["pairs"] / max(stage["seconds"], 1e-9)
+        row: Row = {"stage": self.stage, "step": self.step, "seconds": self.elapsed, **numbers}
+        place = f"{self.stage} step {self.step}, {self.elapsed:.0f} s"
+        print(f"{place}  {_text(numbers)}", file=sys.stderr)
+        if validates:
+            row["validation"] = self.validate()
+            for kind, found in row["validation"].items():
+                print(f"    validation, {kind}:  {_text(found)}", file=sys.stderr)
         path = self.out / LOG
         with writing(path), path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
 
-    def _row(self, figures: dict[str, Tensor], pairs_per_second: float) -> Row:
-        """Raises DgcPoseError if a step has diverged, before anything of it is saved."""
-        stage = self._stage.name
-        row: Row = {
-            "stage": stage,
-            "step": self.step,
-            "seconds": self.elapsed,
-            "rate": self._learning_rate,
-            "pairs_per_second": pairs_per_second,
-            **{name: float(value) for name, value in figures.items()},
-        }
-        if not (math.isfinite(row["loss"]) and math.isfinite(row["gradient"])):
-            raise DgcPoseError(
-                f"{self.out}: the loss or its gradient is no number at step {self.step} of the "
-                f"{stage} stage; the checkpoint is from before"
-            )
-        return row
+
+def _text(figures: Mapping[str, float]) -> str:
+    """Figures for people."""
+    return "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
 
 
-def progress_line(row: Row) -> str:
-    """A row of the log for people."""
-    figures = {k: v for k, v in row.items() if k.startswith(("loss", "found", "agreed", "epe"))}
-    text = f"{row['seconds']:7.0f} s  {row['stage']:8s} step {row['step']:6d}"
-    if figures:
-        text += f"  {row['pairs_per_second']:.1f} pairs/s  " + _joined(figures)
-    for kind, validated in row.get("validation", {}).items():
-        text += f"\n    validation, {kind}:  " + _joined(validated)
-    return text
-
-
-def _joined(figures: Mapping[str, float]) -> str:
-    return "  ".join(f"{name} {value:.3f}" for name, value in figures.items())
+def _card(
+    options: TrainingOptions, training: PairSource, device: torch.device, stages: Mapping[str, Row]
+) -> str:
+    """Of weights: what they were trained on, how, and on what machine. Markdown."""
+    photos, posed = training.photos, "none"
+    if training.posed is not None:
+        scenes = training.posed.scenes
+        posed = f"{len(scenes.scene)} of {len(scenes.names)} scenes ({', '.join(scenes.names)}), "
+        posed += f"{len(training.posed.frames)} pairs train"
+    threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
+    is_gpu = device.type == "cuda"
+    rows = {
+        **{name: value for name, value in vars(options).items() if value not in (None, ())},
+        "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
+        "posed photographs": posed,
+        "hardware": torch.cuda.get_device_name(device) if is_gpu else threads,
+        "made by": f"dgc-pose {version()}, torch {torch.__version__}",
+        "chosen": "nothing: the moving average of the last step's weights is stored",
+    }
+    lines = [f"# {options.network}", "", "| | |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for name, value in rows.items()]
+    for name, stage in stages.items():
+        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds."
+        lines += ["", f"## {name}", "", done, "", "| validation | figures |", "|---|---|"]
+        for kind, figures in stage["figures"].items():
+            text = ", ".join(f"{key} {value:.3f}" for key, value in figures.items())
+            lines.append(f"| {kind} | {text} |")
+    return "\n".join(lines) + "\n"
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:

@@ -16,6 +16,7 @@ from dgc_pose.network.net import DGCNet, l2_normalise, normalise, upsample
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.losses import (
     absolute_map_loss,
+    chosen_cells,
     likelihood_loss,
     map_loss,
     mask_loss,
@@ -58,9 +59,7 @@ class EncoderStage(nn.Module):
             level.requires_grad_(False)
         scales = net.get_buffer("correlation_scales").log()
         # Of the correlated levels, then of strides 8 and 4 alone.
-        self.log_scales = nn.Parameter(
-            torch.cat([scales, torch.full_like(scales[:1], 3).repeat(2)])
-        )
+        self.log_scales = nn.Parameter(torch.cat([scales, scales.new_full((2,), 3)]))
 
     def forward(self, pairs: MapPairs, draw: Draw, progress: float) -> Loss:
         """The loss of a batch, and the shares of cells found."""
@@ -69,16 +68,10 @@ class EncoderStage(nn.Module):
         size = [STRIDE * max(2, round(side * ratio / STRIDE)) for side in images.shape[2:]]
         small = F.interpolate(images, size, mode="bilinear", antialias=True)
         full = self._coarse(images)
-        resampled = [
-            F.interpolate(low, level.shape[2:], mode="bilinear")
-            for low, level in zip(self._coarse(small), full, strict=True)
-        ]
-        length = sum(
-            (level.norm(dim=1).mean() / _LONGEST - 1).clamp(min=0) ** 2 for level in full[1:]
-        )
         (s2, t2), (s3, t3), (s4, t4) = (l2_normalise(level).chunk(2) for level in full)
         _, (s3_small, t3_small), (s4_small, t4_small) = (
-            l2_normalise(level).chunk(2) for level in resampled
+            l2_normalise(F.interpolate(low, level.shape[2:], mode="bilinear")).chunk(2)
+            for low, level in zip(self._coarse(small), full, strict=True)
         )
         scales = self.log_scales.exp().clamp(max=_LARGEST_SCALE)
         evidence = match_evidence([s4, s3], [t4, t3], scales[:2])
@@ -86,15 +79,16 @@ class EncoderStage(nn.Module):
         for source, target in (([s4_small, s3_small], [t4, t3]), ([s4, s3], [t4_small, t3_small])):
             pooled = pooled.maximum(match_evidence(source, target, scales[:2]))
         grids = {4: _grid(s2), 8: _grid(s3), 16: _grid(s4)}
-        truths = {
-            stride: _flat(*level_truth(pairs.map, pairs.valid, grid[0]))
-            for stride, grid in grids.items()
-        }
+        truths = {}
+        for stride, grid in grids.items():
+            truth, valid = level_truth(pairs.map, pairs.valid, grid[0])
+            truths[stride] = truth.flatten(1, 2), valid.flatten(1, 2)
         chosen = random_cells(truths[4][1], _QUERIES, draw)
-        place = truths[4][0].gather(1, chosen[..., None].expand(-1, -1, 2))
-        truths[4] = place, truths[4][1].gather(1, chosen)
+        truths[4] = chosen_cells(truths[4], chosen)
         queries = t2.flatten(2).gather(2, chosen[:, None].expand(-1, t2.shape[1], -1))
-        total = 0.5 * window_loss(s2, t2, truths[8], draw, _WINDOW_QUERIES) + _DRIFT * length
+        lengths = (level.norm(dim=1).mean() / _LONGEST - 1 for level in full[1:])
+        total = 0.5 * window_loss(s2, t2, truths[8], draw, _WINDOW_QUERIES)
+        total = total + _DRIFT * sum(length.clamp(min=0) ** 2 for length in lengths)
         figures = {}
         for name, weight, stride, likely in (
             ("found16", 0.5, 16, match_scores(evidence) / 2),
@@ -144,81 +138,67 @@ class DecoderStage(nn.Module):
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         with torch.no_grad():
             features = self.net.features(images.contiguous(memory_format=torch.channels_last))
-        halves = [feature.chunk(2) for feature in features]
-        source, target = [half[0] for half in halves], [half[1] for half in halves]
+        source, target = map(list, zip(*(level.chunk(2) for level in features), strict=True))
         own = self.net.config.any_shape
         share = max(0.0, 0.3 * (1 - 1.5 * progress)) if own else 0.0
         noisy = draw.chance(len(pairs.map), 1, 1, 1, share=share)
         corner = [draw.choice(range(side // 4 + 1)) for side in shape]
-        state = self.net.start(
-            self.net.correlate(source, target), source[COARSEST], target[COARSEST]
-        )
-        window = _window(COARSEST, shape, corner)
-        total, error = self._level_loss(COARSEST, state, pairs, window)
+        correlation = self.net.correlate(source, target)
+        state = self.net.start(correlation, source[COARSEST], target[COARSEST])
+        truth = _at_level(pairs, COARSEST, _window(COARSEST, shape, corner))
+        total, error = self._level_loss(COARSEST, state, truth)
         figures = {f"epe{LEVEL_SIZES[COARSEST]}": error}
         for level in range(COARSEST - 1, -1, -1):
-            window = _window(level, shape, corner)
+            rows, columns = window = _window(level, shape, corner)
+            truth = _at_level(pairs, level, window)
             previous = upsample(state.detach() if own else state)
             if level == 1:
-                previous = previous[:, :, window[0], window[1]]
+                previous = previous[:, :, rows, columns]
             if share:
-                noised = self._noisy_truth(level, previous, pairs, window, draw)
+                noised = self._noisy_truth(level, previous, truth, draw)
                 previous = torch.where(noisy, noised, previous)
             warped = self.net.warp(source[level], previous)
-            seen = target[level][:, :, window[0], window[1]]
+            seen = target[level][:, :, rows, columns]
             state = self.net.refine(level, warped, seen, previous, window, _grid(source[level]))
-            part, error = self._level_loss(level, state, pairs, window)
+            part, figures[f"epe{LEVEL_SIZES[level]}"] = self._level_loss(level, state, truth)
             total = total + part
-            figures[f"epe{LEVEL_SIZES[level]}"] = error
         if self.net.config.matchability == "network":
-            rows, columns = window
-            valid, known = pairs.valid[:, rows, columns], pairs.known[:, rows, columns]
-            total = total + mask_loss(self.net.mask(warped, seen), valid, known)
+            total = total + mask_loss(self.net.mask(warped, seen), truth.valid, truth.known)
         return total, figures
 
-    def _level_loss(
-        self, level: int, state: Tensor, pairs: MapPairs, window: Window
-    ) -> tuple[Tensor, Tensor]:
+    def _level_loss(self, level: int, state: Tensor, truth: MapPairs) -> tuple[Tensor, Tensor]:
         """The loss of a level's state, and its mean error in pixels."""
-        config = self.net.config
-        rows, size = pairs.map.shape[1] >> level, (pairs.map.shape[2], pairs.map.shape[1])
-        truth, valid = level_truth(pairs.map, pairs.valid, rows)
-        truth, valid = truth[:, window[0], window[1]], valid[:, window[0], window[1]]
+        config, size = self.net.config, _grid(truth.image1)[::-1]
         points = to_pixels(state[:, :2].movedim(1, -1), size, config.align_corners)
         # 0 elsewhere, so that undefined values of the truth reach no gradient.
-        error = torch.where(valid[..., None], points - truth, 0)
+        error = torch.where(truth.valid[..., None], points - truth.map, 0)
         distance = error.detach().norm(dim=-1)
         if config.any_shape:
-            total = map_loss(error / 2**level, valid)
+            total = map_loss(error / 2**level, truth.valid)
         else:
-            total = absolute_map_loss(2 * error / error.new_tensor(size), valid)
+            total = absolute_map_loss(2 * error / error.new_tensor(size), truth.valid)
         if config.matchability == "decoder":
             # Matchable: visible, with an error that the next level (or, at the finest, an
             # estimator) can use.
-            good = valid & (distance < max(4.0, 1.5 * 2**level))
-            known = level_known(pairs.known, rows)[:, window[0], window[1]]
-            total = total + mask_loss(state[:, 2:], good, known)
-        return total, masked_mean(distance, valid)
+            good = truth.valid & (distance < max(4.0, 1.5 * 2**level))
+            total = total + mask_loss(state[:, 2:], good, truth.known)
+        return total, masked_mean(distance, truth.valid)
 
-    def _noisy_truth(
-        self, level: int, previous: Tensor, pairs: MapPairs, window: Window, draw: Draw
-    ) -> Tensor:
+    def _noisy_truth(self, level: int, previous: Tensor, truth: MapPairs, draw: Draw) -> Tensor:
         """The true map plus smooth noise of up to two cells, with the previous mask channel.
 
         The previous map plus that noise for cells of unknown truth.
         """
-        config = self.net.config
-        batch, _, height, width = previous.shape
-        rows, size = pairs.map.shape[1] >> level, (pairs.map.shape[2], pairs.map.shape[1])
-        coarse = draw.normal(batch, 2, max(2, height // 4), max(2, width // 4))
-        smooth = F.interpolate(coarse, (height, width), mode="bicubic", align_corners=False)
+        align_corners, size = self.net.config.align_corners, _grid(truth.image1)[::-1]
+        batch, _, *sides = previous.shape
+        coarse = draw.normal(batch, 2, *(max(2, side // 4) for side in sides))
+        smooth = F.interpolate(coarse, sides, mode="bicubic", align_corners=False)
         extent = draw.uniform(batch, 1, 1, 1, low=0.2, high=1.5)
         noise = (smooth * extent).movedim(1, -1) * 2**level
-        truth = level_truth(pairs.map, pairs.valid, rows)[0][:, window[0], window[1]]
-        known = level_known(pairs.known, rows)[:, window[0], window[1], None]
-        points = to_pixels(previous.detach()[:, :2].movedim(1, -1), size, config.align_corners)
-        bounded = (torch.where(known, truth, points) + noise).clamp(-2 * max(size), 3 * max(size))
-        noised = to_normalised(bounded, size, config.align_corners)
+        points = to_pixels(previous.detach()[:, :2].movedim(1, -1), size, align_corners)
+        noisy = torch.where(truth.known[..., None], truth.map, points) + noise
+        bounded = noisy.clamp(-2 * max(size), 3 * max(size))
+        noised = to_normalised(bounded, size, align_corners)
         return torch.cat([noised.movedim(-1, 1), previous[:, 2:].detach()], 1)
 
     def finished(self) -> DGCNet:
@@ -226,9 +206,12 @@ class DecoderStage(nn.Module):
         return self.net
 
 
-def _flat(truth: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
-    """Cells (B, h, w, 2) and (B, h, w) in one row."""
-    return truth.flatten(1, 2), valid.flatten(1, 2)
+def _at_level(pairs: MapPairs, level: int, window: Window) -> MapPairs:
+    """The pairs with the truth about the part of a level that is decoded, pixels of the views."""
+    rows = pairs.map.shape[1] >> level
+    parts = *level_truth(pairs.map, pairs.valid, rows), level_known(pairs.known, rows)
+    truth, valid, known = (part[:, window[0], window[1]] for part in parts)
+    return pairs._replace(map=truth, valid=valid, known=known)
 
 
 def _similarity(source: Tensor, target: Tensor, scale: Tensor) -> Tensor:

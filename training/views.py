@@ -39,7 +39,7 @@ class Cameras:
         """(B, 3), world."""
         return -(self.pose[..., :3].mT @ self.pose[..., 3:])[..., 0]
 
-    def __getitem__(self, which: Tensor | slice) -> Cameras:
+    def __getitem__(self, which: Tensor | slice | list[int]) -> Cameras:
         return Cameras(self.K[which], self.pose[which])
 
     def seen_by(self, other: Cameras) -> Cameras:
@@ -83,7 +83,18 @@ def about_axis(angle: Tensor, axis: int) -> Tensor:
     return turn
 
 
-def pixel_grid(shape: Shape, device: torch.device) -> Tensor:
+def rotation_2d(angle: Tensor) -> Tensor:
+    """Rotations (B, 2, 2) by angles (B,), radians."""
+    return about_axis(angle, 2)[:, :2, :2]
+
+
+def angle_deg(rays1: Tensor, rays2: Tensor) -> Tensor:
+    """Angles (...), degrees, between rays (..., 3)."""
+    cosine = torch.nn.functional.cosine_similarity(rays1, rays2, dim=-1)
+    return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
+
+
+def pixel_grid(shape: tuple[int, ...], device: torch.device) -> Tensor:
     """The pixels' centres (H, W, 2)."""
     y, x = (torch.arange(side, dtype=torch.float32, device=device) for side in shape)
     return torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)
@@ -99,7 +110,7 @@ def root_area(shape: Shape) -> float:
     return math.sqrt(shape[0] * shape[1])
 
 
-def inside(points: Tensor, size: Tensor | Shape) -> Tensor:
+def inside(points: Tensor, size: Tensor | tuple[int, ...]) -> Tensor:
     """Which points (..., 2), pixels, lie in an image, its outer edges included.
 
     size: (..., 2), width and height, or the shape of a view.

@@ -10,7 +10,7 @@ from dgc_pose.training.bank import spacing
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.views import Shape, inside, middle_of, pixel_grid, root_area
+from dgc_pose.training.views import Shape, inside, middle_of, pixel_grid, root_area, rotation_2d
 
 _FARTHEST = 20.0  # times farther than its middle, where a view's plane ends
 _OCCLUDED = 0.3  # share of the views with an occluder
@@ -26,16 +26,17 @@ def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bo
     known where the target shows what lies outside of its photograph.
     """
     bank = photos.bank
-    source, target = photos.places_drawn(count, draw) if light else photos.drawn(count, draw)
+    if light:
+        source, target = photos.places_drawn(count, draw)
+    else:
+        source = target = draw.integers(count, count=photos.single)
     to_source, to_target = _random_views(bank.size(target), shape, draw)
     pixels = pixel_grid(shape, draw.device).expand(count, -1, -1, -1)
     in_target = _apply(to_target, pixels)[0]
     bend = 0.07 * draw.uniform(count, 1, 1, 1) * draw.chance(count, 1, 1, 1, share=_BENT)
     knots = F.interpolate(draw.normal(count, 2, 5, 5), shape, mode="bicubic", align_corners=False)
-    in_target = (
-        in_target
-        + bend * root_area(shape) * spacing(in_target)[..., None] * knots.movedim(1, -1) / 2
-    )
+    reach = bend * root_area(shape) * spacing(in_target)[..., None]
+    in_target = in_target + reach * knots.movedim(1, -1) / 2
     found, depth = _apply(torch.linalg.inv_ex(to_source).inverse, in_target)
     truth = torch.where(depth[..., None] > 1 / _FARTHEST, found, _AWAY).clamp(-_AWAY, _AWAY)
     in_source = _apply(to_source, pixels)[0]
@@ -49,7 +50,7 @@ def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bo
     return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, valid, known)
 
 
-def _random_views(size: Tensor, shape: Shape, draw: Draw) -> tuple[Tensor, Tensor]:
+def _random_views(size: Tensor, shape: Shape, draw: Draw) -> list[Tensor]:
     """Homographies (B, 3, 3) from pixels of the source and of the target view to pixels of the
     photographs, whose width and height are `size` (B, 2)."""
     count, extent = len(size), size.new_tensor(shape[::-1]) / root_area(shape)
@@ -76,20 +77,13 @@ def _random_views(size: Tensor, shape: Shape, draw: Draw) -> tuple[Tensor, Tenso
         tilt = tilt + 0.04 * draw.normal(count, 2)
         # The view's corners stay on this side of the horizon.
         tilt = tilt * (0.62 / (tilt.abs() * extent).sum(1).clamp(min=0.62))[:, None]
-        views.append(_homography(linear, centre, tilt, shape))
-    return views[0], views[1]
-
-
-def _homography(linear: Tensor, centre: Tensor, tilt: Tensor, shape: Shape) -> Tensor:
-    """From pixels of a view: centre + linear u / (1 + tilt u), where u is 0 in the middle of the
-    view and its sides are 2 if it is square."""
-    upper = torch.cat([linear + centre[..., None] * tilt[:, None], centre[..., None]], -1)
-    matrix = torch.cat([upper, F.pad(tilt, (0, 1), value=1.0)[:, None]], 1)
+        # centre + linear u / (1 + tilt u); u is 0 in the middle of the view, whose area is 4
+        upper = torch.cat([linear + centre[..., None] * tilt[:, None], centre[..., None]], -1)
+        views.append(torch.cat([upper, F.pad(tilt, (0, 1), value=1.0)[:, None]], 1))
     scale = 2 / root_area(shape)
-    shift = -scale * middle_of(shape, matrix.device)
-    units = torch.diag_embed(matrix.new_tensor([scale, scale, 1.0]))
-    units[:2, 2] = shift
-    return matrix @ units
+    units = torch.diag(size.new_tensor([scale, scale, 1.0]))
+    units[:2, 2] = -scale * middle_of(shape, draw.device)
+    return [view @ units for view in views]
 
 
 def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
@@ -114,16 +108,8 @@ def occluded(
     angle = torch.atan2(offset[..., 1], offset[..., 0])
     edge = 1 - 0.25 * torch.sin(3 * angle + draw.uniform(count, 1, 1, high=2 * math.pi))
     hidden = (offset.norm(dim=-1) < edge) & draw.chance(count, 1, 1, share=share)
-    other, _ = photos.drawn(count, draw)
+    other = draw.integers(count, count=photos.single)
     size = photos.bank.size(other)[:, None, None]
-    points = size / 2 + 0.4 * size.amin(-1, keepdim=True) * (
-        place + draw.uniform(count, 1, 1, 2, low=-0.2, high=0.2)
-    )
-    patch = photos.bank.view(other, points)
-    return torch.where(hidden[..., None], patch, images), hidden
-
-
-def rotation_2d(angle: Tensor) -> Tensor:
-    """Rotations (B, 2, 2) by angles (B,), radians."""
-    cos, sin = angle.cos(), angle.sin()
-    return torch.stack([cos, -sin, sin, cos], -1).view(-1, 2, 2)
+    shift = draw.uniform(count, 1, 1, 2, low=-0.2, high=0.2)
+    points = size / 2 + 0.4 * size.amin(-1, keepdim=True) * (place + shift)
+    return torch.where(hidden[..., None], photos.bank.view(other, points), images), hidden

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
 
 from dgc_pose.geometry.homography import homography_poses
 from dgc_pose.geometry.triangulation import depths
@@ -14,8 +13,13 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.light import other_light
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.room_pairs import RoomOptions, random_textures
-from dgc_pose.training.rooms import RoomPairs, Rooms, render_pairs
+from dgc_pose.training.room_pairs import (
+    RoomOptions,
+    RoomPairs,
+    Rooms,
+    random_textures,
+    render_pairs,
+)
 from dgc_pose.training.views import Cameras, inside, middle_of, pixel_grid
 
 # Heights of the reliefs, in widths of the plane that view 1 sees
@@ -53,7 +57,7 @@ def plane_pair(photos: Photos, size: int, draw: Draw, relief: float) -> RoomPair
     rooms = _wall(photos, draw, tile, relief)
     pair = render_pairs(rooms, first, second, (size, size), photos.bank)
     views = other_light(torch.cat([pair.maps.image1, pair.maps.image2]), draw)
-    return replace(pair, maps=replace(pair.maps, image1=views[:1], image2=views[1:]))
+    return replace(pair, maps=pair.maps._replace(image1=views[:1], image2=views[1:]))
 
 
 def _cameras(draw: Draw, size: int) -> tuple[Cameras, Cameras]:
@@ -93,10 +97,10 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     half_z = torch.where(height > 0, half_z, _BEHIND / 2)
     middle_z = torch.where(torch.arange(len(height)) < _BOXES, _BEHIND - height, 0 * height) / 2
     middle_z = torch.where(height > 0, middle_z, _BEHIND)
-    centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), _with(solids, middle_z)])
-    half = torch.cat(
-        [torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3), _with(sides, half_z)]
-    )
+    solid_centres = torch.column_stack([solids, middle_z])
+    centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), solid_centres])
+    tile_half = torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3)
+    half = torch.cat([tile_half, torch.column_stack([sides, half_z])])
     options = RoomOptions(spans=((tile, tile * 1.001), (tile, tile * 1.001)))
     photo, span, origin, weight, gain = random_textures(1, 1 + count, photos, draw, options)
     return Rooms(
@@ -110,10 +114,6 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
         gain,
         _DOMES,
     )
-
-
-def _with(points: Tensor, z: Tensor) -> Tensor:
-    return torch.cat([points, z[:, None]], -1)
 
 
 def _allows_two_poses(first: Cameras, second: Cameras, size: int, half_side: float) -> bool:
@@ -136,9 +136,8 @@ def _allows_two_poses(first: Cameras, second: Cameras, size: int, half_side: flo
         return False
     pose = second.seen_by(first).pose[0].double().numpy()
     R, t = pose[:, :3], pose[:, 3]
-    H = (
-        R + np.outer(t, first.pose[0, :, 2].double().numpy()) / away
-    )  # the plane: normal @ x1 = away
+    # The plane: normal @ x1 = away
+    H = R + np.outer(t, first.pose[0, :, 2].double().numpy()) / away
     x1, x2 = points1[shared], points2[shared]
     return any(
         max(rotation_error_deg(R2, R), translation_error_deg(t2, t)) > OTHER_DEG

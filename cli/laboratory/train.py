@@ -10,7 +10,7 @@ import click
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.files.outputs import only_writer
-from dgc_pose.system.options import check_options, option
+from dgc_pose.system.options import option
 from dgc_pose.training.options import TrainingOptions
 
 
@@ -34,14 +34,7 @@ class TrainFiles:
         (), "Name of a scene of --posed that validates and does not train; may be repeated."
     )
     resume: bool = option(False, "Continue the run in --out.")
-    stop_after: float | None = option(
-        None, "Stop after so many seconds; --resume continues the run.", above=0, max=10**9
-    )
     device: str = option("auto", "Where the network is trained: auto, cpu or cuda.")
-    threads: int | None = option(None, "CPU threads; default: torch's own choice.", min=1, max=1024)
-
-    def __post_init__(self) -> None:
-        check_options(self)
 
 
 @click.command()
@@ -54,28 +47,21 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     after any kill), log.jsonl, the depths found of posed photographs and, at the end, the weights
     as .safetensors with their card as .md.
     """
-    import torch
-
     from dgc_pose.network.weights import choose_device
-    from dgc_pose.training.data import load_data
-    from dgc_pose.training.run import DEPTHS, Trainer
+    from dgc_pose.training.pairs import load_data
+    from dgc_pose.training.run import Trainer
 
-    if files.threads is not None:
-        torch.set_num_threads(files.threads)
     device = choose_device(files.device)
     data = load_data(
         files.photos,
         files.light,
         files.posed,
+        depths=files.out / "depths",
         held=files.held,
         shares=options.shares,
         device=device,
-        depths=files.out / DEPTHS,
     )
     trainer = Trainer(data, files.out, options, device, files.resume)
     with only_writer(files.out):
-        trainer.run(files.stop_after)
-    if trainer.complete:
-        click.echo(f"wrote {trainer.weights_path}")
-    else:
-        click.echo(f"stopped after {trainer.step} steps, {trainer.progress:.0%} of the run")
+        trainer.run()
+    click.echo(f"wrote {trainer.weights_path}")

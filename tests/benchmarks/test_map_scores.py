@@ -14,9 +14,7 @@ from dgc_pose.benchmarks.map_scores import (
 )
 
 
-def comparison(
-    seed: int = 0, *, masked: bool = True, blind: bool = False, known: np.ndarray | None = None
-) -> Comparison:
+def comparison(seed: int = 0, *, masked: bool = True, blind: bool = False) -> Comparison:
     """A pair whose errors spread over the PCK thresholds, on small grids."""
     rng = np.random.default_rng(seed)
     levels = []
@@ -25,7 +23,7 @@ def comparison(
         valid = rng.random((cells, cells)) < (0.0 if blind else 0.7)
         levels.append(LevelMap(truth + rng.normal(0, 4, truth.shape), truth, valid))
     mask = rng.random((12, 12)) if masked else None
-    return Comparison(tuple(levels), mask, np.ones((12, 12), bool) if known is None else known)
+    return Comparison(tuple(levels), mask)
 
 
 def offsets(pair: Comparison) -> list[tuple[int, int, float, float]]:
@@ -64,17 +62,6 @@ def test_the_mask_is_scored_against_both_meanings() -> None:
     # A match is right within 3 px, and wrong where there is nothing.
     assert found.reliability is not None and found.reliability.counts.sum() == 144
     assert found.reliability.correct.sum() == sum(v <= 3 for v in near.values()) > 0
-
-
-def test_a_mask_is_not_judged_where_nothing_is_known() -> None:
-    pair = comparison()
-    known = pair.finest.valid | (np.arange(12) < 4)
-    found = score_map("net", "", "wall", comparison(known=known))
-    assert pair.matchability is not None
-    mask, valid = (pair.matchability > 0.5)[known], pair.finest.valid[known]
-    assert found.jaccard == pytest.approx((mask & valid).sum() / (mask | valid).sum())
-    assert found.jaccard > score_map("net", "", "wall", pair).jaccard
-    assert found.reliability is not None and found.reliability.counts.sum() == known.sum() < 144
 
 
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:

@@ -15,7 +15,7 @@ def _images() -> list[np.ndarray]:
 def test_samples_between_pixels_are_bilinear_ones_of_the_right_image() -> None:
     images, rng = _images(), np.random.default_rng(1)
     bank = ImageBank.of(images)
-    assert len(bank) == 2 and bank.size(torch.tensor(1)).tolist() == [17, 31]
+    assert len(bank.start) == 2 and bank.size(torch.tensor(1)).tolist() == [17, 31]
     for number, image in enumerate(images):
         points = (rng.random((50, 2)) * (image.shape[1] - 1, image.shape[0] - 1)).astype(np.float32)
         expected = cv2.remap(image.astype(np.float32), points[:, 0], points[:, 1], cv2.INTER_LINEAR)

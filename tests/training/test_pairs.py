@@ -8,19 +8,35 @@ from depth_folder import rendered, write_rgbd
 from photos import drawn_photos, write_photos
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.data import TRAINING, load_data
+from dgc_pose.training import pairs as pairs_module
 from dgc_pose.training.draw import Draw
+from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import Shares
-from dgc_pose.training.pairs import PairSource, round_up
+from dgc_pose.training.pairs import TRAINING, PairSource, load_data
+from dgc_pose.training.photos import Photos
+from dgc_pose.training.views import Shape
+from dgc_pose.training.warped_pairs import warped_pairs
 
 
-def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn() -> None:
-    for count, share in ((100, 0.08), (4, 0.2)):
-        numbers = [round_up(count * share, k / 50) - round_up(0, k / 50) for k in range(50)]
-        assert sum(numbers) / 50 == pytest.approx(count * share, abs=0.03)
+def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[int] = []
+
+    def counted(photos: Photos, count: int, shape: Shape, draw: Draw, light: bool) -> MapPairs:
+        made.append(count * light)
+        return warped_pairs(photos, count, shape, draw, light)
+
+    monkeypatch.setattr(pairs_module, "warped_pairs", counted)
+    for count, share, batches in ((25, 0.12, 8), (4, 0.2, 50)):
+        source = PairSource(drawn_photos(2, 16, places=1), shares=Shares(1 - share, share, 0, 0))
+        numbers = []
+        for k in range(batches):
+            made.clear()
+            assert len(source.make(count, (16, 16), Draw("cpu", k)).map) == count
+            numbers.append(sum(made))
+        assert sum(numbers) / batches == pytest.approx(count * share, abs=0.25)
         assert max(numbers) - min(numbers) <= 1
-        total = [round_up(count, k / 50) for k in range(50)]
-        assert total == [count] * 50
 
 
 def test_batches_repeat_and_are_of_the_shape_asked_for() -> None:
@@ -46,13 +62,14 @@ def test_held_scenes_validate_and_the_others_train(tmp_path: Path) -> None:
     write_photos(tmp_path / "photos", 40)
     for k, name in enumerate("ab"):
         write_rgbd(tmp_path / "posed" / name, rendered(3 + k, (96, 72)))
-    data = load_data(tmp_path / "photos", posed=[tmp_path / "posed"], held=["b"])
+    folders = {"photos": tmp_path / "photos", "posed": [tmp_path / "posed"]}
+    data = load_data(**folders, depths=tmp_path, held=["b"], shares=Shares())
     assert list(data) == [TRAINING, "photos", "rooms", "posed"]
-    training, validating = data[TRAINING].frames, data["posed"].frames
+    training, validating = data[TRAINING].posed, data["posed"].posed
     assert training is not None and validating is not None
     assert set(training.frames.flatten().tolist()) == {0, 1}
     assert set(validating.frames.flatten().tolist()) == {2, 3}
     for source in data.values():
         assert source.make(2, (48, 48), Draw("cpu", 0)).valid.any()
     with pytest.raises(InputError, match="there is no scene c"):
-        load_data(tmp_path / "photos", posed=[tmp_path / "posed"], held=["c"])
+        load_data(**folders, depths=tmp_path, held=["c"], shares=Shares())

@@ -38,7 +38,7 @@ def test_places_give_two_of_their_photographs(folder: Path, tmp_path: Path) -> N
             pixels = np.full((20 + place, 30, 3), 50 * place + 10 * k + 5, np.uint8)
             cv2.imwrite(str(tmp_path / f"light/{place}/{k}.png"), pixels)
     photos, _ = load_photos(folder, tmp_path / "light")
-    assert len(photos.bank) == photos.single + 5
+    assert len(photos.bank.start) == photos.single + 5
     first, second = photos.places_drawn(200, Draw("cpu", 0))
     places = [(k >= photos.single + 2) for k in (first, second)]
     assert torch.equal(*places) and 60 < int(places[0].sum()) < 140
@@ -52,5 +52,5 @@ def test_a_folder_without_any_is_named(folder: Path) -> None:
     for path in folder.glob("*.png"):
         if path.name != "p000.png":
             path.unlink()
-    with pytest.raises(ImageError, match="1 photographs, none of them held back"):
+    with pytest.raises(ImageError, match="1 photographs train and 0 are held back"):
         load_held_back(folder)

@@ -19,7 +19,7 @@ def test_depths_are_those_of_the_scene() -> None:
     poses = np.stack([np.column_stack([view.R, view.t]) for view in views])
     intrinsics = torch.tensor([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]).float().expand(5, 4)
     cameras = Cameras(intrinsics, torch.from_numpy(poses).float())
-    found = swept_depths(bank, cameras, list(range(5)), torch.tensor([[2.5, 9.0]]).expand(5, 2))
+    found = swept_depths(bank, cameras, torch.tensor([[2.5, 9.0]]).expand(5, 2))
     for k in (1, 2, 3):
         truth = multi_view.render(views[k].R, views[k].centre, textures, fine=1)[1]
         depth = found[k].numpy()
@@ -34,5 +34,5 @@ def test_a_frame_without_neighbours_has_no_depth() -> None:
     image = multi_view.render_views(1)[0].pixels
     cameras = Cameras(torch.tensor([[225.0, 226, 121, 87]] * 2), torch.eye(3, 4).expand(2, 3, 4))
     reach = torch.tensor([[1.0, 9.0]] * 2)
-    for depth in swept_depths(ImageBank.of([image, image]), cameras, [0, 1], reach):
+    for depth in swept_depths(ImageBank.of([image, image]), cameras, reach):
         assert not depth.any()

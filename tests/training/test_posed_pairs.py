@@ -16,8 +16,13 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
-from dgc_pose.training.posed_pairs import posed_pairs
-from dgc_pose.training.posed_scenes import FramePairs, PosedScenes, frame_pairs, load_posed
+from dgc_pose.training.posed_pairs import (
+    FramePairs,
+    PosedScenes,
+    frame_pairs,
+    load_posed,
+    posed_pairs,
+)
 
 SIZE = (240, 180)
 LEVELS = (50, 200)  # blue of either frame
@@ -33,7 +38,7 @@ def scenes(pair: RenderedPair, tmp_path_factory: pytest.TempPathFactory) -> Pose
     images = [coordinates(*SIZE, level) for level in LEVELS]
     folder = tmp_path_factory.mktemp("rgbd") / "walk"
     write_rgbd(folder, replace(pair, image1=images[0], image2=images[1]))
-    return load_posed({"walk": read_rgbd(folder)}, "cpu")
+    return load_posed({"walk": read_rgbd(folder)}, "cpu", folder / "depths")
 
 
 @pytest.fixture(scope="module")
@@ -45,9 +50,9 @@ def frames(scenes: PosedScenes) -> FramePairs:
 
 @pytest.mark.parametrize("shape", [(96, 96), (80, 144)])
 def test_the_map_is_the_reprojection_of_the_depth(
-    pair: RenderedPair, scenes: PosedScenes, frames: FramePairs, shape: tuple[int, int]
+    pair: RenderedPair, frames: FramePairs, shape: tuple[int, int]
 ) -> None:
-    pairs = posed_pairs(scenes, frames, 8, shape, Draw("cpu", shape))
+    pairs = posed_pairs(frames, 8, shape, Draw("cpu", shape))
     place = (2 * pairs.map + 1) / pairs.map.new_tensor(shape[::-1]) - 1
     sources = 255 * F.grid_sample(pairs.image1, place, align_corners=False).movedim(1, -1)
     targets = 255 * pairs.image2.movedim(1, -1)
@@ -71,13 +76,11 @@ def test_the_map_is_the_reprojection_of_the_depth(
     assert not (pairs.valid & ~pairs.known).any() and pairs.map.isfinite().all()
 
 
-def test_hidden_pixels_are_known_and_pixels_without_depth_are_not(
-    scenes: PosedScenes, frames: FramePairs
-) -> None:
-    pairs = posed_pairs(scenes, frames, 6, (96, 96), Draw("cpu", 1))
+def test_hidden_pixels_are_known_and_pixels_without_depth_are_not(frames: FramePairs) -> None:
+    pairs = posed_pairs(frames, 6, (96, 96), Draw("cpu", 1))
     assert pairs.known.float().mean() > 0.8 and (pairs.known & ~pairs.valid).float().mean() > 0.05
-    blind = replace(scenes, depth=torch.zeros_like(scenes.depth))
-    pairs = posed_pairs(blind, frames, 2, (96, 96), Draw("cpu", 1))
+    blind = replace(frames.scenes, depth=torch.zeros_like(frames.scenes.depth))
+    pairs = posed_pairs(replace(frames, scenes=blind), 2, (96, 96), Draw("cpu", 1))
     assert not pairs.known.any() and not pairs.valid.any()
 
 
@@ -86,7 +89,7 @@ def test_the_lens_is_undone(tmp_path: Path) -> None:
     camera = Camera(np.array([[200.0, 0, 118], [0, 200, 92], [0, 0, 1]]), distortion=lens)
     cv2.imwrite(str(tmp_path / "a.png"), coordinates(*SIZE, 0)[..., ::-1])
     frame = PosedFrame(tmp_path / "a.png", camera, np.eye(4), reach=(1.0, 2.0))
-    scenes = load_posed({"a": [frame]}, "cpu")
+    scenes = load_posed({"a": [frame]}, "cpu", tmp_path / "depths")
     points = torch.tensor([[118.0, 92], [40, 30], [200, 150]])
     found = 255 * scenes.bank.sample(torch.tensor(0), points, torch.ones(3))[:, :2]
     normalised = (points.double().numpy() - (118, 92)) / 200
@@ -108,7 +111,7 @@ def _wall(folder: Path, count: int, step: float) -> list[PosedFrame]:
 
 
 def test_pairs_share_enough_and_far_ones_are_likelier(tmp_path: Path) -> None:
-    pairs = frame_pairs(load_posed({"wall": _wall(tmp_path, 10, 0.4)}, "cpu"), ["wall"])
+    pairs = frame_pairs(load_posed({"wall": _wall(tmp_path, 10, 0.4)}, "cpu", tmp_path), ["wall"])
     assert pairs is not None
     apart = (pairs.frames[:, 0] - pairs.frames[:, 1]).abs()
     # A frame sees 3.2 of the wall across.
@@ -126,10 +129,10 @@ def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path: Path) -> None:
     for name in "ab":
         (tmp_path / name).mkdir()
     walls = {"a": _wall(tmp_path / "a", 4, 0.2), "b": _wall(tmp_path / "b", 10, 0.2)}
-    scenes = load_posed(walls, "cpu")
+    scenes = load_posed(walls, "cpu", tmp_path)
     pairs = frame_pairs(scenes, ["a", "b"])
     assert pairs is not None and frame_pairs(scenes, ["c"]) is None
     assert ((pairs.frames < 4).all(1) | (pairs.frames >= 4).all(1)).all()
     first = int((pairs.frames[:, 0] < 4).sum())
     ratio = float(pairs.chance[first - 1] / (pairs.chance[-1] - pairs.chance[first - 1]))
-    assert ratio == pytest.approx((first / (len(pairs) - first)) ** 0.5)
+    assert ratio == pytest.approx((first / (len(pairs.frames) - first)) ** 0.5)

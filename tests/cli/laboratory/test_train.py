@@ -1,5 +1,6 @@
 """`dgc-pose train`: a run from a folder of photographs, its progress line, and its refusals."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ from photos import write_photos
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
+from dgc_pose.training import run
+from dgc_pose.training.run import Trainer
 
 pytestmark = pytest.mark.slow
 
@@ -24,28 +27,39 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos: Path, tmp_path: 
     out = tmp_path / "run"
     write_rgbd(tmp_path / "posed", rendered(3, (96, 72)))
     words = ["train", "--photos", str(photos), "--posed", str(tmp_path / "posed")]
-    words += ["--out", str(out), "--seconds", "1", "--batch", "1", "--threads", "1"]
+    words += ["--out", str(out), "--seconds", "1", "--batch", "1"]
     words += ["--validation-pairs", "1"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.stderr
     assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
     assert "2 of 1 scenes (posed), 2 pairs train" in (out / "dgcm-lite0.md").read_text()
-    assert all(word in done.stderr for word in ("pairs/s", "loss", "validation"))
+    assert all(word in done.stderr for word in ("pairs_per_second", "loss", "validation"))
     refused = CliRunner().invoke(main, words)
     assert refused.exit_code == 2 and "--resume" in refused.stderr
 
 
-def test_an_ablation_gives_its_name_to_the_weights(photos: Path, tmp_path: Path) -> None:
+def test_an_ablation_gives_its_name_to_the_weights(
+    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "run"
     words = ["train", "--photos", str(photos), "--out", str(out), "--steps", "3", "--batch", "1"]
     words += ["--shares", "100,0,0,0", "--validation-pairs", "1", "--encoder-share", "0"]
     words += ["--ablation", "no-dilation", "--ablation", "no-l2"]
-    stopped = CliRunner().invoke(main, [*words, "--stop-after", "0.0001"])
-    assert stopped.exit_code == 0, stopped.stderr
-    assert "stopped after 1 steps, 33% of the run" in stopped.output
+    save = Trainer.save
+
+    def saved_and_killed(trainer: Trainer) -> None:
+        save(trainer)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Trainer, "save", saved_and_killed)
+        patched.setattr(run, "_STEPS_A_ROW", 1)
+        patched.setattr(run, "_SAVE_SECONDS", 0.0)
+        assert CliRunner().invoke(main, words).exit_code == 130
     assert not list(out.glob("*.safetensors"))
     done = CliRunner().invoke(main, [*words, "--resume"])
     assert done.exit_code == 0, done.stderr
+    assert [json.loads(line)["step"] for line in (out / "log.jsonl").open()] == [1, 3]
     config = load_network(out / "dgcm-lite0+no-dilation+no-l2.safetensors").config
     assert config.decoders[2].dilations == (1, 1, 1) and not config.normalise_features
 

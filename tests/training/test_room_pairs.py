@@ -9,8 +9,14 @@ from photos import drawn_photos
 
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.room_pairs import RoomOptions, random_rooms, room_pairs
-from dgc_pose.training.rooms import RoomPairs, Rooms, first_hits
+from dgc_pose.training.room_pairs import (
+    RoomOptions,
+    RoomPairs,
+    Rooms,
+    first_hits,
+    random_rooms,
+    room_pairs,
+)
 
 RAYS = 150
 SHAPE = (48, 64)

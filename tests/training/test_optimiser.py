@@ -1,31 +1,24 @@
-"""The active stage: learning rates by group of parameters, and averaged weights."""
+"""How a stage learns: rates by group of parameters, and averaged weights."""
 
 import pytest
 from torch import nn
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.active_stage import ActiveStage, moving_average
-from dgc_pose.training.options import TrainingOptions
-
-
-def _stage(net: DGCNet) -> ActiveStage:
-    return ActiveStage("encoder", net, TrainingOptions(seconds=1.0))
+from dgc_pose.training.optimiser import moving_average, optimiser, rate_at
+from dgc_pose.training.stages import EncoderStage
 
 
 def test_the_rate_rises_and_then_falls() -> None:
-    stage = _stage(DGCNet(preset("dgcm-lite0")))
-    rates = [stage.set_rate(step / 100) for step in range(101)]
+    rates = [rate_at(step / 100) for step in range(101)]
     assert max(rates) == pytest.approx(1e-3, rel=0.01) and rates[0] < 0.1 * max(rates)
     assert rates[2:] == sorted(rates[2:], reverse=True) and rates[-1] == pytest.approx(2e-5)
 
 
 def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
     net = DGCNet(preset("dgcm-lite0"))
-    stage = _stage(net)
-    rate = stage.set_rate(0.5)
-    rest, backbone = stage.optimizer.param_groups
-    assert rest["lr"] == rate and backbone["lr"] == pytest.approx(0.35 * rate)
+    rest, backbone = optimiser(EncoderStage(net)).param_groups
+    assert rest["share"] == 1 and backbone["share"] == 0.35
     body = [*net.pyramid.get_submodule("stem").parameters()]
     body += net.pyramid.get_submodule("blocks").parameters()
     shapes = [parameter.shape for parameter in backbone["params"]]
