@@ -25,9 +25,9 @@ from dgc_pose.estimation.robust_fit import MINIMAL
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
 NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
-# Share of the whole information that is kept when a block is left out: a block may have nearly all
-# of it. See docs/experiments.md.
-_RIDGE = 0.1
+# Share of the whole information that is kept when a block is left out: of a dense map a block may
+# have nearly all of it, see docs/experiments.md; else only so much that the rest is regular.
+_KEPT, _REGULAR = 0.1, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +80,13 @@ def pose_covariance(
     variance = ALIKE * (scale / EFFICIENT) ** 2  # of a match: the information is in its unit
     prior = variance * np.diag([*np.zeros(5), *np.ones(count - 5)])
     # The blocks show all of the errors of key points, which err independently of their neighbours.
-    beside = prior if problem.key_points else prior + total
+    kept, beside = (_REGULAR, prior) if problem.key_points else (_KEPT, prior + total)
     total = total + prior
     covariances = []
     try:
         for shift in SHIFTS:
-            covariances.append(jackknife(total, block_sums(terms, inliers.points2, shift)))
+            sums = block_sums(terms, inliers.points2, shift)
+            covariances.append(jackknife(total, sums, kept))
         inverse = np.linalg.inv(total)
         covariance = np.mean(covariances, axis=0) + variance * inverse @ beside @ inverse
         if len(spread) and not fitted:  # the pose moves with the cameras
@@ -154,16 +155,17 @@ def _incomplete_gamma(a: float, x: float) -> float:
     return total
 
 
-def jackknife(total: np.ndarray, sums: np.ndarray) -> np.ndarray:
+def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = _REGULAR) -> np.ndarray:
     """The covariance (P, P) of P parameters by leaving out one group after the other.
 
     total: their information (P, P), with any prior's. sums: (G, P * P + P) of each group, its
-    information and the gradient of its loss. Raises LinAlgError if the rest determines none.
+    information and the gradient of its loss. kept: share of `total` beside the rest. Raises
+    LinAlgError if the rest determines none.
     """
     count, groups = len(total), len(sums)
     left_out = sums[:, : count**2].reshape(-1, count, count)
     gradient = sums[:, count**2 :, None]
-    moves = np.linalg.solve((1 + _RIDGE) * total - left_out, gradient)[:, :, 0]
+    moves = np.linalg.solve((1 + kept) * total - left_out, gradient)[:, :, 0]
     covariance: np.ndarray = (groups - 1) / groups * moves.T @ moves
     return covariance
 
