@@ -39,15 +39,8 @@ _SETTING = re.compile(r":(?=[A-Za-z]\w*=)")  # begins with; a path and K=auto:tw
 Options = TypeVar("Options")
 
 
-def _rocco(options: MatcherOptions, _: MatcherCaches | None, engine: Engine | None) -> Matcher:
-    from dgc_pose.benchmarks.rivals.rocco import RoccoMatcher  # needs torch
-
-    return RoccoMatcher(options.matching, options.device)
-
-
 # The paper's rivals, beside the matchers that `KINDS` has
 RIVALS = {
-    "rocco": MatcherKind("rocco", _rocco, dense_map=True),
     "deepmatching": MatcherKind(
         "deepmatching", lambda options, *_: DeepMatcher(options.matching), dense_map=True
     ),

@@ -67,7 +67,7 @@ class Experiment:
     "--methods",
     default=",".join([DEFAULT_WEIGHTS, DEFAULT_WEIGHTS + EVERYWHERE, "sift", "dis"]),
     show_default=True,
-    help="Comma-separated names or paths of weights, of other matchers (sift, dis, rocco, "
+    help="Comma-separated names or paths of weights, of other matchers (sift, dis, "
     "deepmatching) and of --matches, each with options of its own, such as "
     "NAME:matchability=0.5:runs=1; "
     f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their matchability.",

@@ -97,7 +97,7 @@ class PairBenchOptions:
     "--methods",
     default=f"{DEFAULT_WEIGHTS},sift",
     show_default=True,
-    help="Comma-separated names or paths of weights or other matchers (sift, dis, rocco, "
+    help="Comma-separated names or paths of weights or other matchers (sift, dis, "
     "deepmatching), each with options of "
     "its own, such as NAME:refine=none:runs=1; NAME/all takes all pixels that NAME maps into "
     "image 1.",

@@ -66,7 +66,7 @@ def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
-    names = ["net", "net:refine=none", "net/all", "dis", "sift", "rocco", "raft"]
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "deepmatching", "raft"]
     methods = parse_methods(names, stored=["raft"])
     sources = [method.matcher.refinement.source for method in methods]
     assert sources == ["auto", "none", "auto", "none", "none", "none", "none"]

@@ -155,7 +155,7 @@ def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
 def test_the_command_refuses_what_it_cannot_fit(tmp_path) -> None:
     words = ("fit-probability", "--data", tmp_path, "--out", tmp_path)
     assert_refused(run(*words, "--collected"), "nothing is collected for dgcm-lite0")
-    assert_refused(run(*words, "--methods", "sift"), "hololens/images: no such folder")
+    assert_refused(run(*words, "--methods", "sift"), "hololens/images: No such file or directory")
 
 
 CHOICE = 1.5  # log-odds for a unit of the likelihood

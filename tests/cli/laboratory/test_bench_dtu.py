@@ -77,7 +77,7 @@ def test_a_run_leaves_everything_in_its_folder(dtu, tmp_path) -> None:
         net.get_submodule("reg_4.final").bias[2] = 20.0  # matchable everywhere
     save_weights(net, weights)
     out = tmp_path / "runs/one"
-    methods = f"{weights},{weights}/all,rocco,sift,dis"
+    methods = f"{weights},{weights}/all,sift,dis"
     text = bench(
         "--root", dtu, "--out", out, "--pairs", 3, "--methods", methods, "--protocol", "native"
     )
