@@ -282,7 +282,9 @@ def focal_agrees(pose: RelativePose) -> bool:
 
 def in_doubt(pose: RelativePose) -> bool:
     """Whether more matches may change the answer: it is neither certain nor hopeless."""
-    probability = pose.any_probability
-    if probability is not None and pose.status == "rotation_only":
-        probability *= 1 - pose.hypotheses[0].share  # of another motion than that
-    return probability is not None and _MIN_SEARCHED < probability < _MAX_SEARCHED
+    likely = pose.any_probability
+    if likely is None or not pose.hypotheses:
+        return False
+    share = pose.hypotheses[0].share
+    of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
+    return of_others > _MIN_SEARCHED and likely * share < _MAX_SEARCHED
