@@ -10,7 +10,7 @@ import jinja2
 import numpy as np
 
 from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs
-from dgc_pose.benchmarks.dtu.motion import plot_against_motion, plot_histograms
+from dgc_pose.benchmarks.dtu.histograms import plot_histograms
 from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.scores import MATCHES, DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
@@ -41,10 +41,8 @@ _CAPTIONS = {
     "rotation.svg": "Rotation error: share of pairs not above it",
     "translation.svg": "Translation error, 0 to 180 degrees: share of pairs not above it",
     "epipolar.svg": "Median symmetric epipolar distance of a pair: share of pairs not above it",
-    "motion.png": "Errors against the true rotation and the baseline, with medians",
 }
 _CAPTION = "{0.status}: R off {0.rotation_error_deg:.2f}°, t off {0.translation_error_deg:.2f}°"
-_MIME = {"svg": "image/svg+xml", "png": "image/png"}
 _HEIGHT = 240  # pixels of a picture
 _GREEN, _RED = (46, 158, 91), (210, 67, 47)
 _JPEG_QUALITY = 80
@@ -67,7 +65,6 @@ def write_report(
     methods, errors = by_method(rows), columns(rows)
     histograms = plot_histograms(errors, pairs.protocol)
     figures = {f"{name}.{kind}": histograms[name] for name in histograms for kind in ("png", "svg")}
-    figures["motion.png"] = plot_against_motion(errors)
     shown = [
         {"name": name, "rows": of_method, "worst": _worst(out, pairs, of_method)}
         for name, of_method in methods.items()
@@ -87,7 +84,7 @@ def write_report(
             table=table,
             headings=HEADINGS,
             plots=[
-                {"source": _data_uri(name[-3:], files[name].read_bytes()), "caption": caption}
+                {"source": _svg_url(files[name].read_bytes()), "caption": caption}
                 for name, caption in _CAPTIONS.items()
             ],
             methods=shown,
@@ -132,6 +129,6 @@ def draw_pair(pair: PosedPair, sample: np.ndarray) -> np.ndarray:
     return picture
 
 
-def _data_uri(kind: str, content: bytes) -> str:
-    """A file within a page; kind: its name's ending."""
-    return f"data:{_MIME[kind]};base64,{base64.b64encode(content).decode('ascii')}"
+def _svg_url(content: bytes) -> str:
+    """A picture within a page."""
+    return f"data:image/svg+xml;base64,{base64.b64encode(content).decode('ascii')}"

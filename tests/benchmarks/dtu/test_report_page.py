@@ -33,12 +33,12 @@ def html(run) -> str:
 def test_all_files_are_there_and_the_page_needs_none_of_them(run, html) -> None:
     names = {path.name for path in run.out.iterdir()}
     histograms = product(("rotation", "translation", "epipolar"), ("png", "svg"))
-    assert names == {*(f"{name}.{end}" for name, end in histograms), "motion.png", "report.html"}
+    assert names == {*(f"{name}.{end}" for name, end in histograms), "report.html"}
     for path in run.out.glob("*.png"):
         with Image.open(path) as picture:
             assert min(picture.size) > 300
     sources = re.findall(r'(?:src|href)="?([^"\s>]{0,30})', html)
-    assert len(sources) == 1 + 4 + WORST * len(dtu_report.METHODS)
+    assert len(sources) == 1 + 3 + WORST * len(dtu_report.METHODS)
     assert all(source.startswith("data:") for source in sources), sources
     assert "@import" not in html and "url(" not in html and "<script" not in html
     assert "<dd>&lt;b&gt;R&amp;D&lt;/b&gt;</dd>" in html and f"<pre>{TABLE}</pre>" in html
