@@ -62,11 +62,9 @@ def _map_method(name: str, device: torch.device) -> MapMethod:
     return partial(compare_matcher, kind.load(options, None, None))
 
 
-def map_scores(
-    cases: Iterable[MapCase], methods: Mapping[str, MapMethod], per_axis: bool = False
-) -> Iterator[PairScores]:
-    """The figures of each pair by each method, case by case; per_axis: see `score_map`."""
+def map_scores(cases: Iterable[MapCase], methods: Mapping[str, MapMethod]) -> Iterator[PairScores]:
+    """The figures of each pair by each method, case by case."""
     for case in cases:
         for method, comparisons_of in methods.items():
             for name, comparison in zip(case.names, comparisons_of(case.pairs), strict=True):
-                yield score_map(method, case.group, name, comparison, per_axis)
+                yield score_map(method, case.group, name, comparison)

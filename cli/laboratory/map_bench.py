@@ -44,10 +44,6 @@ class MapBenchOptions:
         "Comma-separated names or paths of weights, or of other matchers with a dense map, as "
         "deepmatching and dis; default: all shipped weights.",
     )
-    per_axis: bool = option(
-        False,
-        "PCK curves of max(|dx|, |dy|), as by the paper's authors; else of the Euclidean error.",
-    )
     out: str | None = option(
         None,
         "Write pairs.csv, summary.json, pck.png and reliability.png there.",
@@ -75,22 +71,21 @@ def run_map_bench(bench: MapBenchOptions, data: MapSet) -> Scores:
         paths = {name: str(Path(bench.out, name)) for name in _FILES}
     with staged(bench.json_path, *paths.values()) as stage:
         scores: dict[str, list[PairScores]] = {name: [] for name in methods}
-        found = map_scores(data.cases, methods, bench.per_axis)
+        found = map_scores(data.cases, methods)
         total = data.total * len(methods)
         for pair in tqdm(found, total=total, unit="pair", disable=None):
             scores[pair.method].append(pair)
-        distance = "max of |dx|, |dy|" if bench.per_axis else "Euclidean"
-        text = json_text({**data.facts, "pck_distance": distance, **report_data(scores)})
+        text = json_text({**data.facts, **report_data(scores)})
         if bench.json_path is not None:
             save_text(stage(bench.json_path), text)
         if bench.out is not None:
             files = {name: stage(path) for name, path in paths.items()}
             save_text(files["summary.json"], text)
-            _write_figures(files, scores, distance)
+            _write_figures(files, scores)
     return scores
 
 
-def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> None:
+def _write_figures(files: Mapping[str, Path], scores: Scores) -> None:
     """The table of the pairs, the PCK curves by group, and the reliability diagram."""
     table = files["pairs.csv"]
     with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
@@ -100,7 +95,7 @@ def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> 
         group or ALL: {summary.method: summary.pck for summary in summaries(scores, group)}
         for group in groups
     }
-    save_figure(plot_pck(curves, PCK_ALPHAS, distance=distance), files["pck.png"])
+    save_figure(plot_pck(curves, PCK_ALPHAS), files["pck.png"])
     masked = {
         summary.method: summary.reliability
         for summary in summaries(scores)

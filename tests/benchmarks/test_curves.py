@@ -28,7 +28,7 @@ def test_a_method_may_be_called_as_a_formula(tmp_path):
 def test_a_panel_a_group_and_a_curve_a_method():
     alphas = np.linspace(0.005, 0.1, 5)
     curves = {"I": {"a": np.linspace(0, 1, 5)}, "II": {"a": np.full(5, np.nan)}}
-    figure = plot_pck(curves, alphas, distance="Euclidean")
+    figure = plot_pck(curves, alphas)
     assert [axes.get_title() for axes in figure.axes] == ["I", "II"]
     (curve,) = figure.axes[0].lines
     assert curve.get_ydata().tolist() == pytest.approx([0, 25, 50, 75, 100])
