@@ -5,8 +5,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import torch
-
 from dgc_pose.benchmarks.map_comparison import compare, compare_matcher
 from dgc_pose.benchmarks.map_scores import Comparison, PairScores, score_map
 from dgc_pose.benchmarks.methods import kind_of
@@ -44,22 +42,21 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     """
     if not names:
         raise InputError("no methods named")
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"the method {name} is named twice")
     chosen = choose_device(device)
-    return {name: _map_method(name, chosen) for name in names}
-
-
-def _map_method(name: str, device: torch.device) -> MapMethod:
-    options = MatcherOptions(name)
-    kind = kind_of(options)
-    if not kind.dense_map:
-        raise InputError(ArgumentName("methods"), f"{name}: has key points alone and no dense map")
-    if kind.network:
-        net = load_network(name, device)
-        return partial(compare, net)
-    return partial(compare_matcher, kind.load(options, None, None))
+    methods: dict[str, MapMethod] = {}
+    for name in names:
+        options = MatcherOptions(name)
+        kind = kind_of(options)
+        if name in methods:
+            raise InputError(f"the method {name} is named twice")
+        if not kind.dense_map:
+            words = f"{name}: has key points alone and no dense map"
+            raise InputError(ArgumentName("methods"), words)
+        if kind.network:
+            methods[name] = partial(compare, load_network(name, chosen))
+        else:
+            methods[name] = partial(compare_matcher, kind.load(options, None, None))
+    return methods
 
 
 def map_scores(cases: Iterable[MapCase], methods: Mapping[str, MapMethod]) -> Iterator[PairScores]:
