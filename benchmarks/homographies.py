@@ -1,10 +1,7 @@
 """Pairs of images that a known homography relates, read from folders, and their true maps.
 
-Three layouts are read, in a folder and in the folders right below it:
-- HPatches: sequences `v_*` of 1.ppm to 6.ppm with H_1_2 to H_1_6 (no illumination, `i_*`);
-- VGG's affine-covariant sets: img1 to img6 with H1to2p to H1to6p;
-- annotated pairs: NAME_A, NAME_B and NAME_H.txt.
-A matrix H maps pixels of the first image to the second, x2 ~ H x1.
+A matrix H maps pixels of the first image to the second, x2 ~ H x1. The layouts are HPatches'
+sequences of a changing viewpoint (`v_*`), VGG's affine-covariant sets, and annotated pairs.
 """
 
 from collections.abc import Iterator
