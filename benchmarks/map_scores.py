@@ -14,6 +14,7 @@ import numpy as np
 from dgc_pose.benchmarks.reliability import Reliability
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
 
+ALL = "all"  # groups
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
@@ -121,14 +122,15 @@ def score_map(method: str, group: str, name: str, comparison: Comparison) -> Pai
     )
 
 
-def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
-    """The figures of one method over its pairs; `group` names them, by default the first's."""
+def summarise_maps(scores: Sequence[PairScores], group: str = ALL) -> MapSummary:
+    """The figures of one method over its pairs of a group."""
+    scores = [pair for pair in scores if group in (ALL, pair.group)]
     pixels = sum(pair.valid for pair in scores)
     levels = zip(*(pair.level_aepe for pair in scores), strict=True)
     parts = [pair.reliability for pair in scores if pair.reliability is not None]
     return MapSummary(
         method=scores[0].method,
-        group=scores[0].group if group is None else group,
+        group=group,
         pairs=len(scores),
         aepe=_mean([pair.aepe for pair in scores if pair.valid]),
         # A pair may have valid cells at a fine level and none at a coarse one.

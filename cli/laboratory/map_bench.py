@@ -12,14 +12,13 @@ from tqdm import tqdm
 from dgc_pose.benchmarks.curves import plot_pck
 from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.map_report import (
-    ALL,
     Scores,
     groups_of,
     report_data,
     summaries,
     write_pairs,
 )
-from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
+from dgc_pose.benchmarks.map_scores import ALL, PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.benchmarks.reliability import plot_reliability
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.files.json_files import json_text
@@ -90,10 +89,9 @@ def _write_figures(files: Mapping[str, Path], scores: Scores) -> None:
     table = files["pairs.csv"]
     with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
         write_pairs(stream, scores)
-    groups: list[str | None] = [*groups_of(scores)] or [None]
     curves = {
-        group or ALL: {summary.method: summary.pck for summary in summaries(scores, group)}
-        for group in groups
+        group: {summary.method: summary.pck for summary in summaries(scores, group)}
+        for group in groups_of(scores) or [ALL]
     }
     save_figure(plot_pck(curves, PCK_ALPHAS), files["pck.png"])
     masked = {

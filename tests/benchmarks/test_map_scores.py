@@ -65,7 +65,7 @@ def test_the_mask_is_scored_against_both_meanings() -> None:
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     pairs = [comparison(0), comparison(1)]
     own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
-    found = summarise_maps(own)
+    found = summarise_maps(own, "I")
     assert (found.method, found.group, found.pairs) == ("net", "I", 2)
     assert found.aepe == pytest.approx((own[0].aepe + own[1].aepe) / 2)
     for level in range(5):
@@ -78,7 +78,7 @@ def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     assert found.jaccard == pytest.approx((own[0].jaccard + own[1].jaccard) / 2)
     pooled = found.reliability
     assert pooled is not None and pooled.counts.sum() == 2 * 144
-    assert summarise_maps(own, "all").group == "all"
+    assert summarise_maps(own).group == "all"
 
 
 def test_a_pair_with_nothing_to_find_has_no_error() -> None:
