@@ -61,14 +61,9 @@ def write_report(
             table=table,
             headings=HEADINGS,
             plots=[
-                {"source": _svg_url(files[name].read_bytes()), "caption": caption}
+                {"svg": base64.b64encode(files[name].read_bytes()).decode(), "caption": caption}
                 for name, caption in _CAPTIONS.items()
             ],
             methods=by_method(rows),
         )
         save_text(files[PAGE], page)
-
-
-def _svg_url(content: bytes) -> str:
-    """A picture within a page."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(content).decode('ascii')}"
