@@ -63,21 +63,18 @@ def shown_limit(errors: Mapping[str, np.ndarray], limits: Sequence[float] = LIMI
     return next((limit for limit in limits if limit >= most), limits[-1])
 
 
-def plot_pck(
-    curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray, *, distance: str
-) -> Figure:
+def plot_pck(curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray) -> Figure:
     """PCK: the share of pixels whose error is at most a share alpha of the image's side.
 
     A panel a group, in it a curve a method. curves: by group, by method, the shares (K,) in [0, 1]
-    at `alphas` (K,); NaN for a group without pixels. distance: the measure of the error, for the
-    label.
+    at `alphas` (K,); NaN for a group without pixels.
     """
     figure = new_figure(4.0 * len(curves), 4.4)
     panels = np.ravel(figure.subplots(1, len(curves), sharey=True, squeeze=False))
     for axes, (group, by_method) in zip(panels, curves.items(), strict=True):
         for method, shares in by_method.items():
             axes.plot(alphas, 100 * shares, label=method)
-        axes.set(xlim=(alphas[0], alphas[-1]), ylim=(0, 100), xlabel=f"alpha ({distance})")
+        axes.set(xlim=(alphas[0], alphas[-1]), ylim=(0, 100), xlabel="alpha")
         axes.set_title(group, fontsize=10)
         axes.grid(alpha=0.3)
     panels[0].set_ylabel("pixels within alpha x side (%)")

@@ -1,17 +1,10 @@
 """Pairs of images that a known homography relates, read from folders, and their true maps.
 
-Three layouts are read, in a folder and in the folders right below it:
-- HPatches: sequences `v_*` of 1.ppm to 6.ppm with H_1_2 to H_1_6 (no illumination, `i_*`);
-- VGG's affine-covariant sets: img1 to img6 with H1to2p to H1to6p;
-- annotated pairs: NAME_A, NAME_B and NAME_H.txt.
-A matrix H maps pixels of the first image to the second, x2 ~ H x1. The DGC-Net authors' lists of
-HPatches pairs, hpatches_1_2.csv to hpatches_1_6.csv, are read too: a line is
-`obj,im1,im2,Him,Wim,H11,...,H33`, the images <root>/<obj>/<k>.ppm, height and width of image 1, and
-the homography from im1 to im2 at full size.
+A matrix H maps pixels of the first image to the second, x2 ~ H x1. The layouts are HPatches'
+sequences of a changing viewpoint (`v_*`), VGG's affine-covariant sets, and annotated pairs.
 """
 
-import csv
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,8 +22,6 @@ from dgc_pose.training.map_pairs import MapPairs
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
 _MATRIX_BYTES = 2**16  # of a file with nine numbers
-# Columns of the DGC-Net authors' lists
-_MATRIX = [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
 # AEPE at 240x240 on HPatches, viewpoints I to V, pixels, as their authors printed them. "paper" is
 # Melekhov et al., DGC-Net: Dense Geometric Correspondence Network, WACV 2019; GLU-Net is Truong et
 # al., CVPR 2020; RANSAC-Flow is Shen et al., ECCV 2020.
@@ -58,12 +49,11 @@ class HomographyPair:
     path1: Path
     path2: Path
     H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
-    size1: tuple[int, int] | None = None  # (width, height) that H was made for, if a list has it
 
 
 @dataclass(frozen=True)
 class HomographySet:
-    """The pairs of a folder or a list, and those that have no files."""
+    """The pairs of a folder, and those that have no files."""
 
     pairs: tuple[HomographyPair, ...]
     missing: tuple[str, ...]  # pairs without an image or a matrix
@@ -98,42 +88,12 @@ def find_homography_pairs(root: str | Path) -> HomographySet:
     return HomographySet(pairs, tuple(pair for pair in named if isinstance(pair, str)))
 
 
-def read_lists(folder: str | Path, root: str | Path) -> HomographySet:
-    """The pairs of all five lists; those whose images are not below `root` are `missing`.
-
-    Raises InputError, with the path and the line, if a list is missing or a line malformed.
-    """
-    pairs: list[HomographyPair] = []
-    missing: list[str] = []
-    for k, viewpoint in enumerate(VIEWPOINTS, start=2):
-        path = Path(folder) / f"hpatches_1_{k}.csv"
-        if not path.is_file():
-            raise InputError(f"{path}: no such list; there are five, hpatches_1_2 to hpatches_1_6")
-        rows = csv.DictReader(read_text(path, "a list of pairs").splitlines())
-        for row in rows:
-            with read_as("a pair of HPatches", f"{path}:{rows.line_num}"):
-                pair = _list_pair(row, Path(root), viewpoint)
-            if pair.path1.is_file() and pair.path2.is_file():
-                pairs.append(pair)
-            else:
-                missing.append(pair.name)
-    if not pairs:
-        raise InputError(f"{root}: holds no image of the {len(missing)} pairs listed in {folder}")
-    return HomographySet(tuple(pairs), tuple(missing))
-
-
 def load_pair(pair: HomographyPair) -> MapPairs:
     """A batch of the one pair at 240x240 with its true map.
 
-    Raises ImageError for an image that cannot be read, InputError if the pair's list was made for
-    another size of image 1.
+    Raises ImageError for an image that cannot be read.
     """
     image1, image2 = load_image(pair.path1), load_image(pair.path2)
-    if pair.size1 is not None and pair.size1 != image1.size:
-        raise InputError(
-            f"{pair.path1}: the image is {image1.size[0]}x{image1.size[1]} and the list was made "
-            f"for {pair.size1[0]}x{pair.size1[1]}"
-        )
     points, valid = true_map(pair.H, image1.size, image2.size)
     truth = points.astype(np.float32)
     squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
@@ -169,14 +129,10 @@ def true_map(
 def read_matrix(path: Path) -> np.ndarray:
     """A homography from a text file. Raises InputError, with the path, if it is malformed."""
     with read_as("a homography", path):
-        return _checked_matrix(read_text(path, "a homography", _MATRIX_BYTES).split())
-
-
-def _checked_matrix(words: Sequence[str]) -> np.ndarray:
-    """A homography (3, 3) of its numbers, row by row. Raises ValueError if they are none."""
-    H = np.array(words, np.float64).reshape(3, 3)
-    if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
-        raise ValueError("a homography has finite numbers and an inverse")
+        words = read_text(path, "a homography", _MATRIX_BYTES).split()
+        H = np.array(words, np.float64).reshape(3, 3)
+        if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
+            raise ValueError("a homography has finite numbers and an inverse")
     return H
 
 
@@ -215,11 +171,3 @@ def _image(stem: Path) -> Path | None:
     """The image file of that name, whatever its suffix."""
     paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
     return next((path for path in paths if path.is_file()), None)
-
-
-def _list_pair(row: Mapping[str, str], root: Path, viewpoint: str) -> HomographyPair:
-    path1, path2 = (root / row["obj"] / f"{row[name]}.ppm" for name in ("im1", "im2"))
-    H = _checked_matrix([row[name] for name in _MATRIX])
-    size1 = (int(float(row["Wim"])), int(float(row["Him"])))
-    name = f"{row['obj']} {row['im1']}-{row['im2']}"
-    return HomographyPair(name, viewpoint, path1, path2, H, size1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,14 +12,11 @@ import numpy as np
 
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.reconstructions import views_of_list
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as
-from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import image_size
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.model import PosedModel, load_model
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.training.posed_frames import read_rgbd
 
 Item = TypeVar("Item")
 # Of a location that is right: degrees of R, per cent of the extent of the position.
@@ -53,27 +50,18 @@ class LocationScore:
 
 def true_model(path: Path, images: Path | None) -> PosedModel:
     """A model as of `load_model`; of a list of pairs in SuperGlue's format; or of a folder of posed
-    RGB-D, with images/, K.txt and poses.txt.
+    RGB-D, see `read_rgbd`.
 
     images: of a list by default the folder of its name; of a model images/ beside or in it.
     """
     if path.is_file() and path.suffix == ".txt":
         return views_of_list(path, images or path.parent / path.stem.removesuffix("_pairs"))
     if (path / "poses.txt").is_file():
-        return _of_rgbd(path)
+        frames = {frame.image.name: frame for frame in read_rgbd(path)}
+        cameras = {n: replace(f.camera, size=image_size(f.image)) for n, f in frames.items()}
+        poses = {name: frame.cam_from_world[:3] for name, frame in frames.items()}
+        return PosedModel(path / "images", cameras, poses)
     return load_model(path, images or path / "images")
-
-
-def _of_rgbd(folder: Path) -> PosedModel:
-    root = folder / "images"
-    names = search_images(root).names
-    with read_as("posed RGB-D", folder):
-        K = np.loadtxt(folder / "K.txt")
-        poses = np.linalg.inv(np.loadtxt(folder / "poses.txt").reshape(-1, 4, 4))[:, :3]
-        if len(poses) != len(names):
-            raise InputError(f"{folder}: {len(names)} images and {len(poses)} poses")
-    cameras = {name: Camera(K, image_size(root / name)) for name in names}
-    return PosedModel(root, cameras, dict(zip(names, poses, strict=True)))
 
 
 def left_out(names: Sequence[str], every: int, apart: int) -> Iterator[tuple[str, list[str]]]:

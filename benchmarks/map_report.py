@@ -6,6 +6,7 @@ from typing import Any, TextIO
 
 from dgc_pose.benchmarks.files import decimals, finite_data
 from dgc_pose.benchmarks.map_scores import (
+    ALL,
     FOUND_PX,
     PCK_THRESHOLDS,
     RIGHT_PX,
@@ -19,7 +20,6 @@ from dgc_pose.files.tables import aligned
 from dgc_pose.network.config import LEVEL_SIZES
 
 Scores = Mapping[str, Sequence[PairScores]]  # by method, each over the same pairs
-ALL = "all"
 
 _LEVELS = LEVEL_SIZES[::-1]  # coarse to fine, as the scores have them
 HEADING = (
@@ -38,9 +38,9 @@ def groups_of(scores: Scores) -> list[str]:
     return list(dict.fromkeys(pair.group for pair in first if pair.group))
 
 
-def summaries(scores: Scores, group: str | None = None) -> list[MapSummary]:
+def summaries(scores: Scores, group: str = ALL) -> list[MapSummary]:
     """A summary a method, of one group or of all pairs."""
-    return [_summary(pairs, group) for pairs in scores.values()]
+    return [summarise_maps(pairs, group) for pairs in scores.values()]
 
 
 def figures_table(rows: Sequence[MapSummary], first: str = "method") -> str:
@@ -68,7 +68,7 @@ def groups_table(
     lines = [["method", *groups, ALL]]
     for method, pairs in scores.items():
         grouped = summarise_maps([pair for pair in pairs if pair.group])
-        parts = [*(_summary(pairs, group) for group in groups), grouped]
+        parts = [*(summarise_maps(pairs, group) for group in groups), grouped]
         lines.append([method, *(decimals(getattr(part, figure), digits) for part in parts)])
     for name, values in published.items():
         lines.append([name, *(decimals(value, digits) for value in values), "-"])
@@ -106,12 +106,12 @@ def report_data(scores: Scores) -> dict[str, Any]:
     """All figures for JSON; null for a figure that does not exist."""
     methods = []
     for method, pairs in scores.items():
-        total = _summary(pairs, None)
+        total = summarise_maps(pairs)
         methods.append(
             {
                 "method": method,
                 "all": _summary_data(total),
-                "groups": [_summary_data(_summary(pairs, group)) for group in groups_of(scores)],
+                "groups": [_summary_data(summarise_maps(pairs, g)) for g in groups_of(scores)],
                 "reliability": total.reliability and _reliability_data(total.reliability),
                 "pairs": [_pair_data(pair) for pair in pairs],
             }
@@ -126,12 +126,6 @@ def write_pairs(stream: TextIO, scores: Scores) -> None:
     writer = csv.DictWriter(stream, list(rows[0]))
     writer.writeheader()
     writer.writerows(rows)
-
-
-def _summary(pairs: Sequence[PairScores], group: str | None) -> MapSummary:
-    if group is None:
-        return summarise_maps(pairs, ALL)
-    return summarise_maps([pair for pair in pairs if pair.group == group])
 
 
 def _summary_data(summary: MapSummary) -> dict[str, Any]:

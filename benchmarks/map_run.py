@@ -5,16 +5,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import torch
-
 from dgc_pose.benchmarks.map_comparison import compare, compare_matcher
-from dgc_pose.benchmarks.map_figure import MapPicture
 from dgc_pose.benchmarks.map_scores import Comparison, PairScores, score_map
 from dgc_pose.benchmarks.methods import kind_of
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.weights import choose_device, load_network
-from dgc_pose.training.map_pairs import MapPairs, image_arrays
+from dgc_pose.training.map_pairs import MapPairs
 
 MapMethod = Callable[[MapPairs], list[Comparison]]  # of a batch, pair by pair
 
@@ -45,37 +42,26 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     """
     if not names:
         raise InputError("no methods named")
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"the method {name} is named twice")
     chosen = choose_device(device)
-    return {name: _map_method(name, chosen) for name in names}
+    methods: dict[str, MapMethod] = {}
+    for name in names:
+        options = MatcherOptions(name)
+        kind = kind_of(options)
+        if name in methods:
+            raise InputError(f"the method {name} is named twice")
+        if not kind.dense_map:
+            words = f"{name}: has key points alone and no dense map"
+            raise InputError(ArgumentName("methods"), words)
+        if kind.network:
+            methods[name] = partial(compare, load_network(name, chosen))
+        else:
+            methods[name] = partial(compare_matcher, kind.load(options, None, None))
+    return methods
 
 
-def _map_method(name: str, device: torch.device) -> MapMethod:
-    options = MatcherOptions(name)
-    kind = kind_of(options)
-    if not kind.dense_map:
-        raise InputError(ArgumentName("methods"), f"{name}: has key points alone and no dense map")
-    if kind.network:
-        net = load_network(name, device)
-        return partial(compare, net)
-    return partial(compare_matcher, kind.load(options, None, None))
-
-
-def map_outcomes(
-    cases: Iterable[MapCase], methods: Mapping[str, MapMethod], per_axis: bool = False
-) -> Iterator[tuple[PairScores, MapPicture]]:
-    """Score each pair by each method, case by case; yields the figures with what a picture shows.
-
-    per_axis: see `score_map`.
-    """
+def map_scores(cases: Iterable[MapCase], methods: Mapping[str, MapMethod]) -> Iterator[PairScores]:
+    """The figures of each pair by each method, case by case."""
     for case in cases:
-        images = zip(*map(image_arrays, (case.pairs.image1, case.pairs.image2)), strict=True)
-        pairs = list(zip(case.names, images, strict=True))
         for method, comparisons_of in methods.items():
-            for (name, shown), comparison in zip(pairs, comparisons_of(case.pairs), strict=True):
-                scores = score_map(method, case.group, name, comparison, per_axis)
-                title = f"{name}, AEPE {scores.aepe:.2f}"
-                points, errors = comparison.finest.points, comparison.errors
-                yield scores, MapPicture(title, shown[0], shown[1], points, errors)
+            for name, comparison in zip(case.names, comparisons_of(case.pairs), strict=True):
+                yield score_map(method, case.group, name, comparison)

@@ -14,6 +14,7 @@ import numpy as np
 from dgc_pose.benchmarks.reliability import Reliability
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
 
+ALL = "all"  # groups
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
@@ -30,19 +31,16 @@ class LevelMap:
     truth: np.ndarray  # (S, S, 2) float32
     valid: np.ndarray  # (S, S) bool, cells of known truth
 
-    def errors(self, per_axis: bool = False) -> np.ndarray:
-        """Distances (N,) float64 between map and truth at the N valid cells, pixels.
-
-        Euclidean; with `per_axis` max(|dx|, |dy|), as in the DGC-Net authors' evaluation, which is
-        never stricter.
-        """
+    @property
+    def errors(self) -> np.ndarray:
+        """Euclidean distances (N,) float64 between map and truth at the N valid cells, pixels."""
         offsets = self.points[self.valid].astype(np.float64) - self.truth[self.valid]
-        return np.abs(offsets).max(axis=1) if per_axis else np.linalg.norm(offsets, axis=1)
+        return np.linalg.norm(offsets, axis=1)
 
     @property
     def aepe(self) -> float:
         """Mean Euclidean error over the valid cells, pixels; NaN without any."""
-        return _mean(self.errors())
+        return _mean(self.errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +58,7 @@ class Comparison:
     def errors(self) -> np.ndarray:
         """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
         distance = np.full(self.finest.valid.shape, np.inf)
-        distance[self.finest.valid] = self.finest.errors()
+        distance[self.finest.valid] = self.finest.errors
         return distance
 
 
@@ -98,11 +96,8 @@ class MapSummary:
     reliability: Reliability | None  # the pairs' counts together; None without a mask
 
 
-def score_map(
-    method: str, group: str, name: str, comparison: Comparison, per_axis: bool = False
-) -> PairScores:
-    """The figures of one pair. With `per_axis` the PCK curve takes max(|dx|, |dy|), as the authors'
-    evaluation does; all other errors are Euclidean."""
+def score_map(method: str, group: str, name: str, comparison: Comparison) -> PairScores:
+    """The figures of one pair."""
     finest, distances, matchability = comparison.finest, comparison.errors, comparison.matchability
     euclidean = distances[finest.valid]
     overlap = overlap_found = float("nan")
@@ -119,7 +114,7 @@ def score_map(
         valid=len(euclidean),
         aepe=finest.aepe,
         level_aepe=(float("nan"),) * absent + tuple(level.aepe for level in comparison.levels),
-        near=count_within(finest.errors(per_axis), PCK_THRESHOLDS),
+        near=count_within(euclidean, PCK_THRESHOLDS),
         within=count_within(euclidean, WITHIN),
         jaccard=overlap,
         jaccard_found=overlap_found,
@@ -127,14 +122,15 @@ def score_map(
     )
 
 
-def summarise_maps(scores: Sequence[PairScores], group: str | None = None) -> MapSummary:
-    """The figures of one method over its pairs; `group` names them, by default the first's."""
+def summarise_maps(scores: Sequence[PairScores], group: str = ALL) -> MapSummary:
+    """The figures of one method over its pairs of a group."""
+    scores = [pair for pair in scores if group in (ALL, pair.group)]
     pixels = sum(pair.valid for pair in scores)
     levels = zip(*(pair.level_aepe for pair in scores), strict=True)
     parts = [pair.reliability for pair in scores if pair.reliability is not None]
     return MapSummary(
         method=scores[0].method,
-        group=scores[0].group if group is None else group,
+        group=group,
         pairs=len(scores),
         aepe=_mean([pair.aepe for pair in scores if pair.valid]),
         # A pair may have valid cells at a fine level and none at a coarse one.

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, TypeVar
 
-RESULTS, TIMINGS, MATCHES = "results.csv", "timings.csv", "matches.csv"
+RESULTS, TIMINGS = "results.csv", "timings.csv"
 _PAIR = ("method", "image1", "image2")
 _VIEWS = ("method", "scene", "view1", "view2")
 
@@ -102,7 +102,7 @@ class DtuScore(MapScore):
     """A row of bench-dtu.
 
     The times have a table of their own: without them results.csv is the same to the byte for any
-    number of workers and after any number of kills. So do the matches that the report draws.
+    number of workers and after any number of kills.
     """
 
     scene: int
@@ -111,7 +111,6 @@ class DtuScore(MapScore):
     protocol: str
     true_baseline_mm: float
     overlap: float  # share of space at the object that both views see, 0 to 1
-    sample: str  # of the matches, for the report; see `scoring.sample_text`
 
     headings = {"estimate_seconds": "pose_seconds"}
     decimals = 4  # more would be rounding errors of one library or another
@@ -123,7 +122,6 @@ class DtuScore(MapScore):
             *_EPIPOLAR,
         ),
         TIMINGS: (*_VIEWS, *SECONDS),
-        MATCHES: (*_VIEWS, "sample"),
     }
 
 

@@ -1,6 +1,5 @@
 """From the matches of one method on one pair to its record: the work that other processes do."""
 
-import json
 import time
 from dataclasses import dataclass
 from typing import Generic
@@ -17,7 +16,6 @@ from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error
 
 # How a warning of a K that may be wrong begins
 _DOUBTS = ("the matches suggest f", "K1 ", "K2 ")
-_SAMPLE = 60  # matches of each pair and method, for the pictures of a report
 
 
 @dataclass(frozen=True)
@@ -79,20 +77,8 @@ def score(pair: MatchedPair[Score]) -> Score:
         "epipolar_confident_mean_px": confident[1],
         "match_seconds": pair.match_seconds,
         "estimate_seconds": seconds,
-        "sample": sample_text(matches, pose.inliers, options.seed),
     }
     return make_score(pair.kind, values)
-
-
-def sample_text(matches: Matches, inliers: np.ndarray, seed: int) -> str:
-    """Some of the finite matches at random as JSON: a row x1, y1, x2, y2, whether it is an inlier,
-    in pixels of the images that the methods saw. inliers: (N,) bool."""
-    finite = np.isfinite(matches.points1).all(1) & np.isfinite(matches.points2).all(1)
-    shuffled = np.random.default_rng(seed).permutation(np.flatnonzero(finite))
-    chosen = np.sort(shuffled[:_SAMPLE])
-    points = np.column_stack([matches.points1, matches.points2])[chosen].round(2).tolist()
-    rows = [[*row, int(inlier)] for row, inlier in zip(points, inliers[chosen], strict=True)]
-    return json.dumps(rows, separators=(",", ":"))
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:

@@ -1,17 +1,7 @@
 """Dense maps, flows and matches that another program computed: a file for each pair.
 
-A flow or map is defined on the pixels of image 2 and points into image 1. (For an optical flow
-program image 2 is the first image.) A map of any size W x H is one over both images resized to
-W x H. Formats:
-
-- `.flo`: Middlebury's flow; components beyond 1e9 are unknown.
-- `.png`: KITTI's 16-bit flow, (value - 2^15) / 64; the third channel is 0 if it is unknown.
-- `.npy`: a flow (H, W, 2) or (2, H, W), x before y; NaN is unknown.
-- `.npz`: `flow` as in .npy; or `map`, the points in image 1; either with `matchability` (H, W) in
-  0 to 1 (or `certainty`), by default 1. With `grid` (H, W, 2), `map` and `grid` are in pixels of
-  the images as stored, as `dgc-pose match` writes them. Or `points1` and `points2` (N, 2) alone, in
-  pixels of the images as stored, with optional `confidence` (N,), `error_px`, and `key_points`,
-  true if the matches are independent detections.
+A flow or map is defined on the pixels of image 2 and points into image 1. A map of any size W x H
+is one over both images resized to W x H. docs/paper.md describes the formats.
 """
 
 from collections.abc import Mapping
@@ -89,7 +79,7 @@ class FileMatcher(Matcher):
 
 
 def _read(path: Path) -> Mapping[str, np.ndarray]:
-    """The arrays of a file by name, as the module's docstring has them."""
+    """The arrays of a file by name."""
     if path.suffix == ".npz":
         return read_arrays(path)
     if path.suffix == ".npy":

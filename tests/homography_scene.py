@@ -51,17 +51,3 @@ def write_annotated(folder: Path, *names: str) -> Path:
         cv2.imwrite(str(folder / f"{name}_B.png"), seen(texture()))
         np.savetxt(folder / f"{name}_H.txt", H)
     return folder
-
-
-def write_lists(folder: Path, sequences: list[str]) -> Path:
-    """The authors' five lists, a line a sequence."""
-    folder.mkdir(parents=True, exist_ok=True)
-    columns = ["obj", "im1", "im2", "Him", "Wim"]
-    columns += [f"H{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3)]
-    for k in range(2, 7):
-        lines = [",".join(columns)]
-        for name in sequences:
-            numbers = ",".join(repr(float(value)) for value in H.ravel())
-            lines.append(f"{name},1,{k},{SIZE1[1]},{SIZE1[0]},{numbers}")
-        (folder / f"hpatches_1_{k}.csv").write_text("\n".join(lines) + "\n")
-    return folder

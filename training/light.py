@@ -37,9 +37,8 @@ def _exposed(images: Tensor, draw: Draw) -> Tensor:
     images = images * between(0.4, 1, 1, 1).exp() * between(0.13, 3, 1, 1).exp()
     grey = images.mean(1, keepdim=True)
     colour = 1 + between(0.6, 1, 1, 1)
-    images = torch.lerp(
-        grey, images, torch.where(draw.chance(count, 1, 1, 1, share=0.05), 0, colour)
-    )
+    colour = torch.where(draw.chance(count, 1, 1, 1, share=0.05), 0, colour)
+    images = torch.lerp(grey, images, colour)
     images = torch.lerp(images.mean((1, 2, 3), keepdim=True), images, 1 + between(0.35, 1, 1, 1))
     x = torch.linspace(-1, 1, width, device=images.device)
     y = torch.linspace(-1, 1, height, device=images.device)[:, None]

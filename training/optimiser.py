@@ -1,11 +1,9 @@
 """How a stage learns: groups of parameters, the rate, and averaged weights."""
 
 import math
-from typing import Any
 
 import torch
-from torch import Tensor, nn
-from torch.optim.swa_utils import AveragedModel
+from torch import nn
 
 _RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
 _WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
@@ -31,20 +29,17 @@ def rate_at(progress: float) -> float:
     return _RATE * warm * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
 
 
-def moving_average(module: nn.Module, decay: float = _DECAY) -> AveragedModel:
-    """The exponential moving average of a module's weights and buffers, in evaluation mode.
+@torch.no_grad()
+def move_average(average: nn.Module, module: nn.Module, steps: int, decay: float = _DECAY) -> None:
+    """Move an exponential moving average of a module's weights and buffers on, after `steps` steps.
 
-    The decay grows with the updates n as min(decay, n / (9 + n)), so that a run's random initial
-    weights soon lose their influence. Counters are copied.
+    The decay grows as min(decay, steps / (9 + steps)), so that a run's random initial weights soon
+    lose their influence. Counters are copied.
     """
-
-    def update(averages: Any, values: Any, _: Tensor | int) -> None:
-        count = int(average.n_averaged)  # on the CPU: no GPU is waited for
-        if averages[0].is_floating_point():
-            torch._foreach_lerp_(averages, values, 1 - min(decay, count / (9 + count)))
+    share = 1 - min(decay, steps / (9 + steps))
+    values = module.state_dict().values()
+    for mean, value in zip(average.state_dict().values(), values, strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(value, share)
         else:
-            torch._foreach_copy_(averages, values)
-
-    average = AveragedModel(module, multi_avg_fn=update, use_buffers=True)
-    average.n_averaged += 1  # the initial weights count
-    return average.eval().requires_grad_(False)
+            mean.copy_(value)

@@ -1,19 +1,12 @@
 """Photographs with poses, and depth if a sensor has it, from the folders that hold them.
 
-A scene is a folder with its photographs in `images/` and, beside it, one of
-
-- `K.txt` (3x3, pixels of the images), `poses.txt`, line i the 4x4 world-from-camera matrix, row by
-  row, of the i-th file in sorted order, and `depth/`, 16-bit PNG of the images' size, along the
-  optical axis, 0 if unknown; a step is a millimetre if the poses are in metres;
-- `cameras.txt` with a line a frame: name, fx fy cx cy, the twelve numbers of [R | t], camera from
-  world, row by row, nearest and farthest depth; for a sensor's depth `depth/<stem>.png` and
-  `depth_scale.txt`, the steps a unit of length;
-- COLMAP's model, there or in `sparse/`, or another that `localization.load_model` reads.
+A scene is a folder with its photographs in `images/`. docs/training.md describes what lies beside
+them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +109,7 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
 
 def _read_listed(root: Path) -> list[PosedFrame]:
     path, scale = root / "cameras.txt", root / "depth_scale.txt"
-    step = None
+    step = 1e-3
     if scale.exists():
         with read_as("a number of steps", scale):
             step = 1 / float(read_text(scale))
@@ -128,7 +121,7 @@ def _read_listed(root: Path) -> list[PosedFrame]:
             pose = np.vstack([Rt.reshape(3, 4), (0, 0, 0, 1)])
         if not 0 < nearest < farthest < np.inf:
             raise InputError(f"{path}:{number}: the depths must be positive and rise")
-        image, depth = root / "images" / name, root / "depth" / f"{Path(name).stem}.png"
-        frame = PosedFrame(image, Camera(K), pose, reach=(nearest, farthest))
-        frames.append(frame if step is None else replace(frame, depth=depth, step=step))
+        depth = root / "depth" / f"{Path(name).stem}.png" if scale.exists() else None
+        reach = nearest, farthest
+        frames.append(PosedFrame(root / "images" / name, Camera(K), pose, depth, step, reach))
     return frames

@@ -1,5 +1,6 @@
 """A training run: stages by the clock, checkpoints that a killed run resumes from, a log."""
 
+import copy
 import json
 import math
 import platform
@@ -7,7 +8,7 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from safetensors.torch import save
@@ -23,7 +24,7 @@ from dgc_pose.network.weights import load_checkpoint
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.initialise import initialise_encoder, initialise_from
 from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.optimiser import moving_average, optimiser, rate_at
+from dgc_pose.training.optimiser import move_average, optimiser, rate_at
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.stages import SHAPES, DecoderStage, EncoderStage, StageName
@@ -136,9 +137,9 @@ class Trainer:
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.module.parameters(), _LARGEST_GRADIENT)
         self.optimizer.step()
-        self._average.update_parameters(self.module)
         self.step += 1
         self.stages[name]["steps"] += 1
+        move_average(self.average, self.module, self.stages[name]["steps"])
         self.stages[name]["pairs"] += count
         return {"rate": torch.tensor(rate), "loss": loss.detach(), "gradient": norm, **figures}
 
@@ -164,7 +165,7 @@ class Trainer:
             "stages": self.stages,
             "stage": self.stage,
             "module": self.module.state_dict(),
-            "average": self._average.state_dict(),
+            "average": self.average.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
         with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
@@ -178,15 +179,10 @@ class Trainer:
                 raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
             self._enter(state["stage"], net)
             self.module.load_state_dict(state["module"])
-            self._average.load_state_dict(state["average"])
+            self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
             self.stages = dict(state["stages"])
-
-    @property
-    def average(self) -> EncoderStage | DecoderStage:
-        """The stage's module by its averaged weights, in evaluation mode."""
-        return cast(EncoderStage | DecoderStage, self._average.module)
 
     def _enter(self, stage: StageName, net: DGCNet) -> None:
         self.stage = stage
@@ -195,7 +191,7 @@ class Trainer:
         self.module.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.module.train()
         self.optimizer = optimiser(self.module)
-        self._average = moving_average(self.module)
+        self.average = copy.deepcopy(self.module).eval().requires_grad_(False)
 
     def _place(self) -> tuple[StageName, float]:
         """The stage by the run's progress, and the progress within that stage."""

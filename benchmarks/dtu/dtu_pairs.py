@@ -35,7 +35,6 @@ class DtuPairs(FilePairs[DtuScore]):
     def __init__(
         self, views: Sequence[ViewPair], pairs: Sequence[Pair], protocol: Protocol
     ) -> None:
-        self.protocol = protocol
         keys = [(view.scene, view.view1, view.view2) for view in views]
         # The names of files of stored matches, by the paths of a pair's images
         self.stems = {

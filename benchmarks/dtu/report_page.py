@@ -1,26 +1,18 @@
 """The report of a finished DTU run: its figures, and report.html with its pairs."""
 
 import base64
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import cv2
 import jinja2
-import numpy as np
 
-from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs
-from dgc_pose.benchmarks.dtu.motion import plot_against_motion, plot_histograms
-from dgc_pose.benchmarks.posed_pairs import PosedPair
-from dgc_pose.benchmarks.scores import MATCHES, DtuScore
+from dgc_pose.benchmarks.dtu.histograms import plot_histograms
+from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.benchmarks.summary import by_method, columns
-from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.images.image import picture_url
 from dgc_pose.viz.figure import save_figure
 
 PAGE = "report.html"
-WORST = 10  # pairs of each method that have a picture
 HEADINGS = {  # of the table of pairs
     "pair": "scan{0.scene} {0.view1}-{0.view2}",
     "rotation°": "{0.true_rotation_deg:.1f}",
@@ -41,37 +33,19 @@ _CAPTIONS = {
     "rotation.svg": "Rotation error: share of pairs not above it",
     "translation.svg": "Translation error, 0 to 180 degrees: share of pairs not above it",
     "epipolar.svg": "Median symmetric epipolar distance of a pair: share of pairs not above it",
-    "motion.png": "Errors against the true rotation and the baseline, with medians",
 }
-_CAPTION = "{0.status}: R off {0.rotation_error_deg:.2f}°, t off {0.translation_error_deg:.2f}°"
-_MIME = {"svg": "image/svg+xml", "png": "image/png"}
-_HEIGHT = 240  # pixels of a picture
-_GREEN, _RED = (46, 158, 91), (210, 67, 47)
-_JPEG_QUALITY = 80
 
 
 def write_report(
-    out: Path,
-    pairs: DtuPairs,
-    rows: Sequence[DtuScore],
-    *,
-    facts: Mapping[str, str],
-    table: str,
+    out: Path, rows: Sequence[DtuScore], *, facts: Mapping[str, str], table: str
 ) -> None:
     """Write the figures of a finished run and its page into `out`; each appears whole.
 
-    rows: records of all methods, those of a method in the order of the pairs. facts: what was run,
-    by name. table: the summary, as text. Raises InputError without rows or for a malformed sample,
-    ImageError for an image that cannot be read.
+    rows: records of all methods. facts: what was run, by name. table: the summary, as text. Raises
+    InputError without rows.
     """
-    methods, errors = by_method(rows), columns(rows)
-    histograms = plot_histograms(errors, pairs.protocol)
+    histograms = plot_histograms(columns(rows), rows[0].protocol)
     figures = {f"{name}.{kind}": histograms[name] for name in histograms for kind in ("png", "svg")}
-    figures["motion.png"] = plot_against_motion(errors)
-    shown = [
-        {"name": name, "rows": of_method, "worst": _worst(out, pairs, of_method)}
-        for name, of_method in methods.items()
-    ]
     paths = {name: out / name for name in (*figures, PAGE)}
     with staged(*map(str, paths.values())) as stage:
         files = {name: stage(str(path)) for name, path in paths.items()}
@@ -87,51 +61,9 @@ def write_report(
             table=table,
             headings=HEADINGS,
             plots=[
-                {"source": _data_uri(name[-3:], files[name].read_bytes()), "caption": caption}
+                {"svg": base64.b64encode(files[name].read_bytes()).decode(), "caption": caption}
                 for name, caption in _CAPTIONS.items()
             ],
-            methods=shown,
+            methods=by_method(rows),
         )
         save_text(files[PAGE], page)
-
-
-def _worst(out: Path, pairs: DtuPairs, rows: Sequence[DtuScore]) -> list[dict[str, str]]:
-    """Pictures of the pairs of a method with the largest errors, infinite without a pose."""
-    numbered = sorted(
-        enumerate(rows),
-        key=lambda item: -max(item[1].rotation_error_deg, item[1].translation_folded_deg),
-    )
-    pictures = []
-    for number, row in numbered[:WORST]:
-        with read_as("a table with samples of matches", out / MATCHES):
-            sample = np.array(json.loads(row.sample), np.float64).reshape(-1, 5)
-        picture = draw_pair(pairs.pair(number), sample)
-        source = picture_url(picture, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY)
-        caption = f"{HEADINGS['pair']}, {_CAPTION}".format(row)
-        pictures.append({"source": source, "caption": caption})
-    return pictures
-
-
-def draw_pair(pair: PosedPair, sample: np.ndarray) -> np.ndarray:
-    """Both images (H, W, 3) side by side at one height, and a line for each match.
-
-    sample: (N, 5), of each match x1, y1, x2, y2, pixels, and whether it is an inlier.
-    """
-    halves, ends = [], []
-    left = 0
-    for image, points in ((pair.image1, sample[:, :2]), (pair.image2, sample[:, 2:4])):
-        scale = _HEIGHT / image.size[1]
-        size = (max(1, round(scale * image.size[0])), _HEIGHT)
-        halves.append(cv2.resize(image.pixels, size, interpolation=cv2.INTER_AREA))
-        ends.append(np.rint((points + 0.5) * scale - 0.5).astype(int) + (left, 0))
-        left += size[0]
-    picture = np.hstack(halves)
-    for end1, end2, inlier in zip(*ends, sample[:, 4], strict=True):
-        colour = _GREEN if inlier else _RED
-        cv2.line(picture, end1.tolist(), end2.tolist(), colour, 1, cv2.LINE_AA)
-    return picture
-
-
-def _data_uri(kind: str, content: bytes) -> str:
-    """A file within a page; kind: its name's ending."""
-    return f"data:{_MIME[kind]};base64,{base64.b64encode(content).decode('ascii')}"

@@ -112,7 +112,7 @@ def drawn_posed(folder: Path, count: int, seed: int) -> list[Pair]:
             for members, often in zip(bins, _A_TURN, strict=True):
                 chosen += [members.pop() for _ in range(min(often, len(members)))]
         chosen = chosen[:count]
-        rng.shuffle(chosen)  # type: ignore[arg-type]
+        rng.shuffle(chosen)
         pairs += chosen
     return pairs
 

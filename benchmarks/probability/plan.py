@@ -86,8 +86,7 @@ def read_plan(path: Path | None) -> list[PlanEntry]:
 
 
 def _entry(values: dict[str, Any]) -> PlanEntry:
-    values = dict(values)
-    paths = values.pop("path", [])
-    scenes = {name: tuple(map(str, values.pop(name, []))) for name in ("without", "rough")}
-    paths = [paths] if isinstance(paths, str) else paths
-    return PlanEntry(**values, **scenes, path=tuple(Path(p) for p in paths))
+    path = values.get("path", [])
+    tuples: dict[str, Any] = {"path": tuple(map(Path, [path] if isinstance(path, str) else path))}
+    tuples |= {name: tuple(map(str, values.get(name, []))) for name in ("without", "rough")}
+    return PlanEntry(**{**values, **tuples})

@@ -129,12 +129,12 @@ def bench_dtu(
     data = {"protocol": protocol, "run": facts, **summary_data(summaries)}
     write_json(out / "summary.json", data)
     table = summary_table(summaries)
-    write_report(out, pairs, scores, facts=facts, table=table)
+    write_report(out, scores, facts=facts, table=table)
     click.echo(
         f"{protocol} protocol: {DESCRIPTIONS[protocol]}\n{heading(estimation)}\n"
         "D_e: median symmetric epipolar distance of a pair in pixels of the protocol's images, its "
         "median\nover pairs, over all pixels and over the pose's matches; pose s: estimating\n"
-        f"{table}\n{out / 'report.html'}: the plots, the pairs, and pictures of the worst"
+        f"{table}\n{out / 'report.html'}: the plots and the pairs"
     )
 
 

@@ -20,13 +20,8 @@ SEQUENCES = 59  # of a changing viewpoint in HPatches
 
 @click.command()
 @click.option("--root", required=True, metavar="DIR", help="Folder of the images.")
-@click.option(
-    "--lists",
-    metavar="DIR",
-    help="Folder of the DGC-Net authors' hpatches_1_2.csv to hpatches_1_6.csv: use their pairs.",
-)
 @dataclass_options(MapBenchOptions, "bench")
-def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None:
+def bench_hpatches(root: str, bench: MapBenchOptions) -> None:
     """Score the dense maps of networks and other matchers on pairs with known homographies.
 
     Reads the folder and the folders right below it: HPatches' viewpoint sequences (v_*/1.ppm,
@@ -38,14 +33,12 @@ def bench_hpatches(root: str, lists: str | None, bench: MapBenchOptions) -> None
         HPATCHES_AEPE,
         HPATCHES_JACCARD,
         find_homography_pairs,
-        read_lists,
     )
     from dgc_pose.benchmarks.map_run import MapSet
 
-    data = find_homography_pairs(root) if lists is None else read_lists(lists, root)
+    data = find_homography_pairs(root)
     facts = {
         "root": root,
-        "lists": lists,
         "sequences": len(data.sequences),
         "missing": list(data.missing),
         "published_aepe": HPATCHES_AEPE,

@@ -1,6 +1,5 @@
 """`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,13 +33,6 @@ class FitChoice:
         f"{DEFAULT_WEIGHTS},sift",
         "Comma-separated networks and sift; of the networks the first is fitted.",
     )
-    stop_after: float | None = option(
-        None,
-        "Stop collecting after so many minutes, without a fit; the same command continues.",
-        metavar="MIN",
-        above=0,
-        max=10**7,
-    )
     collected: bool = option(False, "Match no further pairs: fit on those that are stored.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
 
@@ -64,9 +56,8 @@ def fit_probability(choice: FitChoice) -> None:
     methods = split_names(choice.methods)
     if not methods:
         raise InputError("no methods named")
-    if not choice.collected and not _collected(choice, methods, entries):
-        click.echo("stopped; the same command continues")
-        return
+    if not choice.collected:
+        _collect(choice, methods, entries)
     from dgc_pose.benchmarks.probability.report import fit_all
     from dgc_pose.viz import save_figure
 
@@ -82,23 +73,18 @@ def fit_probability(choice: FitChoice) -> None:
     click.echo(report)
 
 
-def _collected(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> bool:
-    """Match what is not stored yet; whether nothing is left."""
+def _collect(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> None:
+    """Match what is not stored yet."""
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
     from dgc_pose.benchmarks.probability.planned import planned
     from dgc_pose.matchers import load_matcher
 
-    start = time.monotonic()
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
     lists = choice.out / "lists"
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
     for name, matcher in matchers.items():
         require_engine(choice.out, name, matcher)
-    # One pair of each scene in turn: a collection that is cut short has some of each.
+    # One pair of each scene in turn: a collection that is killed has some of each.
     pairs.sort(key=lambda pair: pair.number)
     for pair in tqdm(pairs, unit="pair", disable=None):
         collect(pair, matchers, choice.out)
-        minutes = (time.monotonic() - start) / 60
-        if choice.stop_after is not None and minutes >= choice.stop_after:
-            return False
-    return True

@@ -7,21 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.curves import plot_pck
 from dgc_pose.benchmarks.files import split_names
-from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
 from dgc_pose.benchmarks.map_report import (
-    ALL,
     Scores,
     groups_of,
     report_data,
     summaries,
     write_pairs,
 )
-from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, RIGHT_PX, PairScores
+from dgc_pose.benchmarks.map_scores import ALL, PCK_ALPHAS, RIGHT_PX, PairScores
 from dgc_pose.benchmarks.reliability import plot_reliability
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.files.json_files import json_text
@@ -34,7 +31,7 @@ from dgc_pose.viz import save_figure
 if TYPE_CHECKING:
     from dgc_pose.benchmarks.map_run import MapSet
 
-_TABLES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
+_FILES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
 
 
 @dataclass(frozen=True)
@@ -46,18 +43,11 @@ class MapBenchOptions:
         "Comma-separated names or paths of weights, or of other matchers with a dense map, as "
         "deepmatching and dis; default: all shipped weights.",
     )
-    per_axis: bool = option(
-        False,
-        "PCK curves of max(|dx|, |dy|), as by the paper's authors; else of the Euclidean error.",
-    )
-    worst: int = option(
-        4, "Pairs of largest AEPE to draw in --out, for each method.", metavar="N", min=1, max=1000
-    )
     out: str | None = option(
         None,
-        "Write pairs.csv, summary.json, pck.png, reliability.png and worst_*.png there.",
+        "Write pairs.csv, summary.json, pck.png and reliability.png there.",
         metavar="DIR",
-        type=OutputFolder(*_TABLES),
+        type=OutputFolder(*_FILES),
     )
     json_path: str | None = option(
         None, "Write all figures as JSON.", flag="--json", metavar="PATH", type=OutputFile()
@@ -70,51 +60,40 @@ def run_map_bench(bench: MapBenchOptions, data: MapSet) -> Scores:
 
     Every output file is opened first: one that cannot be written stops the run before it begins.
     """
-    from dgc_pose.benchmarks.map_run import load_map_methods, map_outcomes
+    from dgc_pose.benchmarks.map_run import load_map_methods, map_scores
 
     names = ",".join(shipped()) if bench.methods is None else bench.methods
     methods = load_map_methods(split_names(names), device=bench.device)
-    pictures = {name: f"worst_{n}_{Path(name).stem}.png" for n, name in enumerate(methods, start=1)}
     paths = {}
     if bench.out is not None:
         Path(bench.out).mkdir(parents=True, exist_ok=True)
-        paths = {name: str(Path(bench.out, name)) for name in (*_TABLES, *pictures.values())}
+        paths = {name: str(Path(bench.out, name)) for name in _FILES}
     with staged(bench.json_path, *paths.values()) as stage:
         scores: dict[str, list[PairScores]] = {name: [] for name in methods}
-        worst: dict[str, list[tuple[float, MapPicture]]] = {name: [] for name in methods}
-        outcomes = map_outcomes(data.cases, methods, bench.per_axis)
+        found = map_scores(data.cases, methods)
         total = data.total * len(methods)
-        for pair, picture in tqdm(outcomes, total=total, unit="pair", disable=None):
+        for pair in tqdm(found, total=total, unit="pair", disable=None):
             scores[pair.method].append(pair)
-            if bench.out is not None and pair.valid:  # pixels of known truth
-                drawn = [*worst[pair.method], (float(pair.aepe), picture)]
-                drawn.sort(key=lambda item: -np.nan_to_num(item[0], nan=np.inf))
-                worst[pair.method] = drawn[: bench.worst]
-        distance = "max of |dx|, |dy|" if bench.per_axis else "Euclidean"
-        text = json_text({**data.facts, "pck_distance": distance, **report_data(scores)})
+        text = json_text({**data.facts, **report_data(scores)})
         if bench.json_path is not None:
             save_text(stage(bench.json_path), text)
         if bench.out is not None:
             files = {name: stage(path) for name, path in paths.items()}
             save_text(files["summary.json"], text)
-            _write_figures(files, scores, distance)
-            for method, drawn in worst.items():
-                if drawn:
-                    save_figure(plot_maps([p for _, p in drawn]), files[pictures[method]])
+            _write_figures(files, scores)
     return scores
 
 
-def _write_figures(files: Mapping[str, Path], scores: Scores, distance: str) -> None:
+def _write_figures(files: Mapping[str, Path], scores: Scores) -> None:
     """The table of the pairs, the PCK curves by group, and the reliability diagram."""
     table = files["pairs.csv"]
     with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
         write_pairs(stream, scores)
-    groups: list[str | None] = [*groups_of(scores)] or [None]
     curves = {
-        group or ALL: {summary.method: summary.pck for summary in summaries(scores, group)}
-        for group in groups
+        group: {summary.method: summary.pck for summary in summaries(scores, group)}
+        for group in groups_of(scores) or [ALL]
     }
-    save_figure(plot_pck(curves, PCK_ALPHAS, distance=distance), files["pck.png"])
+    save_figure(plot_pck(curves, PCK_ALPHAS), files["pck.png"])
     masked = {
         summary.method: summary.reliability
         for summary in summaries(scores)

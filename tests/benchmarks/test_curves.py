@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.curves import draw_cumulative, plot_errors, plot_pck
-from dgc_pose.benchmarks.map_figure import MapPicture, plot_maps
 from dgc_pose.viz.figure import new_figure, save_figure
 
 
@@ -29,23 +28,9 @@ def test_a_method_may_be_called_as_a_formula(tmp_path):
 def test_a_panel_a_group_and_a_curve_a_method():
     alphas = np.linspace(0.005, 0.1, 5)
     curves = {"I": {"a": np.linspace(0, 1, 5)}, "II": {"a": np.full(5, np.nan)}}
-    figure = plot_pck(curves, alphas, distance="Euclidean")
+    figure = plot_pck(curves, alphas)
     assert [axes.get_title() for axes in figure.axes] == ["I", "II"]
     (curve,) = figure.axes[0].lines
     assert curve.get_ydata().tolist() == pytest.approx([0, 25, 50, 75, 100])
     assert curve.get_xdata().tolist() == alphas.tolist()
     figure.canvas.draw()
-
-
-def test_a_row_a_pair_with_the_warped_source_and_its_errors():
-    """Errors are bright, and grey where nothing is known."""
-    image = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    places = np.stack(np.meshgrid(np.arange(30.0), np.arange(20.0)), -1).astype(np.float32)
-    picture = MapPicture("first", image, image, places, np.zeros((20, 30)))
-    picture.errors[0, :4] = 10, 20, 1e6, np.inf
-    panels = [axes for axes in plot_maps([picture]).axes if axes.images]
-    source, _, warped, errors = (axes.images[0].get_array().astype(int) for axes in panels)
-    np.testing.assert_array_equal(warped, source)
-    bad, worst, beyond, unknown = errors[0, :4]
-    assert bad.sum() < worst.sum() and beyond.tolist() == worst.tolist()
-    assert len(set(unknown.tolist())) == 1

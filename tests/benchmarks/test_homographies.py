@@ -9,10 +9,8 @@ import torch.nn.functional as F
 
 from dgc_pose.benchmarks.homographies import (
     VIEWPOINTS,
-    HomographyPair,
     find_homography_pairs,
     load_pair,
-    read_lists,
     true_map,
 )
 from dgc_pose.errors import InputError
@@ -95,56 +93,3 @@ def test_a_matrix_that_is_none_is_named(tmp_path, text: str) -> None:
     (tmp_path / "wall_H.txt").write_text(text)
     with pytest.raises(InputError, match=r"wall_H\.txt is not a homography"):
         find_homography_pairs(tmp_path)
-
-
-def test_a_matrix_for_another_size_is_refused(tmp_path) -> None:
-    scene.write_annotated(tmp_path, "wall")
-    pair = find_homography_pairs(tmp_path).pairs[0]
-    wrong = HomographyPair(pair.name, "", pair.path1, pair.path2, pair.H, (640, 480))
-    with pytest.raises(InputError, match="320x240 and the list was made for 640x480"):
-        load_pair(wrong)
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """One of two listed sequences is on the disk."""
-    scene.write_sequence(tmp_path / "v_wall")
-    scene.write_lists(tmp_path / "lists", ["v_adam", "v_wall"])
-    return tmp_path
-
-
-def test_the_pairs_of_all_lists_by_viewpoint(folder) -> None:
-    found = read_lists(folder / "lists", folder)
-    assert [pair.group for pair in found.pairs] == list(VIEWPOINTS)
-    assert [pair.name for pair in found.pairs] == [f"v_wall 1-{k}" for k in range(2, 7)]
-    assert found.missing == tuple(f"v_adam 1-{k}" for k in range(2, 7))
-    first = found.pairs[0]
-    assert first.path1 == folder / "v_wall" / "1.ppm"
-    assert first.path2 == folder / "v_wall" / "2.ppm"
-    assert first.size1 == scene.SIZE1
-    np.testing.assert_array_equal(first.H, scene.H)
-    assert load_pair(first).valid.any()
-
-
-@pytest.mark.parametrize(
-    "change, line",
-    [
-        (lambda text: text.replace("H33", "H34", 1), 2),
-        (lambda text: text.replace("0.95", "nan", 1), 2),
-        (lambda text: text.replace(",240,320,", ",,320,", 1), 2),
-        (lambda text: text + "v_last,1,4\n", 4),
-    ],
-)
-def test_a_bad_line_is_named(folder, change, line) -> None:
-    path = folder / "lists" / "hpatches_1_4.csv"
-    path.write_text(change(path.read_text()))
-    with pytest.raises(InputError, match=f"1_4.csv:{line} is not a pair of HPatches"):
-        read_lists(folder / "lists", folder)
-
-
-def test_all_five_lists_and_an_image_are_needed(folder) -> None:
-    with pytest.raises(InputError, match="no image of the 10 pairs"):
-        read_lists(folder / "lists", folder / "lists")
-    (folder / "lists" / "hpatches_1_5.csv").unlink()
-    with pytest.raises(InputError, match="hpatches_1_5.csv: no such list"):
-        read_lists(folder / "lists", folder)

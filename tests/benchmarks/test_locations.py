@@ -15,10 +15,13 @@ from dgc_pose.errors import DgcPoseError
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
-    """A folder of posed RGB-D images without their depths."""
+    """A folder of posed RGB-D images whose depths are unknown."""
     folder = tmp_path_factory.mktemp("rgbd")
     views = render_views(5, step=0.5)
     write_views(folder / "images", views)
+    (folder / "depth").mkdir()
+    for i in range(len(views)):
+        cv2.imwrite(str(folder / f"depth/view{i}.png"), np.zeros((48, 64), np.uint16))
     np.savetxt(folder / "K.txt", K)
     square = [np.vstack([np.column_stack([v.R, v.t]), [0, 0, 0, 1]]) for v in views]
     np.savetxt(folder / "poses.txt", np.stack([np.linalg.inv(s).ravel() for s in square]))
@@ -31,11 +34,12 @@ def test_posed_images_are_a_model(scene: tuple[Path, list[View]], tmp_path: Path
     for i, view in enumerate(views):
         np.testing.assert_allclose(model.centre(f"view{i}.png"), view.centre, atol=1e-9)
         np.testing.assert_allclose(model.poses[f"view{i}.png"][:, :3], view.R, atol=1e-9)
-    (tmp_path / "images").mkdir()
-    cv2.imwrite(str(tmp_path / "images" / "a.png"), views[0].pixels)
+    for name in ("images", "depth"):
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / "a.png"), views[0].pixels)
     for name in ("K.txt", "poses.txt"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
-    with pytest.raises(DgcPoseError, match="1 images and 5 poses"):
+    with pytest.raises(DgcPoseError, match="1 images, 1 depths and 5 poses"):
         true_model(tmp_path, None)
 
 

@@ -34,18 +34,16 @@ def offsets(pair: Comparison) -> list[tuple[int, int, float, float]]:
     ]
 
 
-@pytest.mark.parametrize("per_axis", [False, True])
-def test_a_pairs_errors_are_those_of_its_valid_pixels(per_axis: bool) -> None:
+def test_a_pairs_errors_are_those_of_its_valid_pixels() -> None:
     pair = comparison()
-    found = score_map("net", "I", "wall", pair, per_axis)
+    found = score_map("net", "I", "wall", pair)
     distances = [math.hypot(dx, dy) for _, _, dx, dy in offsets(pair)]
     assert (found.method, found.group, found.name) == ("net", "I", "wall")
     assert found.valid == len(distances) > 50
     assert found.aepe == pytest.approx(sum(distances) / len(distances))
     assert found.level_aepe[-1] == pytest.approx(found.aepe) and len(found.level_aepe) == 5
     assert found.within.tolist() == [sum(d <= limit for d in distances) for limit in (1, 3, 5)]
-    curve = [max(abs(dx), abs(dy)) for _, _, dx, dy in offsets(pair)] if per_axis else distances
-    assert found.near.tolist() == [sum(d <= limit for d in curve) for limit in PCK_THRESHOLDS]
+    assert found.near.tolist() == [sum(d <= limit for d in distances) for limit in PCK_THRESHOLDS]
 
 
 def test_the_mask_is_scored_against_both_meanings() -> None:
@@ -67,7 +65,7 @@ def test_the_mask_is_scored_against_both_meanings() -> None:
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     pairs = [comparison(0), comparison(1)]
     own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
-    found = summarise_maps(own)
+    found = summarise_maps(own, "I")
     assert (found.method, found.group, found.pairs) == ("net", "I", 2)
     assert found.aepe == pytest.approx((own[0].aepe + own[1].aepe) / 2)
     for level in range(5):
@@ -80,7 +78,7 @@ def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     assert found.jaccard == pytest.approx((own[0].jaccard + own[1].jaccard) / 2)
     pooled = found.reliability
     assert pooled is not None and pooled.counts.sum() == 2 * 144
-    assert summarise_maps(own, "all").group == "all"
+    assert summarise_maps(own).group == "all"
 
 
 def test_a_pair_with_nothing_to_find_has_no_error() -> None:

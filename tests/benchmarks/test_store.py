@@ -20,7 +20,6 @@ COLUMNS = {
         "epipolar_all_mean_px epipolar_confident_mean_px"
     ).split(),
     "timings.csv": "method scene view1 view2 match_seconds pose_seconds".split(),
-    "matches.csv": "method scene view1 view2 sample".split(),
 }
 
 

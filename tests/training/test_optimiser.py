@@ -1,11 +1,13 @@
 """How a stage learns: rates by group of parameters, and averaged weights."""
 
+import copy
+
 import pytest
 from torch import nn
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.optimiser import moving_average, optimiser, rate_at
+from dgc_pose.training.optimiser import move_average, optimiser, rate_at
 from dgc_pose.training.stages import EncoderStage
 
 
@@ -34,18 +36,17 @@ def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
 def test_the_average_is_the_sum_of_all_values_by_their_decays(decay: float) -> None:
     """Of the weights, which lie between the values, and of the statistics; counters are copied."""
     norm = nn.BatchNorm1d(1)
-    average = moving_average(norm, decay)
+    average = copy.deepcopy(norm)
     expected, statistic = 1.0, 0.0  # as a norm begins
     for n, value in enumerate((0.5, 2.0, -1.0, 4.0, 1.5)):
         nn.init.constant_(norm.weight, value)
         nn.init.constant_(norm.get_buffer("running_mean"), -2 * value)
         norm.get_buffer("num_batches_tracked").fill_(n)
-        average.update_parameters(norm)
+        move_average(average, norm, n + 1, decay)
         share = min(decay, (1 + n) / (10 + n))
         expected = share * expected + (1 - share) * value
         statistic = share * statistic + (1 - share) * -2 * value
-    assert float(average.module.weight) == pytest.approx(expected, rel=1e-5)
-    assert float(average.module.running_mean) == pytest.approx(statistic, rel=1e-5)
-    assert int(average.module.num_batches_tracked) == 4
-    assert not average.module.training and not average.module.weight.requires_grad
+    assert average.weight.item() == pytest.approx(expected, rel=1e-5)
+    assert average.running_mean.item() == pytest.approx(statistic, rel=1e-5)
+    assert int(average.num_batches_tracked) == 4
     assert norm.weight.requires_grad and norm.weight.item() == 1.5

@@ -58,7 +58,7 @@ def test_scenes_and_changes_of_light_with_all_files(folder):
     )
     assert result.exit_code == 0, result.output
     assert "with changes of light" in result.stdout
-    names = ["pairs.csv", "pck.png", "reliability.png", "summary.json", "worst_1_still.png"]
+    names = ["pairs.csv", "pck.png", "reliability.png", "summary.json"]
     assert sorted(os.listdir("run")) == names
 
 
