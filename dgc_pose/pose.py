@@ -47,7 +47,9 @@ _STEPS: Mapping[Effort, Sequence[Step]] = {
     "auto": ("quick", "fine", "match", "mirrored", "more"),
     "thorough": ("match", "mirrored", "more"),
 }
-_MIN_SEARCHED, _MAX_SEARCHED = 0.005, 0.99  # probabilities beyond which no more is searched
+# Probabilities that a pose or an alternative is right beyond which no more is searched, and the
+# share of the pose that this needs.
+_MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
 # Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
 _LIKELY = 0.9
 # It is not if its own is so probable, and the median epipolar error below this share of the
@@ -261,7 +263,8 @@ def _may_change(
 
 def certain(pose: RelativePose) -> bool:
     """Whether it is nearly certain that the pose is right."""
-    return pose.success and (pose.probability or 0.0) >= _MAX_SEARCHED
+    likely = (pose.any_probability or 0.0) >= _MAX_SEARCHED
+    return pose.success and likely and pose.hypotheses[0].share >= _CLEAR_SHARE
 
 
 def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
@@ -287,4 +290,4 @@ def in_doubt(pose: RelativePose) -> bool:
         return False
     share = pose.hypotheses[0].share
     of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
-    return of_others > _MIN_SEARCHED and likely * share < _MAX_SEARCHED
+    return of_others > _MIN_SEARCHED and (likely < _MAX_SEARCHED or share < _CLEAR_SHARE)

@@ -34,6 +34,7 @@ _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
 _ALTOGETHER_WRONG_DEG = 30.0  # a pose whose cameras are no evidence
 _LEAST_SLOPE = 0.2  # of the calibrated log-odds
 _RIDGE = 1e-3  # on the weights of the choice
+_LAPSE, _MOST_LAPSE = 0.05, 0.5  # of the choice: where the fit begins, and ends at the latest
 Samples = Sequence[tuple[Record, Evidence]]
 
 
@@ -93,14 +94,16 @@ def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
     right = [np.array([pose.right for pose in poses]) for poses in several]
 
     def loss(weights: np.ndarray) -> float:
+        *of_features, lapse = weights
         chances = [
-            choice_shares(values @ weights)[true].sum()
+            choice_shares(values @ of_features, lapse)[true].sum()
             for values, true in zip(features, right, strict=True)
         ]
         return float(_RIDGE * (weights**2).sum() - np.log(np.maximum(chances, 1e-12)).sum())
 
-    fitted = optimize.minimize(loss, np.ones(len(names)), bounds=[(0, None)] * len(names))
-    return {name: round(float(w), 6) for name, w in zip(names, fitted.x, strict=True)}
+    start, bounds = [*np.ones(len(names)), _LAPSE], [*len(names) * [(0, None)], (0, _MOST_LAPSE)]
+    fitted = optimize.minimize(loss, start, bounds=bounds)
+    return {name: round(float(w), 6) for name, w in zip([*names, "lapse"], fitted.x, strict=True)}
 
 
 def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:

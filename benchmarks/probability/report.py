@@ -64,7 +64,8 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         return Judged(record, False, 0.0, math.nan, math.nan)
     any_right = model.probability(evidence)
     shares = choice_shares(
-        [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses]
+        [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses],
+        model.choice["lapse"],
     )
     order = np.argsort(-shares, kind="stable")
     share, best = float(shares[order[0]]), record.poses[order[0]]

@@ -130,14 +130,14 @@ def compared(
 def ranked(among: Sequence[Hypothesis], weights: Mapping[str, float] | None) -> list[Hypothesis]:
     """Hypotheses with their shares, the likeliest first; without weights as they are.
 
-    weights: log-odds for a unit of each of `CHOICE_FEATURES`.
+    weights: log-odds for a unit of each of `CHOICE_FEATURES`, and the lapse of `choice_shares`.
     """
     if weights is None:
         return list(among)
     odds = [
         utility(h.likelihood, h.map_agreement, weights) if h.likely else -math.inf for h in among
     ]
-    shares = choice_shares(odds).tolist()
+    shares = choice_shares(odds, weights["lapse"]).tolist()
     valued = [replace(h, share=share) for h, share in zip(among, shares, strict=True)]
     return sorted(valued, key=lambda h: -h.share)
 
@@ -145,14 +145,16 @@ def ranked(among: Sequence[Hypothesis], weights: Mapping[str, float] | None) -> 
 def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str, float]) -> float:
     """The log-odds of a hypothesis, up to a constant of the pair."""
     values = {"likelihood": likelihood, "map_agreement": map_agreement or 0.0}
-    return sum(weight * values[name] for name, weight in weights.items())
+    return sum(weights[name] * values[name] for name in CHOICE_FEATURES if name in weights)
 
 
-def choice_shares(utilities: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Probabilities (K,) of the conditional logit model (McFadden 1974) of utilities (K,)."""
+def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float) -> np.ndarray:
+    """Probabilities (K,) of the conditional logit model (McFadden 1974) of utilities (K,), -inf for
+    what cannot be chosen. lapse: the probability that any other is right, whatever these state."""
     values = np.asarray(utilities)
     odds = np.exp(values - values.max())
-    return odds / odds.sum()
+    possible = np.isfinite(values)
+    return (1 - lapse) * odds / odds.sum() + lapse * possible / possible.sum()
 
 
 def _log_likelihoods(problem: TwoViewProblem, pose: Hypothesis, scale: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
-FORMAT = 3  # of the file
+FORMAT = 4  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
 _CONTRADICTED_STDS = 3.0  # standard deviations that a focal length may be off
@@ -160,7 +160,7 @@ class ProbabilityModel:
     reference: Mapping[str, float]  # the median of each feature over right poses
     rotation_error: ErrorModel
     translation_error: ErrorModel
-    choice: Mapping[str, float]  # log-odds for a unit of each of `CHOICE_FEATURES`
+    choice: Mapping[str, float]  # log-odds for a unit of each of `CHOICE_FEATURES`, and "lapse"
 
     def probability(self, evidence: Evidence) -> float:
         """The probability that a pose with R and t within 10 degrees is among those that explain

@@ -63,8 +63,9 @@ def judge(
     """The verdict on the likeliest hypothesis.
 
     Without a probability, or without `min_probability`, the first gate that the evidence
-    fails decides. Otherwise the probability does, unless random matches have as many inliers or the
-    translation is not determined at all: the data that it is fitted on do not show these.
+    fails decides. Otherwise the probability does, unless random matches have as many inliers, the
+    translation is not determined at all, or most inliers lie behind a camera: the data that it is
+    fitted on do not show these.
     probability: that a right pose is among those that explain the matches. against: what speaks
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
     first; () for a single one. Where focal lengths were fitted, the odds of `min_probability` count
@@ -80,7 +81,7 @@ def judge(
             by_chance(evidence) or _unusable(evidence) or undetermined or _implausible(evidence)
         )
         return failed or _moved_plane(evidence) or _pose(evidence)
-    impossible = _random(evidence) or _unusable(evidence) or undetermined
+    impossible = _random(evidence) or _unusable(evidence) or undetermined or _behind(evidence)
     if impossible is not None:
         return by_chance(evidence) or impossible
     if probability >= min_probability and (moved := _moved_plane(evidence)):

@@ -21,7 +21,7 @@ ANY = 1 / (1 + np.exp(-3.0))  # probability that a right pose is among the hypot
 def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Models of the probability with weights that no fit changes: 95 % for any evidence, and the
     choice by the likelihood."""
-    model = ProbabilityModel({}, 3.0, {}, AS_JACKKNIFED, AS_JACKKNIFED, {"likelihood": 1.0})
+    model = ProbabilityModel({}, 3.0, {}, AS_JACKKNIFED, AS_JACKKNIFED, {"likelihood": 1.0, "lapse": 0.0})
     models = FittedModels({"matches": model, "network": model}, AS_JACKKNIFED, frozenset({WEIGHTS}))
     monkeypatch.setattr(relative_pose, "shipped_models", lambda: models)
 

@@ -26,7 +26,7 @@ from two_view import poster_scene, two_view_scene
 # Of two poses that explain a plane equally well none has a probability above one half.
 OPTIONS = EstimationOptions(runs=3, iterations=300, min_probability=None)
 AS_THEY_ARE = EstimationOptions(refine=False)
-WEIGHTS = {"likelihood": 0.5, "map_agreement": 4.0}
+WEIGHTS = {"likelihood": 0.5, "map_agreement": 4.0, "lapse": 0.0}
 
 
 def _off(R: np.ndarray, t: np.ndarray, scene) -> float:
@@ -114,7 +114,10 @@ def _depths(u: np.ndarray, v: np.ndarray, R: np.ndarray, t: np.ndarray) -> np.nd
 
 @given(st.lists(st.floats(-1e4, 1e4), min_size=1, max_size=6))
 def test_shares_are_scipy_s_softmax(utilities) -> None:
-    np.testing.assert_allclose(choice_shares(utilities), softmax(utilities), rtol=1e-9, atol=1e-300)
+    shares = softmax(utilities)
+    np.testing.assert_allclose(choice_shares(utilities, 0.0), shares, rtol=1e-9, atol=1e-300)
+    lapsed = 0.9 * np.append(shares, 0) + 0.1 / len(shares) * np.append(np.ones(len(shares)), 0)
+    np.testing.assert_allclose(choice_shares([*utilities, -math.inf], 0.1), lapsed, rtol=1e-9)
 
 
 def test_the_likeliest_is_the_first_and_an_unlikely_one_has_no_share() -> None:

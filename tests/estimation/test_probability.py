@@ -38,7 +38,7 @@ MODEL = {
     "reference": {name: feature.value(GOOD_EVIDENCE) for name, feature in FEATURES.items()},
     "rotation_error": ERROR,
     "translation_error": ERROR,
-    "choice": {"likelihood": 0.9, "map_agreement": 10.0},
+    "choice": {"likelihood": 0.9, "map_agreement": 10.0, "lapse": 0.0},
 }
 
 

@@ -146,13 +146,12 @@ def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
     )
 
 
-def test_no_probability_makes_a_pose_of_chance_a_rotation_or_a_line() -> None:
+def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behind() -> None:
     assert judge(_changed(log10_false_alarms=0.0), LEAST, 0.99).status == "chance_inliers"
     rotated = _changed(rotation_share=1.0, parallax=1.0)
     assert judge(rotated, LEAST, 0.99).status == "rotation_only"
     assert judge(_changed(collinear=True), LEAST, 0.99).status == "collinear"
-    behind = _changed(cheirality_ratio=0.4)  # which is part of the probability
-    assert [judge(behind, LEAST, p).status for p in (0.4, 0.6)] == ["behind_cameras", "ok"]
+    assert judge(_changed(cheirality_ratio=0.4), LEAST, 0.99).status == "behind_cameras"
     assert judge(_changed(camera_model="cylinder"), LEAST, 0.99).status == "panorama"
     chance = _changed(camera_model="cylinder", log10_false_alarms=0.0)
     assert judge(chance, LEAST, 0.99).status == "chance_inliers"
