@@ -13,7 +13,7 @@ from two_view import SCENE_KINDS, TwoViewScene, poster_scene, two_view_scene
 
 WEIGHTS = "net"  # fingerprint of a network whose matches the models are of
 SEEDS = (2, 3)  # all points in front of the cameras in both poses
-AS_JACKKNIFED = ErrorModel(0.0, 0.0)
+AS_STATED = ErrorModel(0.0, 0.0)
 ANY = 1 / (1 + np.exp(-3.0))  # probability that a right pose is among the hypotheses
 
 
@@ -21,8 +21,8 @@ ANY = 1 / (1 + np.exp(-3.0))  # probability that a right pose is among the hypot
 def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Models of the probability with weights that no fit changes: 95 % for any evidence, and the
     choice by the likelihood."""
-    model = ProbabilityModel({}, 3.0, {}, AS_JACKKNIFED, AS_JACKKNIFED, {"likelihood": 1.0, "lapse": 0.0})
-    models = FittedModels({"matches": model, "network": model}, AS_JACKKNIFED, frozenset({WEIGHTS}))
+    model = ProbabilityModel({}, 3.0, {}, AS_STATED, AS_STATED, {"likelihood": 1.0, "lapse": 0.0})
+    models = FittedModels({"matches": model, "network": model}, AS_STATED, frozenset({WEIGHTS}))
     monkeypatch.setattr(relative_pose, "shipped_models", lambda: models)
 
 

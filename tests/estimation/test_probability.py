@@ -172,5 +172,5 @@ def test_the_package_s_own_file_can_be_read() -> None:
     assert shipped_models().weights == {load_dense_matcher().fingerprint}
     for model in shipped_models().by_kind.values():
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
-        assert set(model.choice) <= set(CHOICE_FEATURES)
+        assert set(model.choice) <= {*CHOICE_FEATURES, "lapse"}
         assert all(weight >= 0 for weight in model.choice.values())
