@@ -148,7 +148,7 @@ def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str
     return sum(weights[name] * values[name] for name in CHOICE_FEATURES if name in weights)
 
 
-def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float) -> np.ndarray:
+def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float = 0.0) -> np.ndarray:
     """Probabilities (K,) of the conditional logit model (McFadden 1974) of utilities (K,), -inf for
     what cannot be chosen. lapse: the probability that any other is right, whatever these state."""
     values = np.asarray(utilities)
