@@ -84,7 +84,7 @@ def _split(root: Path) -> tuple[list[Path], list[Path]]:
         parts[int(digest, 16) % _HELD_BACK == 0].append(path)
     if not all(parts):
         counts = f"{len(parts[0])} photographs train and {len(parts[1])} are held back"
-        raise ImageError(f"{root}: {counts}; there must be dozens at least")
+        raise ImageError(f"{root}: {counts}, by their names; some of each are needed")
     return parts
 
 

@@ -27,6 +27,7 @@ from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, read_pairs, write_pairs
 from dgc_pose.cameras.prior import auto_camera
+from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image, load_image
@@ -89,6 +90,8 @@ def _listed(entry: PlanEntry, path: Path, lists: Path) -> list[Pair]:
         lists.mkdir(parents=True, exist_ok=True)
         with replaced(known) as stage:
             pairs = _DRAWN[entry.kind](path, entry.pairs, entry.seed)
+            if unknown := set(entry.without) - {Path(pair.name1).parts[0] for pair in pairs}:
+                raise InputError(f"{path}: no pairs of {min(unknown)}, which without names")
             write_pairs(stage, [p for p in pairs if Path(p.name1).parts[0] not in entry.without])
     return read_pairs(known, path)
 

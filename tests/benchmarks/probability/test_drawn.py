@@ -1,5 +1,8 @@
 """Pairs drawn from posed scenes."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pycolmap
@@ -13,6 +16,8 @@ from dgc_pose.benchmarks.probability.drawn import (
     drawn_rgbd,
     drawn_sparse,
 )
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.planned import planned
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg
 
@@ -90,6 +95,11 @@ def test_pairs_of_posed_scenes_are_wide_and_share_what_both_see(tmp_path) -> Non
     assert np.median(angles) > 20
     again = drawn_posed(tmp_path, 20, seed=1)
     assert [one.name1 for one in again] == [one.name1 for one in pairs]
+    entry = PlanEntry("posed", "fit", "posed", (Path("."),), 20, 1, True, without=("one",))
+    left = planned(entry, tmp_path, tmp_path / "lists")
+    assert [pair.scene for pair in left] == ["two"] * 20
+    with pytest.raises(InputError, match="no pairs of three, which without names"):
+        planned(replace(entry, without=("three",)), tmp_path, tmp_path / "others")
 
 
 def _model(folder, *, camera_model: str = "PINHOLE") -> list[np.ndarray]:
