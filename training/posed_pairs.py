@@ -26,7 +26,7 @@ from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.plane_sweep import swept_depths
-from dgc_pose.training.posed_frames import PosedFrame
+from dgc_pose.training.posed_frames import PosedFrame, reach_of
 from dgc_pose.training.views import (
     Cameras,
     Shape,
@@ -97,7 +97,7 @@ def load_posed(
     for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
         pixels, pinholes, sensed = zip(*map(_prepared, frames), strict=True)
         reach = np.array(
-            [f.reach or _reach(depth) for f, depth in zip(frames, sensed, strict=True)]
+            [f.reach or reach_of(depth) for f, depth in zip(frames, sensed, strict=True)]
         )
         pose = np.stack([frame.cam_from_world for frame in frames])[:, :3]
         # In single precision: about the cameras, and in units of the depth.
@@ -133,12 +133,6 @@ def load_posed(
     )
 
 
-def _reach(depth: np.ndarray) -> tuple[float, float]:
-    """The least and the largest of the known depths."""
-    known = depth[depth > 0]
-    return (known.min(), known.max()) if len(known) else (1.0, 1.0)
-
-
 def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pixels, fx fy cx cy and depths (h, w), 0 if unknown, of a frame without its lens distortion,
     LONGEST pixels at most."""
@@ -155,7 +149,7 @@ def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pixels = resize_by(pixels, min(1.0, LONGEST / max(width, height)))
     size = pixels.shape[1], pixels.shape[0]
     if depth.shape[1] > size[0]:
-        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
+        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
     K = camera.resized(size).K
     return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth
 

@@ -23,6 +23,7 @@ from dgc_pose.training.posed_pairs import (
     load_posed,
     posed_pairs,
 )
+from dgc_pose.training.views import pixel_grid
 
 SIZE = (240, 180)
 LEVELS = (50, 200)  # blue of either frame
@@ -94,6 +95,25 @@ def test_the_lens_is_undone(tmp_path: Path) -> None:
     found = 255 * scenes.bank.sample(torch.tensor(0), points, torch.ones(3))[:, :2]
     normalised = (points.double().numpy() - (118, 92)) / 200
     np.testing.assert_allclose(found, camera.project(normalised), atol=0.6)
+
+
+def test_frames_of_many_pixels_are_made_smaller_with_their_depth(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.arange(1280), np.arange(320))
+    image = np.stack([x / 5, y / 5, np.zeros_like(x)], -1).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), image[..., ::-1])
+    cv2.imwrite(str(tmp_path / "depth.png"), (2000 + 2 * x).astype(np.uint16))
+    camera = Camera(np.array([[1000.0, 0, 639.5], [0, 1000, 159.5], [0, 0, 1]]))
+    frame = PosedFrame(tmp_path / "a.png", camera, np.eye(4), tmp_path / "depth.png", reach=(1, 4))
+    scenes = load_posed({"a": [frame]}, "cpu", tmp_path)  # in units of 2
+    assert scenes.bank.size(torch.tensor(0)).tolist() == [512, 128]
+    torch.testing.assert_close(scenes.cameras.K, torch.tensor([[400.0, 400, 255.5, 63.5]]))
+    points = pixel_grid((128, 512), torch.device("cpu"))
+    depth = scenes.depth_at(torch.tensor([0]), points[None])[0]
+    stored = 1000 * depth - 1000  # x of the pixel whose depth it is
+    off = stored - (2.5 * points[..., 0] + 0.75)
+    assert off.abs().max() < 1.3 and abs(off.mean()) < 0.3
+    found = 255 * 5 * scenes.bank.sample(torch.tensor(0), points, torch.ones(128, 512))[..., 0]
+    assert abs((found - (2.5 * points[..., 0] + 0.75)).mean()) < 3  # of which 2 are rounding
 
 
 def _wall(folder: Path, count: int, step: float) -> list[PosedFrame]:
