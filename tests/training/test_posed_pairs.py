@@ -14,6 +14,8 @@ from scene_pair import RenderedPair
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.training import posed_pairs as posed_pairs_module
+from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
 from dgc_pose.training.posed_pairs import (
@@ -23,7 +25,7 @@ from dgc_pose.training.posed_pairs import (
     load_posed,
     posed_pairs,
 )
-from dgc_pose.training.views import pixel_grid
+from dgc_pose.training.views import Cameras, pixel_grid
 
 SIZE = (240, 180)
 LEVELS = (50, 200)  # blue of either frame
@@ -156,3 +158,19 @@ def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path: Path) -> None:
     first = int((pairs.frames[:, 0] < 4).sum())
     ratio = float(pairs.chance[first - 1] / (pairs.chance[-1] - pairs.chance[first - 1]))
     assert ratio == pytest.approx((first / (len(pairs.frames) - first)) ** 0.5)
+
+
+def test_swept_depths_are_kept_for_their_own_poses_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swept: list[int] = []
+
+    def counted(bank: ImageBank, views: Cameras, reach: torch.Tensor) -> list[torch.Tensor]:
+        swept.append(len(reach))
+        return [torch.full((2, 3), float(len(swept)))] * len(reach)
+
+    monkeypatch.setattr(posed_pairs_module, "swept_depths", counted)
+    for step, times in ((0.4, 1), (0.4, 1), (0.3, 2), (0.4, 2)):
+        walls = [replace(f, depth=None, reach=(1, 4)) for f in _wall(tmp_path, 3, step)]
+        scenes = load_posed({"wall": walls}, "cpu", tmp_path / "depths")
+        assert len(swept) == times and scenes.depth.unique().tolist() == [2 if step == 0.3 else 1]
