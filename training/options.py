@@ -18,6 +18,11 @@ class Shares:
     rooms: float = 0.20  # ray-cast
     posed: float = 0.52  # posed photographs of known depth
 
+    def __str__(self) -> str:
+        """As percentages, which `parse` reads."""
+        shares = (self.photos, self.light, self.rooms, self.posed)
+        return ",".join(f"{100 * share:g}" for share in shares)
+
     @classmethod
     def parse(cls, text: str) -> Shares:
         """From percentages, as "20,8,20,52". Raises InputError for any other text."""
@@ -37,7 +42,7 @@ class TrainingOptions:
     preset: str = option("dgcm-lite0", "Network: dgc, dgcm or dgcm-lite0.")
     seconds: float | None = option(None, "Length of the run.", above=0, max=10**9)
     steps: int | None = option(
-        None, "Length of the run in steps; such a run repeats exactly.", min=1, max=10**9
+        None, "Length of the run in steps; on a CPU such a run repeats exactly.", min=1, max=10**9
     )
     ablations: tuple[str, ...] = option(
         (),

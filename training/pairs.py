@@ -15,7 +15,7 @@ from dgc_pose.training.light import other_light
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import Shares
 from dgc_pose.training.photos import Photos, load_photos
-from dgc_pose.training.posed_frames import read_scenes
+from dgc_pose.training.posed_frames import PosedFrame, read_scenes
 from dgc_pose.training.posed_pairs import FramePairs, frame_pairs, load_posed, posed_pairs
 from dgc_pose.training.room_pairs import room_pairs
 from dgc_pose.training.views import Shape
@@ -76,19 +76,31 @@ def load_data(
 
     photos, light: see `load_photos`; posed: folders for `read_scenes`; depths: see `load_posed`;
     held: names of the scenes that validate. Raises as these do, and InputError for a scene that is
-    not there or if no frames make a pair.
+    not there or there twice, and if no frames of one that is needed make a pair.
     """
-    training, held_back = load_photos(photos, light, device)
-    frames = {name: scene for root in posed for name, scene in read_scenes(root).items()}
+    frames: dict[str, list[PosedFrame]] = {}
+    for root in posed:
+        found = read_scenes(root)
+        if twice := sorted(frames.keys() & found):
+            raise InputError(f"posed: {root}: another folder, too, has a scene {twice[0]}")
+        frames |= found
     if missing := sorted(set(held) - set(frames)):
         raise InputError(f"held: there is no scene {missing[0]}")
+    trains = [name for name in frames if name not in held] if shares.posed else []
+    if frames and shares.posed and not trains:
+        raise InputError("held: no scene of posed is left to train")
+    needed = {name: scene for name, scene in frames.items() if name in held or name in trains}
+    training, held_back = load_photos(photos, light, device)
     pairs = validating = None
-    if frames:
-        scenes = load_posed(frames, device, depths)
-        pairs = frame_pairs(scenes, frames.keys() - set(held))
-        validating = frame_pairs(scenes, held)
+    if needed:
+        scenes = load_posed(needed, device, depths)
+        pairs, validating = frame_pairs(scenes, trains), frame_pairs(scenes, held)
+        pairless = [name for name in held if frame_pairs(scenes, [name]) is None]
         if pairs is None:
-            raise InputError(f"posed: of {len(scenes.scene)} frames no two overlap as they should")
+            pairless += trains
+        if pairless:
+            names = ", ".join(pairless)
+            raise InputError(f"posed: in {names} no two frames share enough of known depth")
     sources = {
         TRAINING: PairSource(training, pairs, shares),
         "photos": PairSource(held_back, shares=Shares(1, 0, 0, 0)),

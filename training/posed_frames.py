@@ -17,7 +17,7 @@ from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.folder import search_images
-from dgc_pose.images.image import read_pixels
+from dgc_pose.images.image import image_size, read_pixels
 from dgc_pose.localization.model import load_model
 
 _NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths that a frame's reach is of
@@ -40,17 +40,24 @@ class PosedFrame:
 
     def __post_init__(self) -> None:
         R, last = self.cam_from_world[:3, :3], self.cam_from_world[3]
-        if not (is_rotation(R) and np.allclose(last, (0, 0, 0, 1), atol=1e-6)):
+        is_pose = is_rotation(R) and np.isfinite(self.cam_from_world).all()
+        if not (is_pose and np.allclose(last, (0, 0, 0, 1), atol=1e-6)):
             raise InputError(f"{self.image}: its pose is no rotation and translation")
         if abs(self.camera.K[0, 1]) > 1e-6 * self.camera.K[0, 0]:
             raise InputError(f"{self.image}: its K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
 
     def read_depth(self) -> np.ndarray:
-        """(h, w) float32, units of length, 0 if unknown. Raises ImageError with the path."""
+        """(h, w) float32 of the image's size, units of length, 0 if unknown.
+
+        Raises ImageError, with the path, if it cannot be read; InputError if its size is another.
+        """
         assert self.depth is not None
         stored = read_pixels(self.depth)
         if stored.ndim != 2:
             raise ImageError(f"{self.depth} is not a depth image of one channel")
+        if stored.shape[::-1] != (size := image_size(self.image)):
+            sizes = f"{stored.shape[1]} x {stored.shape[0]}, its image {size[0]} x {size[1]}"
+            raise InputError(f"{self.depth} has {sizes} pixels")
         return stored.astype(np.float32) * np.float32(self.step)
 
 
@@ -60,7 +67,7 @@ def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
     Raises InputError, with the path, if there are none or a file is malformed; ImageError if a file
     is not an image; OSError.
     """
-    root = Path(root)
+    root = Path(root).resolve()  # the working folder, too, has a name
     folders = [root] if (root / "images").is_dir() else sorted(root.iterdir())
     scenes = {f.name: read_scene(f) for f in folders if (f / "images").is_dir()}
     if not scenes:
@@ -69,22 +76,37 @@ def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
 
 
 def read_scene(root: Path) -> list[PosedFrame]:
-    """The frames of a scene's folder, in order. Raises as `read_scenes` does."""
+    """The frames of a scene's folder, two and more, in order. Raises as `read_scenes` does."""
     if (root / "poses.txt").exists():
-        return read_rgbd(root)
-    if (root / "cameras.txt").exists() and not (root / "images.txt").exists():
-        return _read_listed(root)
+        frames = read_rgbd(root)
+    elif (root / "cameras.txt").exists() and not (root / "images.txt").exists():
+        frames = _read_listed(root)
+    else:
+        frames = _read_model(root)
+    if len(frames) < 2:
+        raise InputError(f"{root}: {len(frames)} frames of known pose and depth; two are needed")
+    return frames
+
+
+def _read_model(root: Path) -> list[PosedFrame]:
+    """Those of a COLMAP model that show points, whose depths bound the search."""
     model = load_model(root, root / "images")
     frames = []
     for name in sorted(model.points):
         pose = np.vstack([model.poses[name], (0, 0, 0, 1)])
         depths = model.points[name][0] @ pose[2, :3] + pose[2, 3]
+        if not (depths > 0).any():
+            continue
         nearest, farthest = np.quantile(depths[depths > 0], (_NEAREST, _FARTHEST))
         reach = nearest / _MARGIN, farthest * _MARGIN
         frames.append(PosedFrame(root / "images" / name, model.cameras[name], pose, reach=reach))
-    if len(frames) < 2:
-        raise InputError(f"{root}: no two images show points, whose depths bound the search")
     return frames
+
+
+def reach_of(depth: np.ndarray) -> tuple[float, float]:
+    """The least and the largest of the known depths (h, w)."""
+    known = depth[depth > 0]
+    return (known.min(), known.max()) if len(known) else (1.0, 1.0)
 
 
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
@@ -100,9 +122,9 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
     path = root / "poses.txt"
     with read_as("rows of 16 numbers", path):
         poses = np.linalg.inv(np.array(read_text(path).split(), float).reshape(-1, 4, 4))
-    if not len(images) == len(depths) == len(poses):
+    if not 0 < len(images) == len(depths) == len(poses):
         counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
-        raise InputError(f"{root}: {counts}; there must be as many of each")
+        raise InputError(f"{root}: {counts}; there must be as many of each, one at least")
     parts = zip(images, poses, depths, strict=True)
     return [PosedFrame(image, camera, pose, depth) for image, pose, depth in parts]
 
@@ -115,10 +137,14 @@ def _read_listed(root: Path) -> list[PosedFrame]:
             step = 1 / float(read_text(scale))
     frames = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
+        if not line.strip():
+            continue
         with read_as("a name and 18 numbers", f"{path}:{number}"):
             name, *words = line.split()
             K, Rt, (nearest, farthest) = np.split(np.array(words, float), (4, 16))
             pose = np.vstack([Rt.reshape(3, 4), (0, 0, 0, 1)])
+        if not (np.isfinite(K).all() and K[:2].min() > 0):
+            raise InputError(f"{path}:{number}: fx fy cx cy must be finite, and fx fy positive")
         if not 0 < nearest < farthest < np.inf:
             raise InputError(f"{path}:{number}: the depths must be positive and rise")
         depth = root / "depth" / f"{Path(name).stem}.png" if scale.exists() else None

@@ -6,6 +6,7 @@ are not `MapPairs.known`.
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +18,6 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.pixels import pixel_grid as centres
 from dgc_pose.images.image import load_image, resize_by
@@ -26,7 +26,7 @@ from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.plane_sweep import swept_depths
-from dgc_pose.training.posed_frames import PosedFrame
+from dgc_pose.training.posed_frames import PosedFrame, reach_of
 from dgc_pose.training.views import (
     Cameras,
     Shape,
@@ -87,8 +87,8 @@ def load_posed(
 ) -> PosedScenes:
     """Read the frames of scenes; a plane sweep finds the depths of those without a sensor's.
 
-    kept: a folder with the depths that were swept before, a file a scene, or for those that are
-    found. Raises ImageError if a file cannot be read, InputError if a kept file is of other frames.
+    kept: a folder for the depths that are swept, a file a scene and its frames, poses and reach.
+    Raises ImageError if a file cannot be read, InputError for a depth of another size.
     """
     images: list[np.ndarray] = []
     K: list[Tensor] = []
@@ -97,7 +97,7 @@ def load_posed(
     for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
         pixels, pinholes, sensed = zip(*map(_prepared, frames), strict=True)
         reach = np.array(
-            [f.reach or _reach(depth) for f, depth in zip(frames, sensed, strict=True)]
+            [f.reach or reach_of(depth) for f, depth in zip(frames, sensed, strict=True)]
         )
         pose = np.stack([frame.cam_from_world for frame in frames])[:, :3]
         # In single precision: about the cameras, and in units of the depth.
@@ -110,17 +110,18 @@ def load_posed(
         if frames[0].depth is not None:
             depths += [torch.from_numpy(depth / np.float32(unit)).to(device) for depth in sensed]
             continue
-        path = kept / f"{name}.pt"
+        numbers = (np.stack(pinholes), pose, reach / unit)
+        facts = [(frame.image.name, frame.camera.distortion) for frame in frames]
+        words = repr((facts, [image.shape for image in pixels], [n.tolist() for n in numbers]))
+        digest = hashlib.sha256(words.encode()).hexdigest()[:16]  # other poses have other depths
+        path = kept / f"{name}-{digest}.pt"
         if not path.exists():
             bounds = torch.from_numpy(reach / unit).float().to(device)
             swept = swept_depths(ImageBank.of(pixels, device), Cameras(K[-1], poses[-1]), bounds)
             path.parent.mkdir(parents=True, exist_ok=True)
             with replaced(path) as temporary:
                 torch.save(swept, temporary)
-        found = load_checkpoint(path, device)
-        if len(found) != len(frames):
-            raise InputError(f"{path}: holds {len(found)} depths, and {name} {len(frames)} frames")
-        depths += found
+        depths += load_checkpoint(path, device)
     counts = torch.tensor([depth.numel() for depth in depths], device=device)
     return PosedScenes(
         tuple(scenes),
@@ -131,12 +132,6 @@ def load_posed(
         counts.cumsum(0) - counts,
         torch.tensor([depth.shape[::-1] for depth in depths], device=device),
     )
-
-
-def _reach(depth: np.ndarray) -> tuple[float, float]:
-    """The least and the largest of the known depths."""
-    known = depth[depth > 0]
-    return (known.min(), known.max()) if len(known) else (1.0, 1.0)
 
 
 def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -155,7 +150,7 @@ def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     pixels = resize_by(pixels, min(1.0, LONGEST / max(width, height)))
     size = pixels.shape[1], pixels.shape[0]
     if depth.shape[1] > size[0]:
-        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST)
+        depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
     K = camera.resized(size).K
     return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth
 

@@ -6,10 +6,11 @@ import math
 import platform
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from safetensors.torch import save
 from torch import Tensor
@@ -47,20 +48,20 @@ class Trainer:
     """Trains one network by `TrainingOptions`, in the folder `out`.
 
     `out` then holds checkpoint.pt (everything a resumed run needs), the figures as log.jsonl and,
-    at the end, `<network>.safetensors` with its card, `<network>.md`. data: see `load_data`; on
-    `device`. Raises InputError if `out` already holds a run and `resume` is False; WeightsError if
-    a checkpoint belongs to another network, or weights to initialise from are unusable.
+    at the end, `<network>.safetensors` with its card, `<network>.md`. Raises InputError if `out`
+    already holds a run and `resume` is False, or options differ from those of the run that is
+    resumed; WeightsError if a checkpoint belongs to another network, or weights to initialise from
+    are unusable.
     """
 
     def __init__(
         self,
-        data: Mapping[str, PairSource],
         out: str | Path,
         options: TrainingOptions,
         device: torch.device | str = "cpu",
         resume: bool = False,
     ) -> None:
-        self.options, self.out, self.data = options, Path(out), data
+        self.options, self.out = options, Path(out)
         self.weights_path = self.out / f"{options.network}.safetensors"
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
@@ -75,7 +76,6 @@ class Trainer:
         if options.encoder is not None:
             initialise_encoder(options.encoder, net)
         net.to(self.device).half_precision = self.device.type == "cuda"
-        self._validation = {name: self._validation_pairs(name) for name in data if name != TRAINING}
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
@@ -92,32 +92,35 @@ class Trainer:
         assert self.options.seconds is not None
         return self.elapsed / self.options.seconds
 
-    def run(self) -> DGCNet:
+    def run(self, data: Mapping[str, PairSource]) -> DGCNet:
         """Train to the end, and write the weights, which are the averaged ones, and their card.
 
-        A line of figures goes to standard error every few steps. Raises DgcPoseError if training
-        has diverged.
+        data: see `load_data`; on the run's device. A line of figures goes to standard error every
+        few steps. Raises DgcPoseError if training has diverged.
         """
+        validation = {k: self._validation_pairs(k, v) for k, v in data.items() if k != TRAINING}
+        self._cut_log()
         saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
-            self._write({}, validates=True)  # the first steps may spoil what later ones regain
+            self._write({}, validation)  # the first steps may spoil what later ones regain
         while self.progress < 1:
-            figures = self.train_step()
+            figures = self.train_step(data[TRAINING])
             before, self.elapsed = self.elapsed, time.perf_counter() - origin
             self.stages[self.stage]["seconds"] += self.elapsed - before
             ends = self.progress >= 1 or self._place()[0] != self.stage
-            if ends or self.step % _STEPS_A_ROW == 0:
-                self._write(figures, validates=ends)
-                if ends or self.elapsed - saved > _SAVE_SECONDS:
-                    self.save()
-                    saved = self.elapsed
+            saves = ends or self.elapsed - saved > _SAVE_SECONDS
+            if saves or self.step % _STEPS_A_ROW == 0:
+                self._write(figures, validation if ends else {})
+            if saves:
+                self.save()
+                saved = self.elapsed
         net = self.average.finished()
         save_weights(net, self.weights_path)
-        text = _card(self.options, self.data[TRAINING], self.device, self.stages)
+        text = _card(self.options, data[TRAINING], self.device, self.stages)
         write_text(self.weights_path.with_suffix(".md"), text)
         return net
 
-    def train_step(self) -> dict[str, Tensor]:
+    def train_step(self, training: PairSource) -> dict[str, Tensor]:
         """One optimiser step; its figures, still on the device."""
         name, within = self._place()
         if name != self.stage:
@@ -128,7 +131,7 @@ class Trainer:
         usual = _GPU_BATCH[name] if self.device.type == "cuda" else _BATCH
         batch = self.options.batch or usual
         count = max(1, batch * INPUT_SIZE**2 // (shape[0] * shape[1]))
-        pairs = self.data[TRAINING].make(count, shape, draw)
+        pairs = training.make(count, shape, draw)
         loss, figures = self.module(pairs, draw, within)
         rate = self.options.rate * rate_at(within)
         for group in self.optimizer.param_groups:
@@ -144,15 +147,14 @@ class Trainer:
         return {"rate": torch.tensor(rate), "loss": loss.detach(), "gradient": norm, **figures}
 
     @torch.no_grad()
-    def validate(self) -> dict[str, dict[str, float]]:
+    def validate(self, validation: Mapping[str, Sequence[MapPairs]]) -> dict[str, dict[str, float]]:
         """Figures of the averaged weights, by what validates."""
         result = {}
-        for kind, batches in self._validation.items():
-            draw = Draw(self.device, "validation")
+        for kind, batches in validation.items():
+            draw, weights = Draw(self.device, "validation"), [len(pairs.map) for pairs in batches]
             rows = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
-            result[kind] = {
-                key: sum(float(row[key]) for row in rows) / len(rows) for key in rows[0]
-            }
+            values = {key: [float(row[key]) for row in rows] for key in rows[0]}
+            result[kind] = {k: float(np.average(v, weights=weights)) for k, v in values.items()}
         self.stages[self.stage]["figures"] = result
         return result
 
@@ -160,6 +162,7 @@ class Trainer:
         """Write the checkpoint, as tensors and plain values."""
         state = {
             "preset": self.options.network,
+            "options": self._fixed_options(),
             "elapsed": self.elapsed,
             "step": self.step,
             "stages": self.stages,
@@ -177,12 +180,24 @@ class Trainer:
         with read_as(f"a checkpoint of the present {network}", path, WeightsError):
             if state["preset"] != network:
                 raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
+            for name, value in self._fixed_options().items():
+                if state["options"][name] != value:
+                    text = f"is {value}, and {state['options'][name]} in the run of {path}"
+                    raise InputError(ArgumentName(name), text)
             self._enter(state["stage"], net)
             self.module.load_state_dict(state["module"])
             self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
             self.stages = dict(state["stages"])
+        if self.stage == "decoders" and self._place()[0] == "encoder":
+            length = ArgumentName("seconds" if self.options.steps is None else "steps")
+            raise InputError(length, f"would lead from the decoders of {path} back to the encoder")
+
+    def _fixed_options(self) -> dict[str, str]:
+        """What a resumed run has as before: all but its length."""
+        options = vars(self.options).items()
+        return {name: str(value) for name, value in options if name not in ("seconds", "steps")}
 
     def _enter(self, stage: StageName, net: DGCNet) -> None:
         self.stage = stage
@@ -200,15 +215,26 @@ class Trainer:
             return "encoder", self.progress / share
         return "decoders", (self.progress - share) / (1 - share)
 
-    def _validation_pairs(self, name: str) -> list[MapPairs]:
+    def _validation_pairs(self, name: str, source: PairSource) -> list[MapPairs]:
         """The same pairs for every run."""
         draw = Draw(self.device, "validation", name)
         shape = (208, 272) if name == "posed" and self.options.config.any_shape else _SQUARE
-        batch = min(_VALIDATION_BATCH, self.options.validation_count)
-        batches = range(self.options.validation_count // batch)
-        return [self.data[name].make(batch, shape, draw) for _ in batches]
+        count = self.options.validation_count
+        sizes = [min(_VALIDATION_BATCH, count - k) for k in range(0, count, _VALIDATION_BATCH)]
+        return [source.make(size, shape, draw) for size in sizes]
 
-    def _write(self, figures: Mapping[str, Tensor], validates: bool) -> None:
+    def _cut_log(self) -> None:
+        """Leave the rows up to the checkpoint: the steps after it are done again."""
+        path = self.out / LOG
+        if path.exists():
+            with read_as("a log", path):
+                rows = [r for r in path.read_text("utf-8").splitlines(True) if r.endswith("\n")]
+                kept = [row for row in rows if self.step and json.loads(row)["step"] <= self.step]
+            write_text(path, "".join(kept))
+
+    def _write(
+        self, figures: Mapping[str, Tensor], validation: Mapping[str, Sequence[MapPairs]]
+    ) -> None:
         """A row of the log. Raises DgcPoseError if a step has diverged, before it is saved."""
         numbers = {name: float(value) for name, value in figures.items()}
         if not math.isfinite(numbers.get("loss", 0) + numbers.get("gradient", 0)):
@@ -221,8 +247,8 @@ class Trainer:
         row: Row = {"stage": self.stage, "step": self.step, "seconds": self.elapsed, **numbers}
         place = f"{self.stage} step {self.step}, {self.elapsed:.0f} s"
         print(f"{place}  {_text(numbers)}", file=sys.stderr)
-        if validates:
-            row["validation"] = self.validate()
+        if validation:
+            row["validation"] = self.validate(validation)
             for kind, found in row["validation"].items():
                 print(f"    validation, {kind}:  {_text(found)}", file=sys.stderr)
         path = self.out / LOG
@@ -242,7 +268,9 @@ def _card(
     photos, posed = training.photos, "none"
     if training.posed is not None:
         scenes = training.posed.scenes
-        posed = f"{len(scenes.scene)} of {len(scenes.names)} scenes ({', '.join(scenes.names)}), "
+        numbers = scenes.scene[training.posed.frames.unique()]
+        names = [scenes.names[number] for number in numbers.unique().tolist()]
+        posed = f"{len(numbers)} of {len(names)} scenes ({', '.join(names)}), "
         posed += f"{len(training.posed.frames)} pairs train"
     threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
     is_gpu = device.type == "cuda"

@@ -22,7 +22,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.images.image import image_size
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.training.posed_frames import PosedFrame, read_rgbd, read_scenes
+from dgc_pose.training.posed_frames import PosedFrame, reach_of, read_rgbd, read_scenes
 
 _ROTATIONS = (0, 10, 20, 30, 45, 60, 90)  # degrees, edges of the bins
 # Edges of the bins of overlap: share of image 2's depth that is seen in image 1, and points that
@@ -91,11 +91,12 @@ def drawn_sparse(folder: Path, count: int, seed: int) -> list[Pair]:
 
 def drawn_posed(folder: Path, count: int, seed: int) -> list[Pair]:
     """Pairs of photographs of a folder of posed scenes, at most `count` of each, the wider ones
-    more often. Names begin with the scene's. Raises as `read_scenes` does."""
-    pairs = []
-    for number, (scene, frames) in enumerate(read_scenes(folder).items()):
+    more often. Names are relative to `folder`. Raises as `read_scenes` and `read_depth` do."""
+    pairs, root = [], folder.resolve()
+    for number, frames in enumerate(read_scenes(folder).values()):
         rng = np.random.default_rng(seed + number)
-        sized = [(frame, image_size(frame.image)) for frame in frames]
+        bounded = [replace(f, reach=f.reach or reach_of(f.read_depth())) for f in frames]
+        sized = [(frame, image_size(frame.image)) for frame in bounded]
         ways = list(permutations(sized, 2))
         rng.shuffle(ways)
         bins: list[list[Pair]] = [[] for _ in _A_TURN]
@@ -103,7 +104,7 @@ def drawn_posed(folder: Path, count: int, seed: int) -> list[Pair]:
             shared = _shared(frame1, frame2, size1, size2), _shared(frame2, frame1, size2, size1)
             if min(shared) < _POSED_OVERLAP:
                 continue
-            names = [f"{scene}/images/{frame.image.name}" for frame in (frame1, frame2)]
+            names = [frame.image.relative_to(root).as_posix() for frame in (frame1, frame2)]
             T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
             pair = _pair(folder, names, [frame1.camera, frame2.camera], T)
             bins[int(np.digitize(_change_deg(frame1, pair), _CHANGES))].append(pair)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,16 +53,21 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
     from dgc_pose.training.run import Trainer
 
     device = choose_device(files.device)
-    data = load_data(
-        files.photos,
-        files.light,
-        files.posed,
-        depths=files.out / "depths",
-        held=files.held,
-        shares=options.shares,
-        device=device,
-    )
-    trainer = Trainer(data, files.out, options, device, files.resume)
+    files.out.mkdir(parents=True, exist_ok=True)
     with only_writer(files.out):
-        trainer.run()
+        try:
+            trainer = Trainer(files.out, options, device, files.resume)
+            data = load_data(
+                files.photos,
+                files.light,
+                files.posed,
+                depths=files.out / "depths",
+                held=files.held,
+                shares=options.shares,
+                device=device,
+            )
+            trainer.run(data)
+        finally:
+            with suppress(OSError):  # a run that is refused leaves no empty folder
+                files.out.rmdir()
     click.echo(f"wrote {trainer.weights_path}")

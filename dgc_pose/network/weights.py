@@ -55,8 +55,11 @@ def choose_device(name: str = "auto") -> torch.device:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     try:
         device = torch.device(name)
+        known = device.type in ("cpu", "cuda")
     except RuntimeError:
-        raise InputError(f"device must be auto, cpu, cuda or cuda:N, not '{name}'") from None
+        known = False
+    if not known:
+        raise InputError(f"device must be auto, cpu, cuda or cuda:N, not '{name}'")
     if device.type == "cuda" and not torch.cuda.is_available():
         raise InputError(f"device {name}: no CUDA device is available here")
     return device

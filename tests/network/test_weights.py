@@ -6,10 +6,10 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from dgc_pose.errors import WeightsError
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import choose_device, load_network
 from dgc_pose.training.run import save_weights
 
 
@@ -96,3 +96,9 @@ def test_weights_of_another_preset_are_refused(tmp_path: Path) -> None:
     save_file(state, tmp_path / "y.safetensors")
     with pytest.raises(WeightsError, match=r"y\.safetensors.*no preset"):
         load_network(tmp_path / "y.safetensors")
+
+
+@pytest.mark.parametrize("name", ["mps", "meta", "a GPU"])
+def test_devices_that_no_part_runs_on_are_refused(name: str) -> None:
+    with pytest.raises(InputError, match=f"device must be auto, cpu, cuda or cuda:N, not '{name}'"):
+        choose_device(name)

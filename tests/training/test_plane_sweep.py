@@ -1,5 +1,6 @@
 """Depths of a plane sweep, against those of a ray-caster in float64."""
 
+import cv2
 import multi_view
 import numpy as np
 import pytest
@@ -36,3 +37,24 @@ def test_a_frame_without_neighbours_has_no_depth() -> None:
     reach = torch.tensor([[1.0, 9.0]] * 2)
     for depth in swept_depths(ImageBank.of([image, image]), cameras, reach):
         assert not depth.any()
+
+
+def test_views_of_many_pixels_have_the_depths_of_a_wall() -> None:
+    """Their neighbours hang upside down, where a principal point that is off counts twice."""
+    rng = np.random.default_rng(0)
+    blots = rng.integers(0, 256, (60, 200, 3), dtype=np.uint8)
+    wall = cv2.resize(blots, (2000, 600), interpolation=cv2.INTER_CUBIC)
+    images, poses = [], []
+    for shift, turned in ((0, 1), (60, -1), (100, -1)):  # pixels, on the wall at a depth of 4
+        image = wall[100:420, 300 + shift : 1580 + shift]
+        images.append(np.ascontiguousarray(image[::turned, ::turned]))
+        poses.append(np.diag([turned, turned, 1.0, 0])[:3])
+        poses[-1][:, 3] = (-turned * shift * 4 / 1000, 0, 0)
+    cameras = Cameras(
+        torch.tensor([[1000.0, 1000, 639.5, 159.5]] * 3), torch.from_numpy(np.stack(poses)).float()
+    )
+    reach = torch.tensor([[2.0, 8.0]] * 3)
+    depth = swept_depths(ImageBank.of(images), cameras, reach)[0]
+    known = depth[depth > 0]
+    assert depth.shape == (64, 256) and len(known) > 0.3 * depth.numel()
+    assert abs(known.median() / 4 - 1) < 0.004

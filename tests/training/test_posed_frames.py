@@ -53,7 +53,9 @@ def test_sensors_depths_are_read_in_order_and_in_metres(
 
 
 def test_frames_without_depth_have_their_reach(pair: RenderedPair, tmp_path: Path) -> None:
-    frames = read_scene(write_listed(tmp_path / "walk", pair, depth=False))
+    path = write_listed(tmp_path / "walk", pair, depth=False) / "cameras.txt"
+    path.write_text(path.read_text() + "\n")  # a blank line is no frame
+    frames = read_scene(tmp_path / "walk")
     assert [frame.reach for frame in frames] == [(0.5, 9.0)] * 2
     assert [frame.depth for frame in frames] == [None, None]
 
@@ -66,16 +68,17 @@ def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path: Path) -> None:
     model.add_camera_with_trivial_rig(camera)
     (tmp_path / "images").mkdir()
     rng = np.random.default_rng(0)
-    for k in range(3):
+    for k, z in enumerate((0, 1, 2, -9)):  # the last has all points behind it
         cv2.imwrite(str(tmp_path / f"images/{k}.png"), np.zeros((48, 64, 3), np.uint8))
         points = [pycolmap.Point2D(xy) for xy in 40 * rng.random((30, 2))]
         image = pycolmap.Image(name=f"{k}.png", camera_id=1, image_id=k + 1, points2D=points)
         model.add_image_with_trivial_frame(
-            image, pycolmap.Rigid3d(pycolmap.Rotation3d(np.eye(3)), np.array([0.1 * k, 0, k]))
+            image,
+            pycolmap.Rigid3d(pycolmap.Rotation3d(np.eye(3)), np.array([0.1 * k, 0, z])),
         )
     for n in range(30):
         track = pycolmap.Track()
-        for k in range(3):
+        for k in range(4):
             track.add_element(k + 1, n)
         model.add_point3D(np.array([0, 0, 2.0 + n / 29]), track)
     (tmp_path / "sparse/0").mkdir(parents=True)
@@ -121,6 +124,16 @@ def test_a_damaged_folder_is_named(
     [
         (lambda text: text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
         (lambda text: text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: the depths must"),
+        (
+            lambda text: text.replace("png ", "png -", 1),
+            "cameras.txt:1: fx fy cx cy must",
+        ),
+        (lambda text: text.replace(text.split()[16], "nan", 1), "00003.png: its pose is no"),
+        (
+            lambda text: "\n" + text.splitlines()[0],
+            "walk: 1 frames of known pose and depth",
+        ),
+        (lambda text: "", "walk: 0 frames of known pose .*; two are needed"),
     ],
 )
 def test_a_wrong_line_of_cameras_is_named(
@@ -141,3 +154,28 @@ def test_a_folder_without_scenes_and_a_depth_in_colour_are_refused(
     cv2.imwrite(str(root / "depth/00003.png"), np.zeros((48, 60, 3), np.uint8))
     with pytest.raises(ImageError, match="one channel"):
         read_rgbd(root)[0].read_depth()
+
+
+def test_a_depth_of_another_size_than_its_image_is_refused(
+    pair: RenderedPair, tmp_path: Path
+) -> None:
+    root = write_rgbd(tmp_path / "walk", pair)
+    cv2.imwrite(str(root / "depth/00003.png"), np.ones((24, 30), np.uint16))
+    with pytest.raises(InputError, match=r"depth/00003.png has 30 x 24, its image 60 x 48 pixels"):
+        read_rgbd(root)[0].read_depth()
+
+
+def test_a_folder_of_the_working_folder_has_its_name(
+    pair: RenderedPair, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(write_rgbd(tmp_path / "walk", pair))
+    assert list(read_scenes(".")) == ["walk"]
+
+
+def test_an_empty_rgbd_folder_is_refused(tmp_path: Path) -> None:
+    for name in ("images", "depth"):
+        (tmp_path / name).mkdir()
+    np.savetxt(tmp_path / "K.txt", np.diag([9.0, 9, 1]))
+    (tmp_path / "poses.txt").write_text("")
+    with pytest.raises(InputError, match="0 images, 0 depths and 0 poses"):
+        read_rgbd(tmp_path)

@@ -14,6 +14,8 @@ from scene_pair import RenderedPair
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.training import posed_pairs as posed_pairs_module
+from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
 from dgc_pose.training.posed_pairs import (
@@ -23,6 +25,7 @@ from dgc_pose.training.posed_pairs import (
     load_posed,
     posed_pairs,
 )
+from dgc_pose.training.views import Cameras, pixel_grid
 
 SIZE = (240, 180)
 LEVELS = (50, 200)  # blue of either frame
@@ -96,6 +99,25 @@ def test_the_lens_is_undone(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, camera.project(normalised), atol=0.6)
 
 
+def test_frames_of_many_pixels_are_made_smaller_with_their_depth(tmp_path: Path) -> None:
+    x, y = np.meshgrid(np.arange(1280), np.arange(320))
+    image = np.stack([x / 5, y / 5, np.zeros_like(x)], -1).astype(np.uint8)
+    cv2.imwrite(str(tmp_path / "a.png"), image[..., ::-1])
+    cv2.imwrite(str(tmp_path / "depth.png"), (2000 + 2 * x).astype(np.uint16))
+    camera = Camera(np.array([[1000.0, 0, 639.5], [0, 1000, 159.5], [0, 0, 1]]))
+    frame = PosedFrame(tmp_path / "a.png", camera, np.eye(4), tmp_path / "depth.png", reach=(1, 4))
+    scenes = load_posed({"a": [frame]}, "cpu", tmp_path)  # in units of 2
+    assert scenes.bank.size(torch.tensor(0)).tolist() == [512, 128]
+    torch.testing.assert_close(scenes.cameras.K, torch.tensor([[400.0, 400, 255.5, 63.5]]))
+    points = pixel_grid((128, 512), torch.device("cpu"))
+    depth = scenes.depth_at(torch.tensor([0]), points[None])[0]
+    stored = 1000 * depth - 1000  # x of the pixel whose depth it is
+    off = stored - (2.5 * points[..., 0] + 0.75)
+    assert off.abs().max() < 1.3 and abs(off.mean()) < 0.3
+    found = 255 * 5 * scenes.bank.sample(torch.tensor(0), points, torch.ones(128, 512))[..., 0]
+    assert abs((found - (2.5 * points[..., 0] + 0.75)).mean()) < 3  # of which 2 are rounding
+
+
 def _wall(folder: Path, count: int, step: float) -> list[PosedFrame]:
     """A camera that moves sideways before a wall at a depth of 2, `step` a frame."""
     frames = []
@@ -136,3 +158,19 @@ def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path: Path) -> None:
     first = int((pairs.frames[:, 0] < 4).sum())
     ratio = float(pairs.chance[first - 1] / (pairs.chance[-1] - pairs.chance[first - 1]))
     assert ratio == pytest.approx((first / (len(pairs.frames) - first)) ** 0.5)
+
+
+def test_swept_depths_are_kept_for_their_own_poses_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swept: list[int] = []
+
+    def counted(bank: ImageBank, views: Cameras, reach: torch.Tensor) -> list[torch.Tensor]:
+        swept.append(len(reach))
+        return [torch.full((2, 3), float(len(swept)))] * len(reach)
+
+    monkeypatch.setattr(posed_pairs_module, "swept_depths", counted)
+    for step, times in ((0.4, 1), (0.4, 1), (0.3, 2), (0.4, 2)):
+        walls = [replace(f, depth=None, reach=(1, 4)) for f in _wall(tmp_path, 3, step)]
+        scenes = load_posed({"wall": walls}, "cpu", tmp_path / "depths")
+        assert len(swept) == times and scenes.depth.unique().tolist() == [2 if step == 0.3 else 1]

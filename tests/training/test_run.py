@@ -16,6 +16,7 @@ from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
+from dgc_pose.training import run
 from dgc_pose.training.initialise import vgg_layers
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
@@ -40,12 +41,12 @@ def test_vgg_16_of_imagenet_stays_as_it_is(data: dict[str, PairSource], tmp_path
     layers = vgg_layers(Pyramid(preset("dgcm")))
     torch.save(layers.state_dict(prefix="features."), tmp_path / "vgg16.pth")
     options = _options(preset="dgcm", encoder=str(tmp_path / "vgg16.pth"), steps=2)
-    first = Trainer(data, tmp_path / "run", options)
-    first.train_step()
+    first = Trainer(tmp_path / "run", options)
+    first.train_step(data[TRAINING])
     first.save()
-    second = Trainer(data, tmp_path / "run", options, resume=True)
+    second = Trainer(tmp_path / "run", options, resume=True)
     assert (first.step, second.step) == (1, 1) and not second.weights_path.exists()
-    net = second.run()
+    net = second.run(data)
     trained = vgg_layers(net.pyramid).state_dict()
     for key, value in layers.state_dict().items():
         assert torch.equal(trained[key], value), key
@@ -61,7 +62,7 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
     data: dict[str, PairSource], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     options = _options(encoder_share=0.5, init="dgcm-lite0", rate=0.01)
-    net = Trainer(data, tmp_path, options).run()
+    net = Trainer(tmp_path, options).run(data)
     rows = _log(tmp_path)
     assert [(row["stage"], row["step"]) for row in rows] == [
         ("encoder", 0),
@@ -88,8 +89,8 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
 
 
 def test_a_run_by_the_clock_ends_by_it(data: dict[str, PairSource], tmp_path: Path) -> None:
-    trainer = Trainer(data, tmp_path, _options(steps=None, seconds=1e-3, encoder_share=0.0))
-    trainer.run()
+    trainer = Trainer(tmp_path, _options(steps=None, seconds=1e-3, encoder_share=0.0))
+    trainer.run(data)
     assert trainer.progress >= 1 and trainer.step == 1 and trainer.weights_path.exists()
 
 
@@ -100,9 +101,9 @@ def test_half_precision_trains_as_single_precision_does(
     losses, gradients = [], []
     for half in (False, True):
         options = _options(init="dgcm-lite0", encoder_share=1.0)
-        trainer = Trainer(data, tmp_path / str(half), options)
+        trainer = Trainer(tmp_path / str(half), options)
         trainer.module.net.half_precision = half
-        losses.append(float(trainer.train_step()["loss"]))
+        losses.append(float(trainer.train_step(data[TRAINING])["loss"]))
         parameters = [p for p in trainer.module.parameters() if p.requires_grad]
         gradients.append(torch.cat([p.grad.flatten() for p in parameters]))
         assert all(p.dtype == torch.float32 for p in parameters)
@@ -114,16 +115,16 @@ def test_a_run_killed_in_every_stage_resumes_to_the_bit(
     data: dict[str, PairSource], tmp_path: Path
 ) -> None:
     options = _options(encoder_share=0.5)
-    first = Trainer(data, tmp_path / "1", options).run()
+    first = Trainer(tmp_path / "1", options).run(data)
     for step in range(3):
-        killed = Trainer(data, tmp_path / "2", options, resume=step > 0)
+        killed = Trainer(tmp_path / "2", options, resume=step > 0)
         assert killed.step == step and not killed.weights_path.exists()
-        killed.train_step()
+        killed.train_step(data[TRAINING])
         killed.save()
-        killed.train_step()  # after the checkpoint, and lost with the kill
-    again = Trainer(data, tmp_path / "2", options, resume=True)
+        killed.train_step(data[TRAINING])  # after the checkpoint, and lost with the kill
+    again = Trainer(tmp_path / "2", options, resume=True)
     assert again.step == 3
-    net = again.run()
+    net = again.run(data)
     assert again.progress == 1 and again.weights_path.exists()
     for one, other in zip(first.parameters(), net.parameters(), strict=True):
         assert torch.equal(one, other)
@@ -133,25 +134,86 @@ def test_a_run_killed_in_every_stage_resumes_to_the_bit(
 def test_a_run_that_diverges_stops_and_saves_nothing_of_it(
     data: dict[str, PairSource], tmp_path: Path
 ) -> None:
-    trainer = Trainer(data, tmp_path, _options())
+    trainer = Trainer(tmp_path, _options())
     trainer.save()
     before = (tmp_path / "checkpoint.pt").read_bytes()
     with torch.no_grad():
         next(p for p in trainer.module.parameters() if p.requires_grad).fill_(torch.nan)
     with pytest.raises(DgcPoseError, match="no number at step"):
-        trainer.run()
+        trainer.run(data)
     assert (tmp_path / "checkpoint.pt").read_bytes() == before
 
 
 def test_runs_are_not_overwritten_or_mixed(data: dict[str, PairSource], tmp_path: Path) -> None:
-    Trainer(data, tmp_path, _options()).save()
+    Trainer(tmp_path, _options()).save()
     with pytest.raises(InputError, match=": resume continues"):
-        Trainer(data, tmp_path, _options())
+        Trainer(tmp_path, _options())
     with pytest.raises(WeightsError, match=r"preset dgcm-lite0, not dgcm-lite0\+no-l2"):
-        Trainer(data, tmp_path, _options(ablations=("no-l2",)), resume=True)
+        Trainer(tmp_path, _options(ablations=("no-l2",)), resume=True)
     (tmp_path / "checkpoint.pt").write_bytes(b"half a checkp")
     with pytest.raises(WeightsError, match=re.escape("checkpoint.pt")):
-        Trainer(data, tmp_path, _options(), resume=True)
+        Trainer(tmp_path, _options(), resume=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("seed", 1, "seed is 1, and 0 in the run of "),
+        ("rate", 0.5, "rate is 0.5, and 1.0 in the run of "),
+        ("shares", Shares(1, 0, 0, 0), "shares is 100,0,0,0, and 20,8,20,52 in the run of "),
+        ("batch", 2, "batch is 2, and 1 in the run of "),
+        ("encoder_share", 0.6, "encoder_share is 0.6, and 0.7 in the run of "),
+    ],
+)
+def test_a_resumed_run_has_the_options_of_before(
+    tmp_path: Path, name: str, value: object, message: str
+) -> None:
+    Trainer(tmp_path, _options()).save()
+    with pytest.raises(InputError, match=f"^{message}"):
+        Trainer(tmp_path, _options(**{name: value}), resume=True)
+
+
+def test_a_longer_run_goes_on_and_never_back_to_the_encoder(
+    data: dict[str, PairSource], tmp_path: Path
+) -> None:
+    options = _options(steps=2, encoder_share=0.5)
+    Trainer(tmp_path, options).run(data)
+    Trainer(tmp_path, replace(options, steps=3), resume=True)
+    with pytest.raises(InputError, match="^steps would lead from the decoders of .* back"):
+        Trainer(tmp_path, replace(options, steps=20), resume=True)
+
+
+def test_the_log_of_a_killed_run_has_each_step_once(
+    data: dict[str, PairSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Checkpoints come by the clock, beside the tenth steps, and later rows are dropped."""
+    options = _options(encoder_share=1.0, steps=3)
+    monkeypatch.setattr(run, "_SAVE_SECONDS", 0.0)
+    save = Trainer.save
+
+    def killed(trainer: Trainer) -> None:
+        if trainer.step == 2:
+            raise KeyboardInterrupt
+        save(trainer)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Trainer, "save", killed)
+        with pytest.raises(KeyboardInterrupt):
+            Trainer(tmp_path, options).run(data)
+    with (tmp_path / "log.jsonl").open("a") as file:
+        file.write('{"stage": "enc')
+    Trainer(tmp_path, options, resume=True).run(data)
+    assert [row["step"] for row in _log(tmp_path)] == [1, 2, 3]
+
+
+def test_all_pairs_that_are_to_validate_do(data: dict[str, PairSource], tmp_path: Path) -> None:
+    options = _options(validation_count=12, encoder_share=0.0)
+    trainer = Trainer(tmp_path, options)
+    batches = trainer._validation_pairs("photos", data["photos"])
+    assert [len(pairs.map) for pairs in batches] == [8, 4]
+    whole = trainer.validate({"photos": batches})["photos"]
+    parts = [trainer.validate({"photos": [pairs]})["photos"]["epe15"] for pairs in batches]
+    assert whole["epe15"] == pytest.approx((2 * parts[0] + parts[1]) / 3)
 
 
 def test_a_variance_beyond_half_precision_is_kept(tmp_path: Path) -> None:

@@ -102,6 +102,19 @@ def test_pairs_of_posed_scenes_are_wide_and_share_what_both_see(tmp_path) -> Non
         planned(replace(entry, without=("three",)), tmp_path, tmp_path / "others")
 
 
+def test_a_scene_with_a_sensors_depth_has_pairs_by_its_paths(tmp_path) -> None:
+    _rgbd(tmp_path / "hall", _poses(6))
+    for folder in ("images", "depth"):
+        (tmp_path / "hall" / folder / "left").mkdir()
+        for path in (tmp_path / "hall" / folder).glob("*.png"):
+            path.rename(path.parent / "left" / path.name)
+    for root, start in ((tmp_path, "hall/images/left/"), (tmp_path / "hall", "images/left/")):
+        pairs = drawn_posed(root, 5, seed=0)
+        assert len(pairs) == 5
+        for pair in pairs:
+            assert pair.name1.startswith(start) and pair.path1.is_file() and pair.path2.is_file()
+
+
 def _model(folder, *, camera_model: str = "PINHOLE") -> list[np.ndarray]:
     """A COLMAP model of an orbit, whose neighbours share points; world-from-camera."""
     poses = _poses(5)

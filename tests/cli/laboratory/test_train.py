@@ -25,17 +25,24 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_ends_with_weights_and_is_not_overwritten(photos: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
-    write_rgbd(tmp_path / "posed", rendered(3, (96, 72)))
+    for seed, scene in ((3, "hall"), (4, "yard")):
+        write_rgbd(tmp_path / "posed" / scene, rendered(seed, (96, 72)))
     words = ["train", "--photos", str(photos), "--posed", str(tmp_path / "posed")]
+    words += ["--held", "yard"]
     words += ["--out", str(out), "--seconds", "1", "--batch", "1"]
     words += ["--validation-pairs", "1"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.stderr
     assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
-    assert "2 of 1 scenes (posed), 2 pairs train" in (out / "dgcm-lite0.md").read_text()
+    card = (out / "dgcm-lite0.md").read_text()
+    assert "2 of 1 scenes (hall), 2 pairs train" in card and "| shares | 20,8,20,52 |" in card
     assert all(word in done.stderr for word in ("pairs_per_second", "loss", "validation"))
+    # Refused before any data are read.
+    words[2] = str(tmp_path / "nowhere")
     refused = CliRunner().invoke(main, words)
     assert refused.exit_code == 2 and "--resume" in refused.stderr
+    refused = CliRunner().invoke(main, [*words, "--resume", "--seed", "5"])
+    assert refused.exit_code == 2 and "--seed is 5, and 0 in the run of " in refused.stderr
 
 
 def test_an_ablation_gives_its_name_to_the_weights(
@@ -71,6 +78,8 @@ def test_an_ablation_gives_its_name_to_the_weights(
         (["--shares", "20,80"], "shares must be four percentages"),
         (["--shares", "0,100,0,0"], "no data for the kinds"),
         (["--posed", "nowhere"], "nowhere"),
+        (["--photos", "nowhere", "--init", "x"], "x: no such weights file"),
+        (["--device", "mps"], "device must be auto, cpu, cuda or cuda:N, not 'mps'"),
         (["--held", "hall"], "held: there is no scene hall"),
         (["--preset", "dgc"], "--encoder or init is needed"),
         (["--encoder", "x"], "--encoder is VGG-16, which dgcm-lite0 has not"),
