@@ -9,12 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.geometry.pixels import same_shape
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import image_size, read_pixels
@@ -49,15 +51,17 @@ class PosedFrame:
     def read_depth(self) -> np.ndarray:
         """(h, w) float32 of the image's size, units of length, 0 if unknown.
 
-        Raises ImageError, with the path, if it cannot be read; InputError if its size is another.
+        Raises ImageError, with the path, if it cannot be read; InputError if its shape is another.
         """
         assert self.depth is not None
         stored = read_pixels(self.depth)
         if stored.ndim != 2:
             raise ImageError(f"{self.depth} is not a depth image of one channel")
-        if stored.shape[::-1] != (size := image_size(self.image)):
+        size = image_size(self.image)
+        if not same_shape(stored.shape[::-1], size):
             sizes = f"{stored.shape[1]} x {stored.shape[0]}, its image {size[0]} x {size[1]}"
-            raise InputError(f"{self.depth} has {sizes} pixels")
+            raise InputError(f"{self.depth} has {sizes} pixels, another shape")
+        stored = cv2.resize(stored, size, interpolation=cv2.INTER_NEAREST_EXACT)
         return stored.astype(np.float32) * np.float32(self.step)
 
 

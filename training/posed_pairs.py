@@ -88,7 +88,7 @@ def load_posed(
     """Read the frames of scenes; a plane sweep finds the depths of those without a sensor's.
 
     kept: a folder for the depths that are swept, a file a scene and its frames, poses and reach.
-    Raises ImageError if a file cannot be read, InputError for a depth of another size.
+    Raises ImageError if a file cannot be read, InputError for a depth of another shape.
     """
     images: list[np.ndarray] = []
     K: list[Tensor] = []

@@ -156,13 +156,16 @@ def test_a_folder_without_scenes_and_a_depth_in_colour_are_refused(
         read_rgbd(root)[0].read_depth()
 
 
-def test_a_depth_of_another_size_than_its_image_is_refused(
+def test_a_depth_has_the_shape_and_then_the_size_of_its_image(
     pair: RenderedPair, tmp_path: Path
 ) -> None:
-    root = write_rgbd(tmp_path / "walk", pair)
-    cv2.imwrite(str(root / "depth/00003.png"), np.ones((24, 30), np.uint16))
-    with pytest.raises(InputError, match=r"depth/00003.png has 30 x 24, its image 60 x 48 pixels"):
-        read_rgbd(root)[0].read_depth()
+    frame = read_rgbd(write_rgbd(tmp_path / "walk", pair))[0]
+    small = np.arange(720, dtype=np.uint16).reshape(24, 30)
+    cv2.imwrite(str(frame.depth), small)
+    np.testing.assert_allclose(1000 * frame.read_depth(), small.repeat(2, 0).repeat(2, 1), 1e-6)
+    cv2.imwrite(str(frame.depth), small[:20])
+    with pytest.raises(InputError, match=r"depth/00003.png has 30 x 20, its image 60 x 48 pixels"):
+        frame.read_depth()
 
 
 def test_a_folder_of_the_working_folder_has_its_name(
