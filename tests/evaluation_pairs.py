@@ -88,5 +88,7 @@ def evaluation(
 ) -> Evaluation:
     """`METHODS` on pairs; in the paper's protocol with its options."""
     if methods is None:
-        methods = parse_methods(NAMES, *protocol_options(pairs.protocol, MATCHER, ESTIMATION))
+        methods = parse_methods(
+            NAMES, *protocol_options(pairs.ids[0]["protocol"], MATCHER, ESTIMATION)
+        )
     return Evaluation(pairs, methods, loaded or matchers_of(methods), **numbers)

@@ -99,8 +99,11 @@ LOOSELY = {"evidence": replace(GOOD_EVIDENCE, residual=0.2)}
 
 
 def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
-    total = None if probability is None else probability + others
-    return {"probability": probability, "any_probability": total} | LOOSELY
+    if probability is None:
+        return {"probability": None, "any_probability": None} | LOOSELY
+    total = probability + others
+    values = {"probability": probability, "any_probability": total}
+    return values | {"hypotheses": (_of_share(probability / total),)} | LOOSELY
 
 
 def _of_share(share: float) -> Hypothesis:
@@ -108,7 +111,11 @@ def _of_share(share: float) -> Hypothesis:
     return Hypothesis(np.eye(3), np.array([1.0, 0, 0]), inliers, in_front, share=share)
 
 
-CERTAIN: dict[str, Any] = {"probability": 0.995, "any_probability": 0.995}
+CERTAIN: dict[str, Any] = {
+    "probability": 0.995,
+    "any_probability": 0.995,
+    "hypotheses": (_of_share(1.0),),
+}
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
 SEARCHED = ["mirrored", "more"]
@@ -132,7 +139,8 @@ SEARCHED = ["mirrored", "more"]
         ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED[1:]]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["quick", "match"]),
         ("auto", [_doubt(0.8)], ["quick", "match", *SEARCHED]),
-        ("auto", [_doubt(0.5, 0.495)], ["quick", "match", "mirrored"]),
+        ("auto", [_doubt(0.5, 0.495)], ["quick", "match", *SEARCHED]),  # one of two is right
+        ("auto", [_doubt(0.96, 0.035)], ["quick", "mirrored"]),
         ("auto", [_doubt(0.001)], ["quick", "match", "mirrored"]),  # hopeless
         ("fast", [_doubt(0.5)], ["quick", "mirrored"]),
         ("fast", [LOOSE], ["quick"]),
@@ -242,7 +250,7 @@ def test_a_quick_pass_without_an_answer_is_followed_by_the_whole(
 
 
 def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
-    _with(monkeypatch, _doubt(0.5))
+    _with(monkeypatch, {"probability": 0.5, "any_probability": 0.5})
     search = _Steps().search(*PICTURES)
     before = estimate_pose(search.every("before", 2).matches, EXACT, EXACT, OPTIONS)
     pose_of_pair(search, EXACT, EXACT, OPTIONS)
