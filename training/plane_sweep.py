@@ -18,7 +18,7 @@ _WINDOW = 7  # pixels a side that are correlated
 _VARIANCE, _NOISE = 6e-5, 2e-5  # of a window: the least, and what is added to it
 _CORRELATION, _MARGIN = 0.55, 0.03  # the least, and above those of planes elsewhere
 _AGREES = 0.02  # of the depth, with a neighbour's
-_CROWD = 0.3  # share of the pixels around one that are kept: alone it is chance
+_DENSITY = 0.3  # least share of the pixels around one that are kept: alone it is chance
 
 
 def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]:
@@ -103,17 +103,17 @@ def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Te
     depth = depths[k]
     pixels = pixel_grid(depth.shape, depth.device)[None]
     place = views[[k]].unproject(pixels, depth[None])
-    votes = torch.zeros_like(depth)
+    confirming = torch.zeros_like(depth)  # number of neighbours, of each pixel
     for j in near:
         seen, expected = (part[0] for part in views[[j]].project(place))
         x, y = (axis.round().long() for axis in seen.unbind(-1))
         height, width = depths[j].shape
         there = depths[j][y.clamp(0, height - 1), x.clamp(0, width - 1)]
         shown = inside(seen, (height, width)) & (expected > 0) & (there > 0)
-        votes += shown & ((there / expected - 1).abs() < _AGREES)
-    kept = (depth > 0) & (votes >= (2 if len(near) > 3 else 1))
-    crowd = F.avg_pool2d(kept.float()[None, None], 5, 1, 2)[0, 0]
-    return torch.where(kept & (crowd > _CROWD), depth, 0.0)
+        confirming += shown & ((there / expected - 1).abs() < _AGREES)
+    kept = (depth > 0) & (confirming >= (2 if len(near) > 3 else 1))
+    density = F.avg_pool2d(kept.float()[None, None], 5, 1, 2)[0, 0]
+    return torch.where(kept & (density > _DENSITY), depth, 0.0)
 
 
 def _moments(values: Tensor) -> tuple[Tensor, Tensor]:
