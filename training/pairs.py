@@ -95,7 +95,8 @@ def load_data(
     if needed:
         scenes = load_posed(needed, device, depths)
         pairs, validating = frame_pairs(scenes, trains), frame_pairs(scenes, held)
-        pairless = [name for name in held if frame_pairs(scenes, [name]) is None]
+        paired = [] if validating is None else validating.names
+        pairless = [name for name in held if name not in paired]
         if pairs is None:
             pairless += trains
         if pairless:

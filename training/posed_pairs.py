@@ -81,6 +81,12 @@ class FramePairs:
     middles: Tensor  # (P, 2, 2), of what both show, pixels of the source and of the target
     chance: Tensor  # (P,) float64, summed up, that a pair is drawn with
 
+    @property
+    def names(self) -> list[str]:
+        """Of the scenes that have pairs."""
+        numbers = self.scenes.scene[self.frames.unique()].unique()
+        return [self.scenes.names[number] for number in numbers.tolist()]
+
 
 def load_posed(
     scenes: Mapping[str, Sequence[PosedFrame]], device: torch.device | str, kept: Path

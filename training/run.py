@@ -80,9 +80,10 @@ class Trainer:
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
         self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
-        self._enter(self._place()[0], net)
         if path.exists():
             self._load(path, net)
+        else:
+            self._enter(self._place()[0], net)
 
     @property
     def progress(self) -> float:
@@ -267,10 +268,8 @@ def _card(
     """Of weights: what they were trained on, how, and on what machine. Markdown."""
     photos, posed = training.photos, "none"
     if training.posed is not None:
-        scenes = training.posed.scenes
-        numbers = scenes.scene[training.posed.frames.unique()]
-        names = [scenes.names[number] for number in numbers.unique().tolist()]
-        posed = f"{len(numbers)} of {len(names)} scenes ({', '.join(names)}), "
+        count, names = len(training.posed.frames.unique()), training.posed.names
+        posed = f"{count} of {len(names)} scenes ({', '.join(names)}), "
         posed += f"{len(training.posed.frames)} pairs train"
     threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
     is_gpu = device.type == "cuda"
