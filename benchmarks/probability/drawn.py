@@ -96,13 +96,12 @@ def drawn_posed(folder: Path, count: int, seed: int) -> list[Pair]:
     for number, frames in enumerate(read_scenes(folder).values()):
         rng = np.random.default_rng(seed + number)
         bounded = [replace(f, reach=f.reach or reach_of(f.read_depth())) for f in frames]
-        sized = [(frame, image_size(frame.image)) for frame in bounded]
+        sized = [replace(f, camera=replace(f.camera, size=image_size(f.image))) for f in bounded]
         ways = list(permutations(sized, 2))
         rng.shuffle(ways)
         bins: list[list[Pair]] = [[] for _ in _A_TURN]
-        for (frame1, size1), (frame2, size2) in ways[:_LOOKED_AT]:
-            shared = _shared(frame1, frame2, size1, size2), _shared(frame2, frame1, size2, size1)
-            if min(shared) < _POSED_OVERLAP:
+        for frame1, frame2 in ways[:_LOOKED_AT]:
+            if min(_shared(frame1, frame2), _shared(frame2, frame1)) < _POSED_OVERLAP:
                 continue
             names = [frame.image.relative_to(root).as_posix() for frame in (frame1, frame2)]
             T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
@@ -125,12 +124,10 @@ def _change_deg(frame1: PosedFrame, pair: Pair) -> float:
     return max(rotation_error_deg(pair.R, np.eye(3)), math.degrees(parallax))
 
 
-def _shared(
-    frame1: PosedFrame, frame2: PosedFrame, size1: tuple[int, int], size2: tuple[int, int]
-) -> float:
+def _shared(frame1: PosedFrame, frame2: PosedFrame) -> float:
     """Share of what camera 1 sees at three depths within its reach that camera 2 sees too."""
-    assert frame1.reach is not None
-    (width1, height1), (width2, height2) = size1, size2
+    assert frame1.reach and frame1.camera.size and frame2.camera.size
+    (width1, height1), (width2, height2) = frame1.camera.size, frame2.camera.size
     T = frame2.cam_from_world @ np.linalg.inv(frame1.cam_from_world)
     x, y = np.meshgrid(np.arange(0.5, 8) * width1 / 8, np.arange(0.5, 8) * height1 / 8)
     pixels = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 3)
