@@ -263,8 +263,13 @@ def _may_change(
 
 def certain(pose: RelativePose) -> bool:
     """Whether it is nearly certain that the pose is right."""
+    return pose.success and _is_clear(pose)
+
+
+def _is_clear(pose: RelativePose) -> bool:
+    """Whether a hypothesis is nearly certain to be right, and which one."""
     likely = (pose.any_probability or 0.0) >= _MAX_SEARCHED
-    return pose.success and likely and pose.hypotheses[0].share >= _CLEAR_SHARE
+    return likely and pose.hypotheses[0].share >= _CLEAR_SHARE
 
 
 def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
@@ -290,4 +295,4 @@ def in_doubt(pose: RelativePose) -> bool:
         return False
     share = pose.hypotheses[0].share
     of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
-    return of_others > _MIN_SEARCHED and (likely < _MAX_SEARCHED or share < _CLEAR_SHARE)
+    return of_others > _MIN_SEARCHED and not _is_clear(pose)
