@@ -20,38 +20,25 @@ def held():
     event.set()
 
 
-def refuse():
-    raise InputError("this\n will not do")
-
-
-def fail():
-    raise ZeroDivisionError
-
-
-def fill_memory():
-    raise MemoryError
-
-
-def lack_a_package():
-    raise ModuleNotFoundError(name="pycolmap")
-
-
 @pytest.mark.parametrize(
-    ("function", "message"),
+    ("error", "message"),
     [
-        (refuse, "^this will not do$"),
-        (fail, "^the server failed: ZeroDivisionError$"),
-        (fill_memory, "^not enough memory: MemoryError$"),
-        (lack_a_package, "needs pycolmap, which is not installed"),
+        (InputError("this\n will not do"), "^this will not do$"),
+        (ZeroDivisionError(), "^the server failed: ZeroDivisionError$"),
+        (MemoryError(), "^not enough memory: MemoryError$"),
+        (ModuleNotFoundError(name="pycolmap"), "needs pycolmap, which is not installed"),
     ],
 )
-def test_a_failure_is_one_line_and_the_next_call_works(function, message, monkeypatch):
+def test_a_failure_is_one_line_and_the_next_call_works(error, message, monkeypatch):
     monkeypatch.setitem(sys.modules, "pycolmap", None)
+
+    def fail():
+        raise error
 
     async def calls():
         worker = Worker(1)
         with pytest.raises(WorkError, match=message) as caught:
-            await worker.call(function, seconds=SECONDS)
+            await worker.call(fail, seconds=SECONDS)
         assert type(caught.value) is WorkError and caught.value.status == 422
         assert await worker.call(sum, [1, 2], seconds=SECONDS) == 3
         worker.close()
