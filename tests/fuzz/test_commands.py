@@ -26,12 +26,12 @@ _NUMBERED = click.types.IntParamType | click.types.FloatParamType
 
 K = ("--K", dense_scene.K_TEXT)
 ESTIMATE = ("estimate", "one.png", "two.png", "--weights", "sift", "--runs", "1")
-BATCH = ("--pairs", "sequential:1", *K, "--workers", "1", "--runs", "1", "--weights", "sift")
+BATCH = ("--pairs", "sequential:1", *K, "--workers", "1", "--runs", "1", "--refine", "none")
 BENCH = ("bench-pairs", "pairs.txt", "--methods", "sift", "--limit", "1", "--runs", "1")
 # A command line that would succeed, but for what a case changes.
 BASES = {
-    "estimate": (*ESTIMATE[1:], *K),
-    "match": (*ESTIMATE[1:5], "--out", "new.npz"),
+    "estimate": ("one.png", "two.png", *K, "--refine", "none"),
+    "match": ("one.png", "two.png", "--refine", "none", "--out", "new.npz"),
     "demo": ("--refine", "none", "--runs", "1"),
     "batch": ("photos", "--out", "new", *BATCH),
     "reconstruct": ("photos", "--out", "new", *BATCH),
