@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, file_option
-from dgc_pose.cli.guard import STDOUT, OutputFolder
-from dgc_pose.cli.options import KChoice
+from dgc_pose.cli.estimate import NO_POSE
+from dgc_pose.cli.guard import STDOUT
+from dgc_pose.cli.options import KChoice, output_file, output_folder
 from dgc_pose.cli.output import row_lines
 from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
@@ -46,17 +46,16 @@ class Place:
         "matched.",
         metavar="DIR",
     )
-    json: str | None = file_option(
+    json: str | None = output_file(
         "Write the locations as JSON, by photograph; - for stdout.", "PATH|-", stdout=True
     )
-    plot: str | None = file_option(
+    plot: str | None = output_file(
         "Draw a single photograph's place and matches with references.", "PATH.png", picture=True
     )
-    add: Path | None = option(
-        None,
-        "Write the model with the located photographs, as COLMAP's.",
-        metavar="DIR",
-        type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
+    add: Path | None = output_folder(
+        *("cameras.bin", "images.bin", "points3D.bin"),
+        help="Write the model with the located photographs, as COLMAP's.",
+        default=None,
     )
 
 
