@@ -72,7 +72,6 @@ def test_every_number_option_has_a_range() -> None:
         (*ESTIMATE, *K, "--json", "./link"),
         (*ESTIMATE, "--K", "K.txt", "--json", "K.txt"),
         ("match", "one.png", "two.png", "--weights", "w.pth", "--out", "w.pth"),
-        (*BENCH, "--methods", "w.pth:runs=1", "--json", "w.pth"),
         (*BENCH, "--json", "hard.json"),
         (*BENCH, "--json", "one.png"),
     ],
