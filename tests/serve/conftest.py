@@ -41,8 +41,10 @@ def map_url(tmp_path_factory):
         bound.bind(("127.0.0.1", 0))
         bound.listen()
         port = bound.getsockname()[1]
-        settings = {"token": "t", "hosts": local_hosts(port), "options": ServeOptions(images=2)}
-        server = Server(serve_parts.estimator(), example, folder, **settings)
+        settings = {"token": "t", "hosts": local_hosts(port), "options": ServeOptions()}
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("dgc_pose.serve.app.IMAGES", 2)
+            server = Server(serve_parts.estimator(), example, folder, **settings)
         web = uvicorn.Server(uvicorn.Config(server.app, log_level="warning"))
         thread = threading.Thread(target=web.run, kwargs={"sockets": [bound]})
         thread.start()

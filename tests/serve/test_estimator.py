@@ -11,7 +11,6 @@ import serve_parts
 from PIL import Image
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.serve.cameras import CameraRequest
 from dgc_pose.serve.images import StoredImage
 
 
@@ -19,7 +18,7 @@ from dgc_pose.serve.images import StoredImage
 def result(tmp_path_factory):
     paths = dense_scene.write_pictures(tmp_path_factory.mktemp("pictures"))
     stored = [StoredImage(path, path) for path in paths]
-    request = CameraRequest("k", dense_scene.K_TEXT)
+    request = {"kind": "k", "k1": dense_scene.K_TEXT}
     return serve_parts.estimator().estimate(lambda text: None, *stored, request)
 
 
