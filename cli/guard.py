@@ -27,7 +27,7 @@ _COLUMN = 20  # characters of an option, in the help, beside its text; a longer 
 class NamedPath(click.Path):
     """A path that is not empty: Path("") would be the working folder."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value == "":
             self.fail("a path is needed", param, ctx)
         return super().convert(value, param, ctx)
@@ -65,13 +65,12 @@ class OutputFolder(NamedPath):
     def check(self, path: str | Path, context: click.Context) -> None:
         """Raise InputError if the folder has results of a run that is neither resumed nor
         replaced."""
-        resume = {name.rpartition("__")[2]: value for name, value in context.params.items()}
-        if resume.get("resume") or overwrites():
-            return
-        for file in (os.path.join(path, name) for name in self.results):
-            if os.path.lexists(file):
-                hint = "--resume continues that run, " if "resume" in resume else ""
-                raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
+        resume = [value for name, value in context.params.items() if name.endswith("__resume")]
+        there = [name for name in self.results if os.path.lexists(os.path.join(path, name))]
+        if there and not (any(resume) or overwrites()):
+            hint = "--resume continues that run, " if resume else ""
+            file = os.path.join(path, there[0])
+            raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
 
 
 class SectionedOption(click.Option):
