@@ -1,4 +1,4 @@
-"""Bounds on what a client may send, and on what that may cost."""
+"""The options of the server: bounds on what a client may send, and on what that may cost."""
 
 from dataclasses import dataclass
 
@@ -12,8 +12,10 @@ WAITING = 4  # requests of a worker; more are turned away
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """Limits of the server."""
+    """The address, and the limits."""
 
+    port: int = option(0, "Port on 127.0.0.1; 0 for any that is free.", min=0, max=65535)
+    browser: bool = option(True, "Open the page in the browser.")
     max_megabytes: float = option(
         40.0, "Largest file of an image.", metavar="MB", above=0, max=10**4
     )
