@@ -119,7 +119,7 @@ def _textureless(photographs: Sequence[Path], seed: int, number: int) -> PosedPa
     elif way == 1:
         second = blank(BLANKS[rng.integers(len(BLANKS))], _BLANK_SIZE, rng)
     else:
-        photo = load_image(photographs[rng.integers(len(photographs))]).pixels
+        photo = load_image(photographs[int(rng.integers(len(photographs)))]).pixels
         second = cv2.resize(photo, _BLANK_SIZE, interpolation=cv2.INTER_AREA)
     width, height = _BLANK_SIZE
     K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1.0]])
