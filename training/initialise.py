@@ -11,19 +11,12 @@ from dgc_pose.network.weights import check_tensors, load_network, read_state
 
 
 def initialise_from(weights: str | Path, net: DGCNet) -> None:
-    """Load the weights of a file (or of a shipped name) into `net`.
-
-    Of weights of another preset with the same pyramid (an ablation), only the pyramid and the
-    correlation's temperatures are loaded. Raises WeightsError if the pyramids differ, too.
-    """
+    """Load the weights of a file (or of a shipped name) into `net`. Raises WeightsError for those
+    of another preset."""
     other = load_network(weights)
-    if other.config.pyramid != net.config.pyramid:
-        raise WeightsError(
-            f"{weights}: weights of {other.config.name}, whose pyramid {net.config.name} lacks"
-        )
-    state, same = other.state_dict(), other.config == net.config
-    kept = {k: v for k, v in state.items() if same or k.startswith(("pyramid.", "correlation_"))}
-    net.load_state_dict(kept, strict=same)
+    if other.config != net.config:
+        raise WeightsError(f"{weights}: weights of {other.config.name}, not {net.config.name}")
+    net.load_state_dict(other.state_dict())
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:

@@ -50,8 +50,7 @@ class Trainer:
     `out` then holds checkpoint.pt (everything a resumed run needs), the figures as log.jsonl and,
     at the end, `<network>.safetensors` with its card, `<network>.md`. Raises InputError if `out`
     already holds a run and `resume` is False, or options differ from those of the run that is
-    resumed; WeightsError if a checkpoint belongs to another network, or weights to initialise from
-    are unusable.
+    resumed; WeightsError if a checkpoint is damaged, or weights to initialise from are unusable.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class Trainer:
         resume: bool = False,
     ) -> None:
         self.options, self.out = options, Path(out)
-        self.weights_path = self.out / f"{options.network}.safetensors"
+        self.weights_path = self.out / f"{options.preset}.safetensors"
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
             raise InputError(f"{path} exists already:", ArgumentName("resume"), "continues it")
@@ -80,6 +79,7 @@ class Trainer:
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
         self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
+        self.rows: list[Row] = []  # of the log
         if path.exists():
             self._load(path, net)
         else:
@@ -100,7 +100,6 @@ class Trainer:
         few steps. Raises DgcPoseError if training has diverged.
         """
         validation = {k: self._validation_pairs(k, v) for k, v in data.items() if k != TRAINING}
-        self._cut_log()
         saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
             self._write({}, validation)  # the first steps may spoil what later ones regain
@@ -160,13 +159,13 @@ class Trainer:
         return result
 
     def save(self) -> None:
-        """Write the checkpoint, as tensors and plain values."""
+        """Write the checkpoint, as tensors and plain values, and the log up to it."""
         state = {
-            "preset": self.options.network,
             "options": self._fixed_options(),
             "elapsed": self.elapsed,
             "step": self.step,
             "stages": self.stages,
+            "rows": self.rows,
             "stage": self.stage,
             "module": self.module.state_dict(),
             "average": self.average.state_dict(),
@@ -174,13 +173,11 @@ class Trainer:
         }
         with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
             torch.save(state, temporary)
+        write_text(self.out / LOG, "".join(json.dumps(row) + "\n" for row in self.rows))
 
     def _load(self, path: Path, net: DGCNet) -> None:
         state = load_checkpoint(path, self.device)
-        network = self.options.network
-        with read_as(f"a checkpoint of the present {network}", path, WeightsError):
-            if state["preset"] != network:
-                raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
+        with read_as(f"a checkpoint of the present {self.options.preset}", path, WeightsError):
             for name, value in self._fixed_options().items():
                 if state["options"][name] != value:
                     text = f"is {value}, and {state['options'][name]} in the run of {path}"
@@ -190,7 +187,7 @@ class Trainer:
             self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
-            self.stages = dict(state["stages"])
+            self.stages, self.rows = dict(state["stages"]), list(state["rows"])
         if self.stage == "decoders" and self._place()[0] == "encoder":
             length = ArgumentName("seconds" if self.options.steps is None else "steps")
             raise InputError(length, f"would lead from the decoders of {path} back to the encoder")
@@ -224,15 +221,6 @@ class Trainer:
         sizes = [min(_VALIDATION_BATCH, count - k) for k in range(0, count, _VALIDATION_BATCH)]
         return [source.make(size, shape, draw) for size in sizes]
 
-    def _cut_log(self) -> None:
-        """Leave the rows up to the checkpoint: the steps after it are done again."""
-        path = self.out / LOG
-        if path.exists():
-            with read_as("a log", path):
-                rows = [r for r in path.read_text("utf-8").splitlines(True) if r.endswith("\n")]
-                kept = [row for row in rows if self.step and json.loads(row)["step"] <= self.step]
-            write_text(path, "".join(kept))
-
     def _write(
         self, figures: Mapping[str, Tensor], validation: Mapping[str, Sequence[MapPairs]]
     ) -> None:
@@ -252,9 +240,7 @@ class Trainer:
             row["validation"] = self.validate(validation)
             for kind, found in row["validation"].items():
                 print(f"    validation, {kind}:  {_text(found)}", file=sys.stderr)
-        path = self.out / LOG
-        with writing(path), path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        self.rows.append(row)
 
 
 def _text(figures: Mapping[str, float]) -> str:
@@ -272,24 +258,20 @@ def _card(
         posed = f"{count} of {len(names)} scenes ({', '.join(names)}), "
         posed += f"{len(training.posed.frames)} pairs train"
     threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
-    is_gpu = device.type == "cuda"
     rows = {
         **{name: value for name, value in vars(options).items() if value not in (None, ())},
         "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
         "posed photographs": posed,
-        "hardware": torch.cuda.get_device_name(device) if is_gpu else threads,
+        "hardware": torch.cuda.get_device_name(device) if device.type == "cuda" else threads,
         "made by": f"dgc-pose {version()}, torch {torch.__version__}",
         "chosen": "nothing: the moving average of the last step's weights is stored",
     }
-    lines = [f"# {options.network}", "", "| | |", "|---|---|"]
-    lines += [f"| {name} | {value} |" for name, value in rows.items()]
     for name, stage in stages.items():
-        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds."
-        lines += ["", f"## {name}", "", done, "", "| validation | figures |", "|---|---|"]
-        for kind, figures in stage["figures"].items():
-            text = ", ".join(f"{key} {value:.3f}" for key, value in figures.items())
-            lines.append(f"| {kind} | {text} |")
-    return "\n".join(lines) + "\n"
+        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds"
+        figures = (f"{kind}: {_text(found)}" for kind, found in stage["figures"].items())
+        rows[name] = "; ".join([done, *figures])
+    lines = [f"# {options.preset}", "", "| | |", "|---|---|"]
+    return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows.items()]) + "\n"
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:

@@ -6,8 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import torch
-from map_nets import SMALL
+from map_nets import ShiftNet
 
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import within
@@ -18,18 +17,6 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime.engine import DecodedMap
 from dgc_pose.runtime.torch_engine import TorchEngine
-
-
-def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
-    """A net that maps every cell to itself, shifted in x by a normalised amount."""
-    net = DGCNet(replace(SMALL, align_corners=align_corners)).eval()
-    for level in range(5):
-        final = net.get_submodule(f"reg_{level}.final")
-        torch.nn.init.zeros_(final.weight)
-        torch.nn.init.zeros_(final.bias)
-    with torch.no_grad():
-        net.get_submodule("reg_0.final").bias[0] = shift
-    return net
 
 
 def _image(width: int, height: int, seed: int = 0) -> Image:
@@ -45,7 +32,7 @@ def _map(matcher: DenseMatcher, first: Image, second: Image) -> CorrespondenceMa
 @pytest.mark.parametrize("align_corners", [True, False])
 def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> None:
     """The map that is the identity at 240 scales by the half-pixel rule to any pair of sizes."""
-    matcher = DenseMatcher(TorchEngine(_constant_net(align_corners=align_corners)))
+    matcher = DenseMatcher(TorchEngine(ShiftNet(align_corners=align_corners)))
     first, second = _image(1600, 1200), _image(320, 90)
     found = _map(matcher, first, second)
     cells = np.arange(240)
@@ -59,14 +46,14 @@ def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> No
 def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
     """Forward by +1 cell and back by +1 cell is an error of 2 cells, in pixels of image 2."""
     options = MatchingOptions(cycle_px=5.0, matchability=0.0)
-    matcher = DenseMatcher(TorchEngine(_constant_net(2 / 240, align_corners=False)), options)
+    matcher = DenseMatcher(TorchEngine(ShiftNet(2 / 240, align_corners=False)), options)
     pair = _image(480, 480), _image(960, 480)
     result = matcher.match(*pair)
     found = result.correspondence_map
     assert found is not None and found.cycle is not None
     np.testing.assert_allclose(found.cycle[:, :200], 2 * 960 / 240, atol=0.05)
     assert len(result.matches) == 0
-    still = DenseMatcher(TorchEngine(_constant_net(0.0)), options)
+    still = DenseMatcher(TorchEngine(ShiftNet(0.0)), options)
     result = still.match(*pair)
     assert result.correspondence_map is not None
     np.testing.assert_allclose(result.correspondence_map.cycle, 0, atol=0.05)
@@ -83,10 +70,7 @@ def test_a_mask_network_has_no_coarser_level() -> None:
 
 
 def test_nothing_is_nan_whatever_the_network_says() -> None:
-    net = _constant_net()
-    with torch.no_grad():
-        net.get_submodule("reg_0.final").bias.fill_(torch.nan)
-    matcher = DenseMatcher(TorchEngine(net), MatchingOptions(matchability=0.0))
+    matcher = DenseMatcher(TorchEngine(ShiftNet(np.nan)), MatchingOptions(matchability=0.0))
     result = matcher.match(_image(100, 100), _image(100, 100))
     assert result.correspondence_map is not None
     assert np.isfinite(result.correspondence_map.map).all()
@@ -103,7 +87,7 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
     view2 = View.whole(second.size, -angle)
     suggested = (View.whole(upright.size), view2)
     monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
-    engine = TorchEngine(_constant_net(align_corners=False))
+    engine = TorchEngine(ShiftNet(align_corners=False))
     decode, calls = engine.decode, []
 
     def decode_upright_alone(*given: Any) -> DecodedMap:

@@ -53,14 +53,6 @@ def test_own_weights_survive_the_disk_at_half_precision(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
 
 
-@pytest.mark.parametrize("name", ["dgc+local-correlation", "dgcm-lite0+no-l2+no-dilation"])
-def test_an_ablation_is_known_again_by_its_name(tmp_path: Path, name: str) -> None:
-    net = _random_net(name)
-    save_weights(net, tmp_path / "a.safetensors")
-    assert load_network(tmp_path / "a.safetensors").config == net.config == preset(name)
-    assert net.config != preset("dgcm-lite0")
-
-
 def test_missing_and_unreadable_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(WeightsError, match="nowhere.pth"):
         load_network(tmp_path / "nowhere.pth")

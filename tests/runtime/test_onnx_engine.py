@@ -16,10 +16,12 @@ from dgc_pose.images.image import load_image, resize
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import find_weights, folded
+from dgc_pose.network.weights import load_network
 from dgc_pose.runtime.engine import GRAPHS, PRESETS, WEIGHTS
+from dgc_pose.runtime.load import load_engine
 from dgc_pose.runtime.onnx_engine import OnnxEngine
 from dgc_pose.runtime.session import session_threads
-from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+from dgc_pose.runtime.torch_engine import TorchEngine, for_inference
 from dgc_pose.training.run import save_weights
 
 Engines = tuple[OnnxEngine, TorchEngine]
@@ -28,7 +30,7 @@ Engines = tuple[OnnxEngine, TorchEngine]
 @pytest.fixture(scope="module", params=PRESETS)
 def engines(request: pytest.FixtureRequest) -> Engines:
     path = find_weights(request.param)
-    return OnnxEngine(path), load_torch_engine(path, torch.device("cpu"))
+    return OnnxEngine(path), load_engine(path, device="cpu", runtime="torch")
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +93,7 @@ def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np
                 value.add_(0.1 * torch.randn_like(value))
     save_weights(net, tmp_path / "own.safetensors")
     onnx = OnnxEngine(tmp_path / "own.safetensors")
-    wanted = load_torch_engine(tmp_path / "own.safetensors", torch.device("cpu")).net.state_dict()
+    wanted = for_inference(load_network(tmp_path / "own.safetensors")).state_dict()
     own = folded(load_file(tmp_path / "own.safetensors"))
     assert set(own) == set(wanted)
     for key, value in own.items():

@@ -82,16 +82,10 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
     for words in (
         "6, and 2 places",
         "| init | dgcm-lite0 |",
-        "## encoder\n\n2 steps, ",
-        "found16 0.",
+        "| encoder | 2 steps, ",
+        "photos: found16 0.",
     ):
         assert words in card
-
-
-def test_a_run_by_the_clock_ends_by_it(data: dict[str, PairSource], tmp_path: Path) -> None:
-    trainer = Trainer(tmp_path, _options(steps=None, seconds=1e-3, encoder_share=0.0))
-    trainer.run(data)
-    assert trainer.progress >= 1 and trainer.step == 1 and trainer.weights_path.exists()
 
 
 def test_half_precision_trains_as_single_precision_does(
@@ -148,29 +142,16 @@ def test_runs_are_not_overwritten_or_mixed(data: dict[str, PairSource], tmp_path
     Trainer(tmp_path, _options()).save()
     with pytest.raises(InputError, match=": resume continues"):
         Trainer(tmp_path, _options())
-    with pytest.raises(WeightsError, match=r"preset dgcm-lite0, not dgcm-lite0\+no-l2"):
-        Trainer(tmp_path, _options(ablations=("no-l2",)), resume=True)
+    for name, value, message in (
+        ("encoder_share", 0.6, "encoder_share is 0.6, and 0.7 in the run of "),
+        ("seed", 1, "seed is 1, and 0 in the run of "),
+        ("shares", Shares(1, 0, 0, 0), "shares is 100,0,0,0, and 20,8,20,52 in the run of "),
+    ):
+        with pytest.raises(InputError, match=f"^{message}"):
+            Trainer(tmp_path, _options(**{name: value}), resume=True)
     (tmp_path / "checkpoint.pt").write_bytes(b"half a checkp")
     with pytest.raises(WeightsError, match=re.escape("checkpoint.pt")):
         Trainer(tmp_path, _options(), resume=True)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("seed", 1, "seed is 1, and 0 in the run of "),
-        ("rate", 0.5, "rate is 0.5, and 1.0 in the run of "),
-        ("shares", Shares(1, 0, 0, 0), "shares is 100,0,0,0, and 20,8,20,52 in the run of "),
-        ("batch", 2, "batch is 2, and 1 in the run of "),
-        ("encoder_share", 0.6, "encoder_share is 0.6, and 0.7 in the run of "),
-    ],
-)
-def test_a_resumed_run_has_the_options_of_before(
-    tmp_path: Path, name: str, value: object, message: str
-) -> None:
-    Trainer(tmp_path, _options()).save()
-    with pytest.raises(InputError, match=f"^{message}"):
-        Trainer(tmp_path, _options(**{name: value}), resume=True)
 
 
 def test_a_longer_run_goes_on_and_never_back_to_the_encoder(
@@ -200,8 +181,6 @@ def test_the_log_of_a_killed_run_has_each_step_once(
         patched.setattr(Trainer, "save", killed)
         with pytest.raises(KeyboardInterrupt):
             Trainer(tmp_path, options).run(data)
-    with (tmp_path / "log.jsonl").open("a") as file:
-        file.write('{"stage": "enc')
     Trainer(tmp_path, options, resume=True).run(data)
     assert [row["step"] for row in _log(tmp_path)] == [1, 2, 3]
 
