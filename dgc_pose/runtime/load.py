@@ -6,8 +6,8 @@ from typing import Literal
 
 from dgc_pose.errors import InputError, is_installed, require
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.network.stored import SUFFIX, find_weights, shipped
-from dgc_pose.runtime.engine import PRESETS, Engine
+from dgc_pose.network.stored import SUFFIX, find_weights
+from dgc_pose.runtime.engine import Engine
 
 RuntimeName = Literal["auto", "onnx", "torch"]
 DEVICE_HELP = "auto, cpu, cuda or cuda:N."
@@ -61,8 +61,8 @@ def default_runtime(weights: str | Path = DEFAULT_WEIGHTS, device: str = "auto")
         return "torch"
     if not is_installed("torch"):
         return "onnx"
-    has_graphs = str(weights) in PRESETS and str(weights) in shipped()
-    return "onnx" if has_graphs and device_type(device) == "cpu" else "torch"
+    shipped = str(weights) == DEFAULT_WEIGHTS
+    return "onnx" if shipped and device_type(device) == "cpu" else "torch"
 
 
 def device_type(name: str) -> str:

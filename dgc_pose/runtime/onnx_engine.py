@@ -15,6 +15,7 @@ from dgc_pose.images.image import resize
 from dgc_pose.network.config import (
     COARSEST,
     CORRELATED,
+    DEFAULT_WEIGHTS,
     EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
@@ -55,14 +56,10 @@ class OnnxEngine:
 
     def __init__(self, path: Path) -> None:
         name, self._stored = read_safetensors(path, "np")
-        if name not in graphs.PRESETS:
-            raise InputError(
-                f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
-                f"run it by torch"
-            )
+        if name != DEFAULT_WEIGHTS:
+            raise InputError(f"{path}: there are no ONNX graphs of {name}: run it by torch")
         self.config = preset(name)
-        text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
-        names: dict[str, Any] = json.loads(text)
+        names: dict[str, Any] = json.loads((graphs.GRAPHS / graphs.WEIGHTS).read_text("utf-8"))
         check_state(path, name, self._stored, names["stored"])
         self._weights = folded(self._stored)
         self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
@@ -139,8 +136,7 @@ class OnnxEngine:
         with _MAKING:
             if key not in self._sessions:
                 weights = {name: self._weights[name] for name in self._names[graph]}
-                path = graphs.GRAPHS / self.config.name / graph
-                self._sessions[key] = Session(path, weights)
+                self._sessions[key] = Session(graphs.GRAPHS / graph, weights)
             return self._sessions[key]
 
 

@@ -101,10 +101,6 @@ def test_a_collection_goes_on_where_it_stopped(stored) -> None:
     for pair in pairs:
         collect(pair, {"sift": matcher}, out)
     assert matcher.calls == 1 and gone.read_bytes() == before
-
-
-def test_other_weights_do_not_go_on_with_a_collection(stored) -> None:
-    out, _ = stored
     with pytest.raises(InputError, match="other weights"):
         require_engine(out, "sift", SiftMatcher())
 
