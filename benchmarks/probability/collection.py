@@ -24,10 +24,11 @@ from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.matching import Matcher, NetworkMatcher
+from dgc_pose.pose import solve_pair
 
 _ENGINE = "engine.json"
+_THOROUGH = EstimationOptions(effort="thorough")
 _FIELDS = ("points1", "points2", "confidence", "error_px", "key_points")  # of Matches
 
 
@@ -74,7 +75,7 @@ def read_engine(out: Path, method: str) -> Any:
 
 def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> None:
     """Match a pair by the methods of which it is not stored yet, and write its matches, with those
-    searched again if its pose is in doubt. The matchers are to have no quick pass.
+    searched again if its pose is in doubt.
 
     Raises what reading a pair raises.
     """
@@ -91,12 +92,14 @@ def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> No
     }
     known |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
     for name, path in missing.items():
-        search = matchers[name].search(posed.image1, posed.image2)
-        result = search.whole()
-        pose_of_pair(search, truth.camera1, truth.camera2, EstimationOptions(effort="thorough"))
+        matcher, images = matchers[name], (posed.image1, posed.image2)
+        result = matcher.match(*images)
         arrays = known | _arrays("", result.matches)
-        if search.last is not result:
-            arrays |= _arrays("pooled_", search.last.matches)
+        if isinstance(matcher, NetworkMatcher):
+            cameras = truth.camera1, truth.camera2
+            pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
+            if not np.array_equal(pooled.points1, result.matches.points1):
+                arrays |= _arrays("pooled_", pooled)
         if result.map_matches is not None:
             arrays |= _arrays("map_", result.map_matches)
         path.parent.mkdir(parents=True, exist_ok=True)

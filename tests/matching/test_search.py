@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.search import search_views
 from dgc_pose.matching.view import View
+from dgc_pose.matching.view_search import search_views
 from dgc_pose.runtime.load import load_engine
 from dgc_pose.runtime.torch_engine import TorchEngine
 
