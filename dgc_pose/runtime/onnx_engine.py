@@ -115,8 +115,8 @@ class OnnxEngine:
 
     def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
         """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
-        both = (self._scales(features) for features in (source, target))
-        evidence = pooled_evidence(*both, self.correlation_scales)
+        scales1, scales2 = self._scales(source), self._scales(target)
+        evidence = pooled_evidence(scales1, scales2, self.correlation_scales)
         grid1, grid2 = (features.levels[COARSEST].shape[2:] for features in (source, target))
         cells, probability = peaks(consensus(match_scores(evidence), PASSES, grid1, grid2), grid1)
         points = (2 * cells + 1) / np.array(grid1[::-1])[:, None] - 1

@@ -7,14 +7,8 @@ from torch import nn
 
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.optimiser import move_average, optimiser, rate_at
+from dgc_pose.training.optimiser import move_average, optimiser
 from dgc_pose.training.stages import EncoderStage
-
-
-def test_the_rate_rises_and_then_falls() -> None:
-    rates = [rate_at(step / 100) for step in range(101)]
-    assert max(rates) == pytest.approx(1e-3, rel=0.01) and rates[0] < 0.1 * max(rates)
-    assert rates[2:] == sorted(rates[2:], reverse=True) and rates[-1] == pytest.approx(2e-5)
 
 
 def test_a_backbone_learns_at_a_third_of_the_rate() -> None:

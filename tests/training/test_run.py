@@ -16,7 +16,6 @@ from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
-from dgc_pose.training import run
 from dgc_pose.training.initialise import vgg_layers
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
@@ -162,27 +161,6 @@ def test_a_longer_run_goes_on_and_never_back_to_the_encoder(
     Trainer(tmp_path, replace(options, steps=3), resume=True)
     with pytest.raises(InputError, match="^steps would lead from the decoders of .* back"):
         Trainer(tmp_path, replace(options, steps=20), resume=True)
-
-
-def test_the_log_of_a_killed_run_has_each_step_once(
-    data: dict[str, PairSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Checkpoints come by the clock, beside the tenth steps, and later rows are dropped."""
-    options = _options(encoder_share=1.0, steps=3)
-    monkeypatch.setattr(run, "_SAVE_SECONDS", 0.0)
-    save = Trainer.save
-
-    def killed(trainer: Trainer) -> None:
-        if trainer.step == 2:
-            raise KeyboardInterrupt
-        save(trainer)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Trainer, "save", killed)
-        with pytest.raises(KeyboardInterrupt):
-            Trainer(tmp_path, options).run(data)
-    Trainer(tmp_path, options, resume=True).run(data)
-    assert [row["step"] for row in _log(tmp_path)] == [1, 2, 3]
 
 
 def test_all_pairs_that_are_to_validate_do(data: dict[str, PairSource], tmp_path: Path) -> None:

@@ -75,16 +75,12 @@ def test_a_run_that_is_killed_goes_on(
         (["--preset", "vgg"], "no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"),
         (["--shares", "20,80"], "shares must be four percentages"),
         (["--shares", "0,100,0,0"], "no data for the kinds"),
-        (["--posed", "nowhere"], "nowhere"),
         (["--photos", "nowhere", "--init", "x"], "x: no such weights file"),
         (["--device", "mps"], "device must be auto, cpu, cuda or cuda:N, not 'mps'"),
         (["--held", "hall"], "held: there is no scene hall"),
         (["--preset", "dgc"], "--encoder or init is needed"),
         (["--encoder", "x"], "--encoder is VGG-16, which dgcm-lite0 has not"),
-        (["--preset", "dgc", "--encoder", "x"], "x cannot be read"),
-        (["--batch", "0"], "batch must lie in [1, 65536]"),
         (["--seconds", "3"], "in seconds or in steps, and one of them only"),
-        (["--encoder-share", "2"], "encoder-share"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(
