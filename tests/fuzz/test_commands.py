@@ -109,6 +109,7 @@ def test_every_number_option_has_a_range(folder):
             assert_refused(run(*words))
 
 
+MATCH = ("match", "one.png", "two.png")
 RECONSTRUCT = ("reconstruct", "batch", "--out", ".", *K)
 EXPORT = ("export-colmap", "batch", "--overwrite")
 
@@ -119,7 +120,7 @@ EXPORT = ("export-colmap", "batch", "--overwrite")
         ((*ESTIMATE, *K, "--overwrite", "--matches", "one.png"), "would be lost"),
         ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "would be lost"),
         ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
-        ((*BENCH, "--overwrite", "--methods", "junk:runs=1", "--json", "junk"), "would be lost"),
+        ((*MATCH, "--overwrite", "--weights", "junk.pth", "--out", "junk.pth"), "would be lost"),
         ((*BENCH, "--overwrite", "--json", "hard.json"), "would be lost"),
         ((*BENCH, "--overwrite", "--json", "one.png"), "would be lost"),
         ((*EXPORT, "--database", "batch/matches.h5"), ""),
