@@ -1,22 +1,12 @@
-"""Initialising a run from trained weights, or its encoder from ImageNet's VGG-16."""
+"""Initialising a run's encoder from ImageNet's VGG-16."""
 
 from pathlib import Path
 
 from torch import nn
 
-from dgc_pose.errors import WeightsError
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import check_tensors, load_network, read_state
-
-
-def initialise_from(weights: str | Path, net: DGCNet) -> None:
-    """Load the weights of a file (or of a shipped name) into `net`. Raises WeightsError for those
-    of another preset."""
-    other = load_network(weights)
-    if other.config != net.config:
-        raise WeightsError(f"{weights}: weights of {other.config.name}, not {net.config.name}")
-    net.load_state_dict(other.state_dict())
+from dgc_pose.network.weights import check_tensors, read_state
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:

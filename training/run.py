@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.inputs import read_as
@@ -21,11 +21,10 @@ from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import COUNTER
-from dgc_pose.network.weights import load_checkpoint
+from dgc_pose.network.weights import load_checkpoint, load_network
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.initialise import initialise_encoder, initialise_from
+from dgc_pose.training.initialise import initialise_encoder
 from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.optimiser import move_average, optimiser, rate_at
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.stages import SHAPES, DecoderStage, EncoderStage, StageName
@@ -40,6 +39,11 @@ _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION_BATCH = 8
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
 _HALF_MAX = torch.finfo(torch.float16).max
+_RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
+_WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
+_DECAY = 0.999  # at most, of the exponential moving average of the weights
+# The layers that ImageNet taught learn more slowly.
+_BACKBONE, _BACKBONE_RATE = ("net.pyramid.stem.", "net.pyramid.blocks."), 0.35
 
 Row = dict[str, Any]
 
@@ -71,7 +75,11 @@ class Trainer:
         torch.manual_seed(options.seed)
         net = DGCNet(options.config)
         if options.init is not None:
-            initialise_from(options.init, net)
+            other = load_network(options.init)
+            if other.config != net.config:
+                known = f"weights of {other.config.name}, not {options.preset}"
+                raise WeightsError(f"{options.init}: {known}")
+            net.load_state_dict(other.state_dict())
         if options.encoder is not None:
             initialise_encoder(options.encoder, net)
         net.to(self.device).half_precision = self.device.type == "cuda"
@@ -290,3 +298,36 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
     with replaced(Path(path)) as temporary, writing(temporary):
         # Not save_file, whose files only their owner may read.
         temporary.write_bytes(save(state, metadata=header))
+
+
+def optimiser(stage: nn.Module) -> torch.optim.AdamW:
+    """Of a stage's trainable parameters, in groups with their `share` of the rate."""
+    trained = [(key, value) for key, value in stage.named_parameters() if value.requires_grad]
+    rest = [value for key, value in trained if not key.startswith(_BACKBONE)]
+    backbone = [value for key, value in trained if key.startswith(_BACKBONE)]
+    groups = [{"params": rest, "share": 1.0}, {"params": backbone, "share": _BACKBONE_RATE}]
+    return torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY, betas=_BETAS)
+
+
+def rate_at(progress: float) -> float:
+    """The learning rate at a progress of the stage, from 0 to 1: a linear warm-up, then a
+    cosine."""
+    cosine = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+    warm = min(1.0, 0.05 + 0.95 * progress / _WARM_UP)
+    return _RATE * warm * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
+
+
+@torch.no_grad()
+def move_average(average: nn.Module, module: nn.Module, steps: int, decay: float = _DECAY) -> None:
+    """Move an exponential moving average of a module's weights and buffers on, after `steps` steps.
+
+    The decay grows as min(decay, steps / (9 + steps)), so that a run's random initial weights soon
+    lose their influence. Counters are copied.
+    """
+    share = 1 - min(decay, steps / (9 + steps))
+    values = module.state_dict().values()
+    for mean, value in zip(average.state_dict().values(), values, strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(value, share)
+        else:
+            mean.copy_(value)

@@ -1,4 +1,4 @@
-"""Initialising from trained weights: features stay the same, and the right weights are loaded."""
+"""ImageNet's VGG-16 as an encoder: its features, and what is refused."""
 
 from pathlib import Path
 
@@ -10,33 +10,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.initialise import initialise_encoder, initialise_from
-from dgc_pose.training.run import save_weights
-from dgc_pose.training.stages import EncoderStage
-
-
-def test_a_run_begins_with_the_weights_of_its_preset_alone(tmp_path: Path) -> None:
-    torch.manual_seed(1)
-    trained = DGCNet(preset("dgcm-lite0"))
-    trained.get_buffer("correlation_scales").fill_(33.0)
-    save_weights(trained, tmp_path / "w.safetensors")
-    net = DGCNet(preset("dgcm-lite0"))
-    initialise_from(tmp_path / "w.safetensors", net)
-    for key, value in net.state_dict().items():
-        torch.testing.assert_close(value, trained.state_dict()[key], atol=2e-3, rtol=0)
-    with pytest.raises(WeightsError, match=r"w\.safetensors: weights of dgcm-lite0, not dgc$"):
-        initialise_from(tmp_path / "w.safetensors", DGCNet(preset("dgc")))
-
-
-def test_a_trained_encoder_passes_through_its_stage_unchanged() -> None:
-    torch.manual_seed(2)
-    net = DGCNet(preset("dgcm-lite0"))
-    net.get_buffer("correlation_scales").copy_(torch.tensor([33.0, 12.0]))
-    before = {k: v.clone() for k, v in net.state_dict().items()}
-    with torch.no_grad():
-        EncoderStage(net).finished()
-    for key, value in net.state_dict().items():
-        torch.testing.assert_close(value, before[key])
+from dgc_pose.training.initialise import initialise_encoder
 
 
 def _torchvision_vgg16(seed: int) -> nn.Sequential:

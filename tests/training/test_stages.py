@@ -50,6 +50,17 @@ def test_the_encoders_loss_falls_on_views_that_are_no_squares() -> None:
     assert not any(k.startswith(("reg_", "pyramid.level_")) for k in changed)
 
 
+def test_a_trained_encoder_passes_through_its_stage_unchanged() -> None:
+    torch.manual_seed(2)
+    net = DGCNet(preset("dgcm-lite0"))
+    net.get_buffer("correlation_scales").copy_(torch.tensor([33.0, 12.0]))
+    before = {k: v.clone() for k, v in net.state_dict().items()}
+    with torch.no_grad():
+        EncoderStage(net).finished()
+    for key, value in net.state_dict().items():
+        torch.testing.assert_close(value, before[key])
+
+
 @pytest.mark.parametrize(("name", "shape"), [("dgcm-lite0", (176, 336)), ("dgcm", (240, 240))])
 def test_the_decoders_loss_falls_and_the_pyramid_stays(name: str, shape: Shape) -> None:
     torch.manual_seed(0)
