@@ -5,7 +5,8 @@ import re
 from dataclasses import dataclass
 from functools import partial
 
-from dgc_pose.cameras.calibration import KDetails, pair_cameras
+from dgc_pose.cameras.by_image import KDetails
+from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.upright import orientation_of
