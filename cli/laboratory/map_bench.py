@@ -41,7 +41,7 @@ class MapBenchOptions:
     methods: str | None = option(
         None,
         "Comma-separated names or paths of weights, or of other matchers with a dense map, as "
-        "deepmatching and dis; default: all shipped weights.",
+        "dis; default: all shipped weights.",
     )
     out: str | None = option(
         None,

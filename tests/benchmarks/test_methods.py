@@ -66,10 +66,10 @@ def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
-    names = ["net", "net:refine=none", "net/all", "dis", "sift", "deepmatching", "raft"]
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "raft"]
     methods = parse_methods(names, stored=["raft"])
     sources = [method.matcher.refinement.source for method in methods]
-    assert sources == ["auto", "none", "auto", "none", "none", "none", "none"]
+    assert sources == ["auto", "none", "none", "none", "none", "none"]
 
 
 def test_a_path_may_hold_colons_and_equals_signs() -> None:
@@ -90,20 +90,12 @@ def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
     assert methods[1].estimation.runs == 2
 
 
-def test_a_matcher_is_loaded_once() -> None:
-    methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
+def test_a_network_is_read_once_for_all_methods() -> None:
+    names = ["dgcm-lite0", "mine", "dgcm-lite0:finest=60", "dis/all"]
     mine = FileMatcher("mine", {})
-    loaded = load_matchers(methods, device="cpu", stored={"mine": mine})
-    assert [options.weights for options in loaded] == ["dis", "mine"]
-    assert loaded[methods[2].matcher].name == "mine"
+    methods = parse_methods(names, stored=["mine"])
+    network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": mine})
+    assert other.engine is network.engine is not None and other is not network
+    assert (stored.name, dis.name) == ("mine", "dis")
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
         load_matchers(parse_methods(["nowhere"]), device="cpu")
-
-
-def test_a_network_is_read_once_for_all_its_passes() -> None:
-    names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
-    methods = parse_methods(names)
-    loaded = load_matchers(methods, device="cpu", keep_features=True)
-    assert len(loaded) == 3
-    refined, coarse, plain = (loaded[method.matcher] for method in methods)
-    assert coarse.engine is plain.engine is refined.engine is not None

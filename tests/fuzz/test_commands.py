@@ -19,7 +19,6 @@ from dgc_pose.cli.main import SUBCOMMANDS, main
 HANG_S = 120  # of a command, on a busy machine
 ESTIMATE = ("estimate", "one.png", "two.png", "--refine", "none", "--runs", "1")
 K = ("--K", dense_scene.K_TEXT)
-BENCH = ("bench-pairs", "pairs.txt", "--methods", "sift", "--limit", "1", "--runs", "1")
 
 
 @pytest.fixture
@@ -72,15 +71,11 @@ def test_every_number_option_has_a_range() -> None:
         (*ESTIMATE, *K, "--json", "./link"),
         (*ESTIMATE, "--K", "K.txt", "--json", "K.txt"),
         ("match", "one.png", "two.png", "--weights", "w.pth", "--out", "w.pth"),
-        (*BENCH, "--methods", "w.pth:runs=1", "--json", "w.pth"),
-        (*BENCH, "--json", "hard.json"),
-        (*BENCH, "--json", "one.png"),
     ],
     ids=" ".join,
 )
 def test_no_output_replaces_an_input(folder: Path, arguments: tuple) -> None:
     Path("link").symlink_to("one.png")
-    os.link("pairs.txt", "hard.json")
     Path("w.pth").write_bytes(b"weights")
     before = contents(folder)
     assert_refused(run(*arguments, "--overwrite"), "would be lost")
@@ -114,5 +109,5 @@ def test_every_output_of_every_command_is_declared() -> None:
         assert command is not None
         for parameter in command.params:
             last = (parameter.name or "").rpartition("__")[2]
-            if last in names and not getattr(parameter, "is_flag", False) and name != "bench-dtu":
+            if last in names and not getattr(parameter, "is_flag", False):
                 assert isinstance(parameter.type, OutputFile | OutputFolder), (name, parameter)

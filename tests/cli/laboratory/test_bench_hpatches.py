@@ -92,9 +92,8 @@ def test_out_holds_the_same_figures_and_the_pictures(folder):
             assert cv2.imread(f"run/new/{name}").std() > 1
 
 
-def test_matchers_without_a_network_stand_in_the_same_tables(folder, monkeypatch):
-    monkeypatch.setattr("dgc_pose.benchmarks.rivals.deep_matching.SIDE", 64)
-    words = ("--methods", "still,deepmatching,dis", "--json", "s.json")
+def test_matchers_without_a_network_stand_in_the_same_tables(folder):
+    words = ("--methods", "still,dis", "--json", "s.json")
     result = bench("--root", "data", *words)
     assert result.exit_code == 0, result.output
     still, *rivals = json.loads((folder / "s.json").read_text())["methods"]
