@@ -4,7 +4,6 @@ A matrix H maps pixels of the first image to the second, x2 ~ H x1. The layouts 
 sequences of a changing viewpoint (`v_*`), VGG's affine-covariant sets, and annotated pairs.
 """
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,19 +23,6 @@ VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, se
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
 _MATRIX_BYTES = 2**16  # of a file with nine numbers
 SEQUENCES = 59  # of a changing viewpoint in HPatches
-# AEPE at 240x240 on HPatches, viewpoints I to V, pixels, as their authors printed them. "paper" is
-# Melekhov et al., DGC-Net: Dense Geometric Correspondence Network, WACV 2019; GLU-Net is Truong et
-# al., CVPR 2020; RANSAC-Flow is Shen et al., ECCV 2020.
-HPATCHES_AEPE: dict[str, tuple[float, ...]] = {
-    "PWC-Net (paper)": (4.43, 11.44, 15.47, 20.17, 28.30),
-    "Rocco aff+tps, T (paper)": (9.59, 18.55, 21.15, 27.83, 35.19),
-    "DGC-Net (paper)": (1.55, 5.53, 8.98, 11.66, 16.70),
-    "DGC+M-Net (paper)": (2.97, 6.85, 9.95, 12.87, 19.13),
-    "GLU-Net": (0.59, 4.05, 7.64, 9.82, 14.89),
-    "RANSAC-Flow (author's rerun)": (0.52, 2.33, 3.19, 5.35, 5.25),
-}
-# Jaccard of the mask there
-HPATCHES_JACCARD = {"DGC+M-Net aff+tps+homo (paper)": (0.730, 0.687, 0.629, 0.590, 0.525)}
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 
 
@@ -62,14 +48,9 @@ def homography_set(root: str | Path) -> MapSet:
     title = f"{len(pairs)} pairs of {root}, {len(found)} of HPatches' {SEQUENCES} sequences"
     if missing:
         title += f"; without an image or a matrix: {', '.join(missing)}"
-    published = {
-        viewpoint: {name: (values[k], math.nan) for name, values in HPATCHES_AEPE.items()}
-        | {name: (math.nan, values[k]) for name, values in HPATCHES_JACCARD.items()}
-        for k, viewpoint in enumerate(VIEWPOINTS)
-    }
     cases = (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in pairs)
     facts = {"root": str(root), "sequences": len(found), "missing": missing}
-    return MapSet(cases, len(pairs), facts, title, published)
+    return MapSet(cases, len(pairs), facts, title)
 
 
 def find_homography_pairs(root: Path) -> tuple[list[HomographyPair], list[str]]:

@@ -16,8 +16,6 @@ from dgc_pose.files.tables import aligned
 from dgc_pose.network.config import LEVEL_SIZES
 
 Scores = Mapping[str, Sequence[MapScore]]  # by method, each over the same pairs
-# By group, by method as it was printed elsewhere: AEPE and Jaccard, NaN if unknown.
-Published = Mapping[str, Mapping[str, tuple[float, float]]]
 HEADING = (
     "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
     "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each level's map of a network\n"
@@ -33,22 +31,18 @@ def groups_of(scores: Scores) -> list[str]:
     return list(dict.fromkeys(pair.group for pair in next(iter(scores.values()))))
 
 
-def maps_table(scores: Scores, published: Published) -> str:
-    """A line a group and method, the published ones below, and over all pairs."""
+def maps_table(scores: Scores) -> str:
+    """A line a group and method, and over all pairs."""
     columns = {"pairs": ("pairs", 1, 0), "AEPE": ("aepe", 1, 2)}
     columns |= {f"AEPE@{cells}": (f"aepe{cells}", 1, 2) for cells in LEVEL_SIZES[::-1]}
     columns |= {f"PCK@{limit:g}": (f"pck{limit:g}", 100, 1) for limit in WITHIN}
     columns |= {"Jaccard": ("jaccard", 1, 3), "J found": ("jaccard_found", 1, 3)}
     lines = [["group", "method", *columns]]
     for group in [*groups_of(scores), "all"]:
-        rows = [pooled(pairs, group).data for pairs in scores.values()]
-        rows += [
-            {"group": group, "method": name, "aepe": aepe, "jaccard": jaccard}
-            for name, (aepe, jaccard) in published.get(group, {}).items()
-        ]
-        for row in rows:
-            values = [(factor * row.get(f, float("nan")), n) for f, factor, n in columns.values()]
-            lines.append([row["group"], row["method"], *(decimals(*value) for value in values)])
+        for method, pairs in scores.items():
+            data = pooled(pairs, group).data
+            cells = (decimals(factor * data[name], n) for name, factor, n in columns.values())
+            lines.append([group, method, *cells])
     return aligned(lines)
 
 

@@ -1,7 +1,7 @@
 """Every method on every pair of a data set with known maps."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
 
@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from dgc_pose.benchmarks.map_report import Published
 from dgc_pose.benchmarks.map_scores import Comparison, LevelMap, MapScore, score_map
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.pixels import pixel_grid
@@ -44,7 +43,6 @@ class MapSet:
     total: int  # pairs
     facts: Mapping[str, Any]  # what is known of the set, for the JSON
     title: str  # a line
-    published: Published = field(default_factory=dict)
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:

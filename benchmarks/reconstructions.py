@@ -9,7 +9,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
@@ -29,8 +28,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced, require_no_input, writing
-from dgc_pose.images.image import image_size, load_image, resize_by
+from dgc_pose.images.image import image_size
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -55,24 +53,6 @@ COLUMNS = {  # of the table
     "pooled f off %": "{0.pooled_focal_percent:.3f}",
     "seconds": "{0.seconds:.0f}",
 }
-
-
-def resized(views: PosedModel, scale: float, folder: Path) -> PosedModel:
-    """Copies of the images by area means, as PNG in `folder`, with their cameras.
-
-    Raises InputError if a copy would replace an image; OSError if it cannot be written.
-    """
-    copies = {name: str(Path(name).with_suffix(".png")) for name in views.cameras}
-    images = [views.root / name for name in copies]
-    require_no_input([folder / copy for copy in copies.values()], images)
-    cameras = {}
-    for name, copy in copies.items():
-        small = resize_by(load_image(views.root / name).pixels, scale)
-        (folder / copy).parent.mkdir(parents=True, exist_ok=True)
-        with replaced(folder / copy) as stage, writing(stage):
-            stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
-        cameras[copy] = views.cameras[name].resized((small.shape[1], small.shape[0]))
-    return PosedModel(folder, cameras, {copies[name]: views.poses[name] for name in copies})
 
 
 @dataclass(frozen=True, kw_only=True)

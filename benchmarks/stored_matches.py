@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.errors import ImageError, InputError, reason
+from dgc_pose.errors import InputError, reason
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.geometry.pixels import pixel_grid, rescale
-from dgc_pose.images.image import Image, read_pixels
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
@@ -21,7 +21,7 @@ from dgc_pose.matching.selection import MatchingOptions, select_matches
 
 Names = tuple[str, str]  # of a pair of images
 
-_ENDINGS = (".flo", ".npz", ".npy", ".png")
+_ENDINGS = (".flo", ".npz", ".npy")
 _FLO_MAGIC = 202021.25
 _FLO_UNKNOWN = 1e9
 _ERROR_PX = 1.0  # of points without an error_px, pixels of the images as stored
@@ -84,7 +84,7 @@ def _read(path: Path) -> Mapping[str, np.ndarray]:
         return read_arrays(path)
     if path.suffix == ".npy":
         return {"flow": read_array(path)}
-    return {"flow": _read_flo(path) if path.suffix == ".flo" else _read_kitti(path)}
+    return {"flow": _read_flo(path)}
 
 
 def _read_flo(path: Path) -> np.ndarray:
@@ -95,20 +95,6 @@ def _read_flo(path: Path) -> np.ndarray:
     width, height = np.frombuffer(data[4:12], "<i4").tolist()
     flow = np.frombuffer(data[12:], "<f4").reshape(height, width, 2).astype(np.float64)
     flow[~(np.abs(flow) <= _FLO_UNKNOWN).all(-1)] = np.nan
-    return flow
-
-
-def _read_kitti(path: Path) -> np.ndarray:
-    """KITTI's flow (H, W, 2) float64, NaN if unknown."""
-    try:
-        stored = read_pixels(path)
-    except ImageError as error:
-        raise InputError(str(error)) from None
-    if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
-        raise ValueError("KITTI's flow is a PNG of three 16-bit channels")
-    known, y, x = np.moveaxis(stored.astype(np.float64), -1, 0)  # OpenCV gives BGR for RGB
-    flow = (np.stack([x, y], -1) - 2**15) / 64
-    flow[known == 0] = np.nan
     return flow
 
 

@@ -94,13 +94,12 @@ def write_mvsnet_training(
     number: int = 65,
     extension: str = "png",
     light: str = "3",
-    suffix: str = "",
 ) -> None:
-    """`Cameras` and `Rectified/scanN`, or `scanN_train` with the images as they are handed over."""
+    """`Cameras` and `Rectified/scanN`."""
     for position, view in scan.views.items():
         write_cam(root / "Cameras" / f"{position - 1:08d}_cam.txt", view)
         file = f"rect_{position:03d}_{_light(light)}.{extension}"
-        write_image(root / f"Rectified/scan{number}{suffix}" / file, scan.images[position])
+        write_image(root / f"Rectified/scan{number}" / file, scan.images[position])
 
 
 WRITERS: Mapping[str, Callable[..., None]] = {

@@ -7,6 +7,7 @@ from typing import Literal
 
 import click
 
+from dgc_pose.benchmarks.dtu.dataset import Light, open_dataset
 from dgc_pose.benchmarks.dtu.pair_lists import PAIRS, choose_pairs
 from dgc_pose.benchmarks.dtu.view_pairs import listed_pair
 from dgc_pose.benchmarks.files import split_names
@@ -25,7 +26,7 @@ from dgc_pose.cli.laboratory.bench_run import (
 from dgc_pose.cli.laboratory.bench_run import (
     PAIRS as LIST,
 )
-from dgc_pose.cli.laboratory.dtu_pairs import FolderChoice
+from dgc_pose.cli.laboratory.dtu_pairs import LIGHT_HELP
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -55,6 +56,7 @@ class Experiment:
     scenes: tuple[int, ...] | None = option(
         None, "Numbers of the scenes; default: all that are found.", metavar="N,N", parse=_numbers
     )
+    light: Light = option("3", LIGHT_HELP)
     pairs: str = option(
         str(PAIRS), "Number of pairs to draw over all scenes, or a list of pairs.", metavar="N|FILE"
     )
@@ -68,7 +70,6 @@ class Experiment:
 
 @click.command()
 @dataclass_options(Experiment, "experiment")
-@dataclass_options(FolderChoice, "folder")
 @click.option(
     "--matches",
     multiple=True,
@@ -81,7 +82,6 @@ class Experiment:
 @dataclass_options(EstimationOptions, "estimation")
 def bench_dtu(
     experiment: Experiment,
-    folder: FolderChoice,
     matches: tuple[str, ...],
     run: RunChoice,
     matcher: MatcherOptions,
@@ -101,8 +101,9 @@ def bench_dtu(
         estimation = replace(estimation, refine=False)
     stored = _folders(matches)
     methods = parse_methods(split_names(run.methods), matcher, estimation, [*stored])
-    dataset = folder.open(experiment.root, experiment.scenes)
-    views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=experiment.scenes)
+    light, scenes = experiment.light, experiment.scenes
+    dataset = open_dataset(experiment.root, scenes=scenes, light=light)
+    views = choose_pairs(dataset, experiment.pairs, seed=estimation.seed, scenes=scenes)
     listed = [listed_pair(dataset, view) for view in views]
     require_images(listed)
     keys = [(view.scene, view.view1, view.view2) for view in views]
@@ -114,12 +115,12 @@ def bench_dtu(
     missing = sum(scene.missing for scene in dataset.scenes)
     names = ", ".join(f"scan{number}" for number in dataset.left_out)
     click.echo(
-        f"{dataset.layout} layout: {len(dataset.scenes)} scenes, {missing} views left out without "
+        f"{len(dataset.scenes)} scenes, {missing} views left out without "
         f"an image or a calibration{f', and with fewer than two views {names}' if names else ''}\n"
         f"{len(views)} pairs, {experiment.protocol} protocol"
     )
     pairs = ListedPairs(listed, seeds=keys, size=PAPER_SIZE if paper else None)
-    setting = {"protocol": experiment.protocol, "layout": dataset.layout, "light": folder.light}
+    setting = {"protocol": experiment.protocol, "light": light}
     summaries = run_bench(pairs, methods, experiment.out, run, stored=files, data=setting)
     write_pairs(experiment.out / LIST, listed)
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")

@@ -123,5 +123,4 @@ def bench_maps(bench: MapBenchOptions) -> None:
             masked = {name: of_all for name, of_all in totals.items() if of_all is not None}
             diagram = plot_reliability(masked, right=f"within {RIGHT_PX:g} px")
             save_figure(diagram, files["reliability.png"])
-    table_text = maps_table(scores, data.published)
-    click.echo("\n\n".join([data.title, HEADING, table_text, *reliability_lines(scores)]))
+    click.echo("\n\n".join([data.title, HEADING, maps_table(scores), *reliability_lines(scores)]))

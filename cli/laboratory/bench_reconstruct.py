@@ -12,7 +12,6 @@ from dgc_pose.benchmarks.files import finite_data, split_names, table
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
-    resized,
     run_method,
     views_of_dtu,
     views_of_list,
@@ -34,7 +33,7 @@ class ReconstructBenchOptions:
     out: Path = option(
         help="Folder of the results; created if missing.",
         metavar="DIR",
-        type=OutputFolder("summary.json", "images", path_type=Path),
+        type=OutputFolder("summary.json", path_type=Path),
     )
     truth: Path = option(
         help="True cameras: a list of pairs in SuperGlue's format, whose translations have one "
@@ -50,9 +49,6 @@ class ReconstructBenchOptions:
         "pipeline over all pairs.",
     )
     pairs: str = option("exhaustive", "As for batch.")
-    scale: float = option(
-        1.0, "Resize the images by this; 0.5 leaves a quarter of the pixels.", above=0, max=1
-    )
 
 
 @click.command()
@@ -75,7 +71,7 @@ def bench_reconstruct(
     mean error of the model's focal lengths, "pooled f off" of those that all pairs give together;
     AUC@5 is of the pairs' poses. All methods map with the same options.
     """
-    out, truth, scale = bench.out, bench.truth, bench.scale
+    out, truth = bench.out, bench.truth
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of images")
     views = views_of_dtu(truth, folder) if truth.is_dir() else views_of_list(truth, folder)
@@ -86,8 +82,6 @@ def bench_reconstruct(
     setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k
     out.mkdir(parents=True, exist_ok=True)
     scores = []
-    if scale != 1:
-        views = resized(views, scale, out / "images")  # a later --resume reads them again
     for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)

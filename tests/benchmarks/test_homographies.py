@@ -84,7 +84,6 @@ def test_pairs_of_every_layout_are_found_and_those_without_files_named(tmp_path)
     np.testing.assert_array_equal(pairs[0].H, scene.H)
     data = homography_set(tmp_path)
     assert (data.total, data.facts["sequences"]) == (12, 2) and "graf 1-4" in data.title
-    assert data.published["II"]["DGC-Net (paper)"][0] == 5.53
     assert len(find_homography_pairs(tmp_path / "homogr")[0]) == 2
 
 

@@ -17,7 +17,6 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.benchmarks.reconstructions import (
     model_figures,
     pair_figures,
-    resized,
     views_of_dtu,
     views_of_list,
 )
@@ -66,16 +65,6 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
         views_of_list(folder.parent / "broken.txt", folder)
     with pytest.raises(InputError, match="not an image of the folder"):
         views_of_list(path, folder / "other")
-
-
-def test_smaller_copies_have_their_own_cameras(
-    scene: tuple[Path, Path, list[View]], tmp_path: Path
-) -> None:
-    views = resized(views_of_list(scene[1], scene[0]), 0.5, tmp_path)
-    camera = views.cameras["view0.png"]
-    assert camera.size == (SIZE[0] // 2, SIZE[1] // 2)
-    assert cv2.imread(str(tmp_path / "view0.png")).shape[1::-1] == camera.size
-    np.testing.assert_allclose(camera.K[:2, 2], (K[:2, 2] + 0.5) / 2 - 0.5)
 
 
 def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:

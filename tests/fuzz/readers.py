@@ -162,7 +162,7 @@ def _make_weights(folder: Path) -> None:
 def _make_matches(folder: Path) -> None:
     """A folder of each format, as `--matches` takes them."""
     flow = np.random.default_rng(0).normal(size=(30, 40, 2)).astype(np.float32)
-    for name in ("flo", "npy", "flow", "map", "points", "kitti"):
+    for name in ("flo", "npy", "flow", "map", "points"):
         (folder / name).mkdir()
     cv2.writeOpticalFlow(str(folder / "flo/pair.flo"), flow)
     np.save(folder / "npy/pair.npy", flow)
@@ -172,8 +172,6 @@ def _make_matches(folder: Path) -> None:
     np.savez_compressed(folder / "map/pair.npz", **maps)
     points = {"points1": grid.reshape(-1, 2), "points2": grid.reshape(-1, 2), "error_px": 1.0}
     np.savez(folder / "points/pair.npz", **points, confidence=np.ones(1200), key_points=True)
-    kitti = np.dstack([np.ones((30, 40)), flow[..., ::-1] * 64 + 2**15]).astype(np.uint16)
-    cv2.imwrite(str(folder / "kitti/pair.png"), kitti)
 
 
 def _read_matches(folder: Path, path: Path) -> None:

@@ -125,7 +125,7 @@ def test_a_finished_run_is_only_shown_again_and_its_list_gives_it_again(dtu, tmp
     out, other = tmp_path / "run", tmp_path / "other"
     common = ("--root", dtu, "--methods", "sift,dis")
     text = bench(*common, "--out", out, "--pairs", 2)
-    assert "raw layout: 1 scenes, 44 views left out" in text and "2 pairs, paper protocol" in text
+    assert "1 scenes, 44 views left out" in text and "2 pairs, paper protocol" in text
     assert text.splitlines()[-1].startswith("dis ")
     files = ["errors.png", "pairs.txt", "results.csv", "run.json", "summary.json"]
     assert sorted(os.listdir(out)) == files

@@ -77,14 +77,13 @@ def still_aepe():
     return np.mean(np.hypot(truth[y, x, 0] - x, truth[y, x, 1] - y))
 
 
-def test_planes_stand_beside_published_rows_and_out_has_every_figure(planes):
+def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(planes):
     words = ("--homographies", "planes", "--methods", "true,still,half,dis", "--out", "run/new")
     result = bench(*words)
     assert "2 of HPatches' 59 sequences" in result.stdout
     (true,), (still,) = lines(result, "III", "true"), lines(result, "III", "still")
     assert true[2:4] == ["2", "0.00"] and true[-2] == "1.000"
     assert still[3] == f"{still_aepe():.2f}" and still[-2:] == ["-", "-"]
-    assert lines(result, "III", "DGC-Net")[0][2:5] == ["(paper)", "-", "8.98"]
     assert lines(result, "all", "true")[0][2] == "10"
     data = json.loads((planes / "run/new/summary.json").read_text())
     assert (data["sequences"], data["missing"]) == (2, [])
