@@ -20,7 +20,7 @@ from dgc_pose.estimation.probability import is_contradicted
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
 from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.pose import solve_pair
 
 _OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches are evidence of K
 
@@ -121,16 +121,15 @@ def _solved(
     options: EstimationOptions,
 ) -> tuple[RelativePose, Matches, CorrespondenceMap | None, float]:
     """The pose of a pair, its matches and the dense map, and the seconds of the matching."""
-    search = matcher.search(pair.image1, pair.image2)
     if not method.everywhere:
-        pose = pose_of_pair(search, *cameras, options)
-        seconds = sum(s for step, s in pose.seconds.items() if step != "estimate")
-        return pose, search.last.matches, search.last.correspondence_map, seconds
+        found = solve_pair(pair.image1, pair.image2, cameras, matcher, options)
+        seconds = sum(s for step, s in found.pose.seconds.items() if step != "estimate")
+        return found.pose, found.matches, found.correspondence_map, seconds
     start = time.perf_counter()
-    dense = search.whole().correspondence_map
+    dense = matcher.match(pair.image1, pair.image2).correspondence_map
     if dense is None:
         raise InputError(f"{method.name}: {matcher.name} makes no map")
-    selection = replace(method.matcher.matching, matchability=0.0, cycle_px=None)
+    selection = replace(method.matcher.matching, matchability=0.0)
     every = select_matches(dense, selection, min_share=0.0)
     matched = time.perf_counter()
     pose = estimate_pose(every, *cameras, options)

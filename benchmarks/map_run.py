@@ -57,13 +57,12 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     methods: dict[str, MapMethod] = {}
     for name in names:
         options = MatcherOptions(name)
-        kind = options.kind
         if name in methods:
             raise InputError(f"the method {name} is named twice")
-        if not kind.dense_map:
+        if not options.has_map:
             words = f"{name}: has key points alone and no dense map"
             raise InputError(ArgumentName("methods"), words)
-        if kind.network:
+        if options.is_network:
             methods[name] = partial(compare, load_network(name, chosen))
         else:
             methods[name] = partial(compare_matcher, options.load())

@@ -18,19 +18,17 @@ from dgc_pose.benchmarks.summary import heading, summary_table
 from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.laboratory.bench_run import (
-    METHOD_FIELDS,
+    PAIRS as LIST,
+)
+from dgc_pose.cli.laboratory.bench_run import (
     RUN_FOLDER,
     RunChoice,
     run_bench,
-)
-from dgc_pose.cli.laboratory.bench_run import (
-    PAIRS as LIST,
 )
 from dgc_pose.cli.laboratory.dtu_pairs import LIGHT_HELP
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.refinement import RefinementOptions
 from dgc_pose.system.options import option
 
 Protocol = Literal["paper", "native"]
@@ -78,7 +76,7 @@ class Experiment:
     "ending .flo, .npz or .npy; a method of that name.",
 )
 @dataclass_options(RunChoice, "run")
-@dataclass_options(MatcherOptions, "matcher", only=METHOD_FIELDS)
+@dataclass_options(MatcherOptions, "matcher", only=("matching",))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_dtu(
     experiment: Experiment,
@@ -95,9 +93,8 @@ def bench_dtu(
     """
     paper = experiment.protocol == "paper"
     if paper:
-        matching = replace(matcher.matching, max_matches=EVERY_MATCH)
-        unrefined = RefinementOptions(source="none")
-        matcher = replace(matcher, matching=matching, refinement=unrefined)
+        matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
+        matcher = replace(matcher, matching=matching)
         estimation = replace(estimation, refine=False)
     stored = _folders(matches)
     methods = parse_methods(split_names(run.methods), matcher, estimation, [*stored])

@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.posed_pairs import (
 from dgc_pose.benchmarks.summary import CAMERA_COLUMNS, CAMERA_HEADING, heading, summary_table
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
-from dgc_pose.cli.laboratory.bench_run import METHOD_FIELDS, RUN_FOLDER, RunChoice, run_bench
+from dgc_pose.cli.laboratory.bench_run import RUN_FOLDER, RunChoice, run_bench
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -75,7 +75,7 @@ class PairBenchOptions:
 @dataclass_options(PairBenchOptions, "options")
 @dataclass_options(CameraTrial, "cameras")
 @dataclass_options(RunChoice, "run")
-@dataclass_options(MatcherOptions, "matcher", only=METHOD_FIELDS)
+@dataclass_options(MatcherOptions, "matcher", only=("matching",))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_pairs(
     pair_list: str | None,

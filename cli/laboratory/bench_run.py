@@ -25,7 +25,6 @@ from dgc_pose.system.options import option
 
 _SUMMARY, _ERRORS, PAIRS = "summary.json", "errors.png", "pairs.txt"
 RUN_FOLDER = OutputFolder(SETTINGS, RESULTS, _SUMMARY, _ERRORS, PAIRS, path_type=Path)
-METHOD_FIELDS = ("matching", "refinement")  # of `MatcherOptions`: what a method may leave open
 
 
 @dataclass(frozen=True)

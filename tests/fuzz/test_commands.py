@@ -27,12 +27,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path)
     Path("K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
-    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", _map_matcher)
+    dense_scene.replace_network(monkeypatch, lambda weights: dense_scene.true_map())
     yield tmp_path
-
-
-def _map_matcher(weights, *, options, **_):
-    return dense_scene.MapMatcher(dense_scene.true_map(), options)
 
 
 @pytest.fixture(scope="module")
