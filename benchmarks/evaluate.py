@@ -11,7 +11,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.methods import Method
 from dgc_pose.benchmarks.metrics import folded, median_and_mean, true_fundamental
-from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair, Truth
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -26,7 +26,7 @@ _OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches ar
 
 
 def evaluate(
-    pairs: PairSet, methods: Sequence[Method], matchers: Sequence[Matcher], first: int = 0
+    pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], first: int = 0
 ) -> Iterator[list[PairScore]]:
     """For each pair from number `first` on, in order, a record a method.
 
@@ -39,7 +39,7 @@ def evaluate(
 
 
 def settings(
-    pairs: PairSet, methods: Sequence[Method], matchers: Sequence[Matcher], device: str
+    pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], device: str
 ) -> dict[str, Any]:
     """All that the records depend on, for `RunStore`."""
     ids = json.dumps([dict(pair_ids) for pair_ids in pairs.ids])

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from dgc_pose.training.room_pairs import RoomPairs
 
 Ids = Mapping[str, str]
-RENDERED_SIZE = 1024  # pixels a side of a rendered view
 _IMAGE_BYTES = 2**29
 
 
@@ -97,40 +96,6 @@ class ListedPairs:
         if self._size is None:
             return image
         return replace(image, pixels=resize(image.pixels, self._size), stored_size=image.size)
-
-
-class RenderedPosedPairs:
-    """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
-    the photographs that training holds back: what defaults are chosen on."""
-
-    def __init__(self, photos: Path, count: int, seed: int) -> None:
-        """Raises ImageError if the folder holds no photographs."""
-        from dgc_pose.training.photos import load_held_back
-
-        names = [f"rendered {seed} {k}" for k in range(count)]
-        self.ids = [{"image1": f"{name} 1", "image2": f"{name} 2"} for name in names]
-        self._photos = load_held_back(photos)
-        self._seed = seed
-
-    def read(self, first: int = 0) -> Iterator[PosedPair]:
-        """The pairs from number `first` on."""
-        from dgc_pose.training.draw import Draw
-        from dgc_pose.training.room_pairs import RoomOptions, room_pairs
-
-        # Several copies of a photograph side by side would make its blur, not its detail, the scene
-        options = RoomOptions(
-            orbit_deg=(5.0, 40.0), roll_deg=4.0, enough=0.4, tries=6, spans=((1.5, 3.0), (0.9, 1.8))
-        )
-        shape = RENDERED_SIZE, RENDERED_SIZE
-        for number in range(first, len(self.ids)):
-            draw = Draw("cpu", "rendered", self._seed, number)
-            views = room_pairs(self._photos, 1, shape, draw, options)
-            yield posed_pair(views, self.ids[number])
-
-
-# A data set: the same pairs in the same order each time that it is read. `ids` has the columns of
-# each pair's rows, known before any image is read.
-PairSet = ListedPairs | RenderedPosedPairs
 
 
 def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:

@@ -17,7 +17,6 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.benchmarks.metrics import folded, pose_auc
 from dgc_pose.cameras.calibration import Calibration, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -257,22 +256,6 @@ def views_of_list(path: Path, folder: Path) -> PosedModel:
         for name, camera in sorted(cameras.items())
     }
     return PosedModel(folder, sized, {name: pose[:3] for name, pose in poses.items()})
-
-
-def views_of_dtu(calibration: Path, folder: Path) -> PosedModel:
-    """The images `rect_NNN_...` of a scene of DTU with the matrices `pos_NNN.txt`; millimetres.
-
-    Raises InputError if there is no such image, or a matrix is missing or malformed.
-    """
-    cameras, poses = {}, {}
-    for path in sorted(folder.glob("rect_[0-9][0-9][0-9]*")):
-        position = path.name.split("_")[1]
-        view = read_projection(calibration / f"pos_{position}.txt")
-        cameras[path.name] = Camera(view.K, image_size(path))
-        poses[path.name] = np.column_stack([view.R, view.t])
-    if len(poses) < 2:
-        raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
-    return PosedModel(folder, cameras, poses)
 
 
 def _relative(path: Path, folder: Path) -> str:

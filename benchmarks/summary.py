@@ -1,12 +1,11 @@
 """The figures of each method over all pairs, as data and as a table."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from dgc_pose.benchmarks.files import decimals, finite_data
+from dgc_pose.benchmarks.files import decimals
 from dgc_pose.benchmarks.metrics import pose_auc
 from dgc_pose.benchmarks.reliability import Reliability
 from dgc_pose.benchmarks.scores import PairScore
@@ -16,7 +15,9 @@ from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
 from dgc_pose.files.tables import aligned
 
-Columns = Mapping[str, tuple[str, int]]  # by heading a field of a summary, and its decimals
+# One method over all pairs: the figures of `summarise` by name, which are the keys of summary.json.
+Summary = Mapping[str, Any]
+Columns = Mapping[str, tuple[str, int]]  # by heading a figure of a summary, and its decimals
 COLUMNS: Columns = {
     "pairs": ("pairs", 0),
     "failures": ("failures", 0),
@@ -56,44 +57,6 @@ CAMERA_COLUMNS: Columns = {
 _SURE_STD = 0.05  # of ln f: focal lengths of a smaller deviation are sure
 
 
-@dataclass(frozen=True)
-class MethodSummary:
-    """One method over all pairs; the fields are the keys of summary.json. NaN for a share of
-    nothing, and for what the method does not say."""
-
-    method: str
-    pairs: int
-    failures: int  # pairs without a pose
-    median_rotation_deg: float  # over all pairs, a failure as infinite; so are the next two
-    median_translation_deg: float
-    median_translation_folded_deg: float
-    auc5: float  # percent; of max(rotation, folded translation), a failure as infinite
-    auc10: float
-    auc20: float
-    seconds_per_pair: float  # mean time to match and estimate, without reading the images
-    # Medians over the pairs of the pairs' median D_e, pixels of the images that the methods saw
-    median_epipolar_px: float  # over the dense map
-    median_epipolar_confident_px: float  # over the matches that the pose is estimated from
-    matches_per_pair: float  # mean
-    match_seconds_per_pair: float  # mean
-    pose_seconds_per_pair: float  # mean
-    claimed: int  # poses
-    wrong: int  # of them, over 10 degrees off in R or t (0 to 180)
-    doubted: int  # of all pairs: by the pose a K may be wrong
-    told_percent: float  # doubted, or without a pose
-    probability_error_percent: float  # expected calibration error, over the pairs that have one
-    # Of the right poses that expect an error: whether that of R, of t, is within
-    rotation_within_percent: float
-    translation_within_percent: float
-    # Of the focal lengths of all claimed poses, two a pair; sure: those with a deviation below
-    # `_SURE_STD`
-    median_focal_error_percent: float
-    focal_within_percent: float  # error within two deviations, of those that have a deviation
-    sure_percent: float
-    sure_median_focal_error_percent: float
-    sure_focal_within_percent: float
-
-
 def columns(scores: Iterable[PairScore]) -> dict[str, dict[str, np.ndarray]]:
     """The numbers of the records as arrays (N,), by method, in the order in which they come, and by
     field. Raises InputError for none."""
@@ -112,11 +75,13 @@ def columns(scores: Iterable[PairScore]) -> dict[str, dict[str, np.ndarray]]:
     }
 
 
-def summarise(method: str, column: Mapping[str, np.ndarray]) -> MethodSummary:
-    """The figures of one method from the `columns` of its records."""
+def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
+    """The figures of one method from the `columns` of its records; NaN for a share of nothing, and
+    for what the method does not say."""
     rotation, translation = column["rotation_error_deg"], column["translation_error_deg"]
-    worse = np.maximum(rotation, column["translation_folded_deg"])
-    auc5, auc10, auc20 = pose_auc(worse, (5, 10, 20))
+    folded = column["translation_folded_deg"]
+    worse = np.maximum(rotation, folded)
+    match, estimate = column["match_seconds"], column["estimate_seconds"]
     claimed, doubted = (column[name] > 0 for name in ("success", "doubts_camera"))
     right = claimed & (np.maximum(rotation, translation) <= RIGHT_DEG)
     expected = right & np.isfinite(column["rotation_90_deg"])
@@ -125,41 +90,47 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> MethodSummary:
         probability = np.full(len(rotation), np.nan)
     probable = np.isfinite(probability)
     reliability = Reliability.of(probability[probable], right[probable])
+    # Of the focal lengths of all claimed poses, two a pair
     error, std = (
         np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
         for name in ("error", "std")
     )
     fitted, sure = std > 0, (std > 0) & (std < _SURE_STD)
     within = np.abs(error) <= 2 * std
-    return MethodSummary(
-        method=method,
-        pairs=len(rotation),
-        failures=int((~claimed).sum()),
-        median_rotation_deg=float(np.median(rotation)),
-        median_translation_deg=float(np.median(translation)),
-        median_translation_folded_deg=float(np.median(column["translation_folded_deg"])),
-        auc5=auc5,
-        auc10=auc10,
-        auc20=auc20,
-        seconds_per_pair=float(np.mean(column["match_seconds"] + column["estimate_seconds"])),
-        median_epipolar_px=float(np.median(column["epipolar_all_px"])),
-        median_epipolar_confident_px=float(np.median(column["epipolar_confident_px"])),
-        matches_per_pair=float(np.mean(column["num_matches"])),
-        match_seconds_per_pair=float(np.mean(column["match_seconds"])),
-        pose_seconds_per_pair=float(np.mean(column["estimate_seconds"])),
-        claimed=int(claimed.sum()),
-        wrong=int((claimed & ~right).sum()),
-        doubted=int(doubted.sum()),
-        told_percent=_share(doubted | ~claimed),
-        probability_error_percent=100 * reliability.calibration_error,
-        rotation_within_percent=_share((rotation <= column["rotation_90_deg"])[expected]),
-        translation_within_percent=_share((translation <= column["translation_90_deg"])[expected]),
-        median_focal_error_percent=_median_percent(error),
-        focal_within_percent=_share(within[fitted]),
-        sure_percent=_share(sure),
-        sure_median_focal_error_percent=_median_percent(error[sure]),
-        sure_focal_within_percent=_share(within[sure]),
-    )
+    return {
+        "method": method,
+        "pairs": len(rotation),
+        "failures": int((~claimed).sum()),  # pairs without a pose
+        # Over all pairs, a failure as infinite
+        "median_rotation_deg": float(np.median(rotation)),
+        "median_translation_deg": float(np.median(translation)),
+        "median_translation_folded_deg": float(np.median(folded)),
+        # Percent; of max(rotation, folded translation), a failure as infinite
+        **{f"auc{limit}": pose_auc(worse, (limit,))[0] for limit in (5, 10, 20)},
+        "seconds_per_pair": float(np.mean(match + estimate)),  # without reading the images
+        # Medians over the pairs of the pairs' median D_e, pixels of the images that the methods saw
+        "median_epipolar_px": float(np.median(column["epipolar_all_px"])),
+        "median_epipolar_confident_px": float(np.median(column["epipolar_confident_px"])),
+        "matches_per_pair": float(np.mean(column["num_matches"])),
+        "match_seconds_per_pair": float(np.mean(match)),
+        "pose_seconds_per_pair": float(np.mean(estimate)),
+        "claimed": int(claimed.sum()),  # poses
+        "wrong": int((claimed & ~right).sum()),  # over 10 degrees off in R or t (0 to 180)
+        "doubted": int(doubted.sum()),  # of all pairs: by the pose a K may be wrong
+        "told_percent": _share(doubted | ~claimed),
+        # Expected calibration error, over the pairs that have a probability
+        "probability_error_percent": 100 * reliability.calibration_error,
+        # Of the right poses that expect an error: whether that of R, of t, is within
+        "rotation_within_percent": _share((rotation <= column["rotation_90_deg"])[expected]),
+        "translation_within_percent": _share(
+            (translation <= column["translation_90_deg"])[expected]
+        ),
+        "median_focal_error_percent": _median_percent(error),
+        "focal_within_percent": _share(within[fitted]),  # within two deviations
+        "sure_percent": _share(sure),
+        "sure_median_focal_error_percent": _median_percent(error[sure]),
+        "sure_focal_within_percent": _share(within[sure]),
+    }
 
 
 def _share(true: np.ndarray) -> float:
@@ -170,17 +141,13 @@ def _median_percent(log_errors: np.ndarray) -> float:
     return 100 * float(np.median(np.abs(np.expm1(log_errors)))) if len(log_errors) else np.nan
 
 
-def summary_table(summaries: Sequence[MethodSummary], columns: Columns = COLUMNS) -> str:
+def summary_table(summaries: Sequence[Summary], columns: Columns = COLUMNS) -> str:
     """A line a method; angles in degrees, AUC in percent, "-" for infinity and NaN."""
     rows = [
-        [s.method, *(decimals(getattr(s, f), d) for f, d in columns.values())] for s in summaries
+        [summary["method"], *(decimals(summary[name], digits) for name, digits in columns.values())]
+        for summary in summaries
     ]
     return aligned([["method", *columns], *rows])
-
-
-def summary_data(summaries: Sequence[MethodSummary]) -> dict[str, Any]:
-    """The summary for JSON, with null for a figure that is infinite or NaN."""
-    return {"methods": [finite_data(asdict(summary)) for summary in summaries]}
 
 
 def heading(options: EstimationOptions) -> str:

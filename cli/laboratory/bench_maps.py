@@ -17,7 +17,7 @@ from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import MAX_SEED, option
 
-_FILES = ("summary.json", "pairs.csv", "pck.png", "reliability.png")
+_FILES = ("summary.json", "pairs.csv", "pck.png")
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class MapBenchOptions:
     )
     out: str | None = option(
         None,
-        "Write pairs.csv, summary.json, pck.png and reliability.png there.",
+        "Write pairs.csv, summary.json and pck.png there.",
         metavar="DIR",
         type=OutputFolder(*_FILES),
     )
@@ -79,7 +79,7 @@ def bench_maps(bench: MapBenchOptions) -> None:
         report_data,
     )
     from dgc_pose.benchmarks.map_run import load_map_methods, map_scores
-    from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, RIGHT_PX, MapScore, pooled
+    from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, MapScore, pooled
     from dgc_pose.benchmarks.synthetic import synthetic_set
 
     if bench.homographies is not None and bench.photos is None:
@@ -103,7 +103,6 @@ def bench_maps(bench: MapBenchOptions) -> None:
             scores[pair.method].append(pair)
         if paths:
             from dgc_pose.benchmarks.curves import plot_pck
-            from dgc_pose.benchmarks.reliability import plot_reliability
             from dgc_pose.viz import save_figure
 
             files = {name: stage(path) for name, path in paths.items()}
@@ -119,8 +118,4 @@ def bench_maps(bench: MapBenchOptions) -> None:
                 for group in groups_of(scores)
             }
             save_figure(plot_pck(curves, PCK_ALPHAS), files["pck.png"])
-            totals = {name: pooled(pairs).reliability for name, pairs in scores.items()}
-            masked = {name: of_all for name, of_all in totals.items() if of_all is not None}
-            diagram = plot_reliability(masked, right=f"within {RIGHT_PX:g} px")
-            save_figure(diagram, files["reliability.png"])
     click.echo("\n\n".join([data.title, HEADING, maps_table(scores), *reliability_lines(scores)]))

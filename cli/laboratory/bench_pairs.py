@@ -8,20 +8,14 @@ import click
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.methods import parse_methods
-from dgc_pose.benchmarks.posed_pairs import (
-    ListedPairs,
-    PairSet,
-    RenderedPosedPairs,
-    require_images,
-)
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.summary import CAMERA_COLUMNS, CAMERA_HEADING, heading, summary_table
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
 from dgc_pose.cli.laboratory.bench_run import RUN_FOLDER, RunChoice, run_bench
-from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.system.options import MAX_SEED, option
+from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)
@@ -35,17 +29,6 @@ class PairBenchOptions:
     every: int = option(
         1, "Only the first of every N pairs of LIST.", metavar="N", min=1, max=10**9
     )
-    rendered: int | None = option(
-        None,
-        "Instead of LIST: N pairs of rendered scenes, textured with --photos.",
-        metavar="N",
-        min=1,
-        max=10**6,
-    )
-    photos: Path | None = option(
-        None, "Folder of photographs, as for training; those that training holds back are used."
-    )
-    scene_seed: int = option(7, "Seed of the rendered scenes.", min=0, max=MAX_SEED)
     out: Path | None = option(
         None,
         "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
@@ -53,39 +36,23 @@ class PairBenchOptions:
         type=RUN_FOLDER,
     )
 
-    def pair_set(self, pair_list: str | None, *, trial: bool) -> PairSet:
-        """The data set. trial: whether some method gets other cameras than the list's.
-
-        Raises InputError or ImageError if it cannot be made.
-        """
-        if pair_list is not None and self.rendered is None and self.photos is None:
-            pairs = read_pairs(pair_list, self.root)[:: self.every][: self.limit]
-            require_images(pairs)
-            return ListedPairs(pairs)
-        if trial:
-            raise InputError("--K and --K-scale need a LIST of pairs")
-        if pair_list is not None or self.rendered is None or self.photos is None:
-            raise InputError("give a LIST of pairs, or --rendered with --photos, one of them")
-        require({"--rendered": "torch"})
-        return RenderedPosedPairs(self.photos, self.rendered, self.scene_seed)
-
 
 @click.command()
-@click.argument("pair_list", metavar="[LIST]", required=False)
+@click.argument("pair_list", metavar="LIST")
 @dataclass_options(PairBenchOptions, "options")
 @dataclass_options(CameraTrial, "cameras")
 @dataclass_options(RunChoice, "run")
 @dataclass_options(MatcherOptions, "matcher", only=("matching",))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_pairs(
-    pair_list: str | None,
+    pair_list: str,
     options: PairBenchOptions,
     cameras: CameraTrial,
     run: RunChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:
-    """Score methods on the pairs of LIST, in SuperGlue's format, or on rendered pairs.
+    """Score methods on the pairs of LIST, in SuperGlue's format.
 
     Prints for each method the median errors, AUC@5/10/20 of the larger of rotation and folded
     translation error, the number of failures, seconds a pair (matching and estimating), and D_e,
@@ -97,9 +64,9 @@ def bench_pairs(
     before; a second table has the focal lengths and what the poses state.
     """
     methods = parse_methods(split_names(run.methods), matcher, estimation, cameras=cameras)
-    trial = any(method.cameras.reports for method in methods)
-    pairs = options.pair_set(pair_list, trial=trial)
-    summaries = run_bench(pairs, methods, options.out, run)
+    pairs = read_pairs(pair_list, options.root)[:: options.every][: options.limit]
+    require_images(pairs)
+    summaries = run_bench(ListedPairs(pairs), methods, options.out, run)
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
-    if trial:
+    if any(method.cameras.reports for method in methods):
         click.echo(f"\n{CAMERA_HEADING}\n{summary_table(summaries, CAMERA_COLUMNS)}")

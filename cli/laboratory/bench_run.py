@@ -10,11 +10,12 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import evaluate, settings
+from dgc_pose.benchmarks.files import finite_data
 from dgc_pose.benchmarks.methods import EVERYWHERE, Method, load_matchers
-from dgc_pose.benchmarks.posed_pairs import PairSet
+from dgc_pose.benchmarks.posed_pairs import ListedPairs
 from dgc_pose.benchmarks.store import RESULTS, SETTINGS, RunStore
 from dgc_pose.benchmarks.stored_matches import FileMatcher
-from dgc_pose.benchmarks.summary import MethodSummary, columns, summarise, summary_data
+from dgc_pose.benchmarks.summary import Summary, columns, summarise
 from dgc_pose.cli.guard import OutputFolder, overwrites
 from dgc_pose.errors import InputError
 from dgc_pose.files.json_files import write_json
@@ -44,14 +45,14 @@ class RunChoice:
 
 
 def run_bench(
-    pairs: PairSet,
+    pairs: ListedPairs,
     methods: Sequence[Method],
     out: Path | None,
     run: RunChoice,
     *,
     stored: Mapping[str, FileMatcher] | None = None,
     data: Mapping[str, Any] | None = None,
-) -> list[MethodSummary]:
+) -> list[Summary]:
     """Work through the pairs that `out` does not hold yet, and write the summary and the figure.
 
     stored: matchers of stored matches by name. data: what the records depend on besides.
@@ -77,7 +78,7 @@ def run_bench(
         from dgc_pose.benchmarks.curves import plot_errors
         from dgc_pose.viz import save_figure
 
-        write_json(out / _SUMMARY, summary_data(summaries))
+        write_json(out / _SUMMARY, {"methods": finite_data(summaries)})
         with replaced(out / _ERRORS) as file:
             save_figure(plot_errors(figures), file)
     return summaries

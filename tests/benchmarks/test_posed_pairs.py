@@ -4,14 +4,11 @@ import dense_scene
 import numpy as np
 import pytest
 from evaluation_pairs import posed_pairs
-from photos import write_photos
 
-from dgc_pose.benchmarks import posed_pairs as module
 from dgc_pose.benchmarks.metrics import median_and_mean, true_fundamental
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, RenderedPosedPairs
+from dgc_pose.benchmarks.posed_pairs import ListedPairs
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.metrics import rotation_error_deg
 
 
 @pytest.mark.parametrize("size", [None, (256, 256)])
@@ -38,19 +35,3 @@ def test_the_K_of_another_image_is_refused(tmp_path) -> None:
     far = Camera(np.array([[900.0, 0, 800], [0, 900, 600], [0, 0, 1]]))
     with pytest.raises(InputError, match=r"K of .*two_2\.png"):
         ListedPairs([replace(pair, camera2=far)]).pair(0)
-
-
-def test_rendered_pairs_are_the_same_from_any_of_them_on(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(module, "RENDERED_SIZE", 160)
-    write_photos(tmp_path / "photos", 60)
-    pairs = RenderedPosedPairs(tmp_path / "photos", 3, 7)
-    whole, rest = list(pairs.read()), list(pairs.read(1))
-    assert [one.truth.ids for one in whole] == pairs.ids
-    assert [one.truth.ids for one in rest] == pairs.ids[1:]
-    for one, again in zip(whole[1:], rest, strict=True):
-        assert np.array_equal(one.image2.pixels, again.image2.pixels)
-        assert np.array_equal(one.truth.R, again.truth.R)
-    for one in whole:
-        assert one.image1.size == one.truth.camera1.size == (160, 160)
-        assert 5 <= rotation_error_deg(one.truth.R, np.eye(3)) <= 45
-        assert np.linalg.norm(one.truth.t) > 0

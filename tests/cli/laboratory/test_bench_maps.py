@@ -14,7 +14,7 @@ from procedural import procedural_textures
 from dgc_pose.benchmarks.homographies import true_map
 from dgc_pose.errors import WeightsError
 
-FILES = ["pairs.csv", "pck.png", "reliability.png", "summary.json"]
+FILES = ["pairs.csv", "pck.png", "summary.json"]
 
 
 @pytest.fixture
@@ -101,9 +101,7 @@ def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(plan
     with open("run/new/pairs.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 40 and rows[0]["pair"] == "v_adam 1-2"
-    for name in FILES:
-        if name.endswith(".png"):
-            assert cv2.imread(f"run/new/{name}").std() > 1
+    assert cv2.imread("run/new/pck.png").std() > 1
 
 
 def test_synthetic_sets_have_a_line_a_method(photos):

@@ -134,9 +134,6 @@ def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
     [
         (("pairs.txt", "--methods", "true,nosuch"), "nosuch"),
         (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
-        (("pairs.txt", "--rendered", "2"), "LIST"),
-        (("--rendered", "2"), "--photos"),
-        (("--rendered", "2", "--photos", ".", "--K", "auto"), "--K"),
         (("pairs.txt", "--methods", "true", "--K", "auto", "--K-scale", "2"), "cannot be changed"),
         ((), "LIST"),
     ],
