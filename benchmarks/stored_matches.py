@@ -101,15 +101,15 @@ def _read_flo(path: Path) -> np.ndarray:
 
 def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> CorrespondenceMap:
     if "flow" in arrays:
-        flow = _planes_last(arrays["flow"])
+        flow = _planes(arrays["flow"])
         points1 = pixel_grid((flow.shape[1], flow.shape[0])) + flow
     else:
-        points1 = _planes_last(arrays["map"])
+        points1 = _planes(arrays["map"])
     known = np.isfinite(points1).all(-1)
     points1 = np.where(known[..., None], points1, -np.inf)
     matchability = np.where(known, _matchability(arrays, known.shape), np.float32(0))
     if "map" in arrays and "grid" in arrays:
-        grid = _planes_last(arrays["grid"])
+        grid = _planes(arrays["grid"])
         if grid.shape != points1.shape:
             raise ValueError(f"map has shape {points1.shape}, grid {grid.shape}")
         stored = CorrespondenceMap(
@@ -128,7 +128,7 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
 
 def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
     """The matchability (H, W) float32 of a map of that shape; 1 if none is stored."""
-    stored = arrays.get("matchability", arrays.get("certainty", np.ones(shape)))
+    stored = arrays.get("matchability", np.ones(shape))
     matchability = np.asarray(stored, dtype=np.float32).squeeze()
     if matchability.shape != shape or not ((matchability >= 0) & (matchability <= 1)).all():
         raise ValueError(f"matchability must have shape {shape} and lie in 0 to 1")
@@ -155,11 +155,8 @@ def _from_stored(points: np.ndarray, image: Image) -> np.ndarray:
     return rescale(points, image.stored_size or image.size, image.size)
 
 
-def _planes_last(array: np.ndarray) -> np.ndarray:
-    """(H, W, 2) float64 from (H, W, 2), from (2, H, W), or from a batch of one of either."""
-    planes = array[0] if array.ndim == 4 and array.shape[0] == 1 else array
-    if planes.ndim == 3 and planes.shape[-1] != 2 and planes.shape[0] == 2:
-        planes = np.moveaxis(planes, 0, -1)
-    if planes.ndim != 3 or planes.shape[-1] != 2 or planes.size == 0:
-        raise ValueError(f"expected the shape (H, W, 2) or (2, H, W), not {array.shape}")
-    return planes.astype(np.float64)
+def _planes(array: np.ndarray) -> np.ndarray:
+    """(H, W, 2) float64."""
+    if array.ndim != 3 or array.shape[-1] != 2 or array.size == 0:
+        raise ValueError(f"expected the shape (H, W, 2), not {array.shape}")
+    return array.astype(np.float64)

@@ -1,10 +1,5 @@
-"""DTU on a user's disk, in either of its layouts.
-
-- `raw`, as DTU ships it: `Calibration/cal18/pos_NNN.txt`, and `Rectified` or `Cleaned/scanN`; the
-  sample set has all of it in a folder `MVS Data`.
-- `mvsnet`, as prepared for MVSNet. Training: `Cameras/NNNNNNNN_cam.txt` and `Rectified/scanN` with
-  images of 1600x1200, names from 1 and cameras from 0. Test: `scanN/{images,cams}`, both from 0,
-  one light, K in pixels of the images.
+"""DTU on a user's disk, as its authors ship it: `Calibration/cal18/pos_NNN.txt`, and `Rectified` or
+`Cleaned/scanN`; the sample set has all of it in a folder `MVS Data`.
 """
 
 import re
@@ -14,17 +9,14 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView, read_cam, read_projection
+from dgc_pose.benchmarks.dtu.calibration import DtuView, read_projection
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import image_size
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
-_EXPECTED = (
-    "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png; "
-    "Cameras/00000000_cam.txt and Rectified/scan1; or scan1/cams/00000000_cam.txt"
-)
+_EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
 
 
 @dataclass(frozen=True)
@@ -65,25 +57,22 @@ class Dataset:
 def open_dataset(
     root: str | Path, *, scenes: Sequence[int] | None = None, light: Light = "3"
 ) -> Dataset:
-    """Find scenes and their views, of a folder with both layouts in the raw one; without `scenes`,
-    their numbers, all that are there.
+    """Find scenes and their views; without `scenes`, their numbers, all that are there.
 
-    light: test sets of MVSNet hold one light alone. Raises InputError, with the path and what was
-    expected, if there is no scene, if one of `scenes` has fewer than two views, or if a calibration
-    is malformed; ImageError for a file that is no image; OSError.
+    Raises InputError, with the path and what was expected, if there is no scene, if one of `scenes`
+    has fewer than two views, or if a calibration is malformed; ImageError for a file that is no
+    image; OSError.
     """
     root = Path(root)
     if not root.is_dir():
         raise InputError(f"{root}: no such folder; expected DTU there")
     if (root / "MVS Data/Calibration/cal18").is_dir():
         root = root / "MVS Data"
-    raw = (root / "Calibration/cal18").is_dir()
     folders = [path for kind in ("Rectified", "Cleaned") for path in (root / kind).glob("scan*")]
-    folders += [path.parent for path in root.glob("scan*/cams")]
     matches = (re.fullmatch(r"scan(\d+)", path.name) for path in folders)
     numbers = {int(match[1]) for match in matches if match} if scenes is None else set(scenes)
-    read = cache(read_projection if raw else read_cam)  # scenes may share a calibration
-    opened = [_read_scene(root, number, light, raw, read) for number in sorted(numbers)]
+    read = cache(read_projection)  # scenes share the calibration
+    opened = [_read_scene(root, number, light, read) for number in sorted(numbers)]
     short = [scene for scene in opened if len(scene.views) < 2]
     if short and (scenes is not None or len(short) == len(opened)):
         scene = short[0]
@@ -102,9 +91,7 @@ def number_of_views(scene: int) -> int:
     return 49 if scene <= 77 else 64
 
 
-def _read_scene(
-    root: Path, number: int, light: Light, raw: bool, read: Callable[[Path], DtuView]
-) -> DtuScene:
+def _read_scene(root: Path, number: int, light: Light, read: Callable[[Path], DtuView]) -> DtuScene:
     """Find the views of a scene; those without an image or a calibration are left out.
 
     Raises InputError, with the path, for a calibration that is malformed or cannot belong to the
@@ -113,9 +100,14 @@ def _read_scene(
     views: dict[int, DtuView] = {}
     images: dict[int, Path] = {}
     size: tuple[int, int] | None = None
+    folder, start = root / "Rectified" / f"scan{number}", "rect"
+    if not folder.is_dir():
+        folder, start = root / "Cleaned" / f"scan{number}", "clean"
+    ending = light if light == "max" else f"{light}_r5000"
     for position in range(1, number_of_views(number) + 1):
-        stem, calibration = _files(root, number, position, light, raw)
-        paths = (stem.with_name(stem.name + suffix) for suffix in (".png", ".jpg"))
+        calibration = root / f"Calibration/cal18/pos_{position:03d}.txt"
+        stem = f"{start}_{position:03d}_{ending}"
+        paths = (folder / f"{stem}{suffix}" for suffix in (".png", ".jpg"))
         image = next((path for path in paths if path.is_file()), None)
         if image is None or not calibration.is_file():
             continue
@@ -129,17 +121,3 @@ def _read_scene(
         checked_camera(Camera(view.K), size, f"K of {image}")
         views[position], images[position] = view, image
     return DtuScene(number, views, images, size or (0, 0))
-
-
-def _files(root: Path, scene: int, position: int, light: Light, raw: bool) -> tuple[Path, Path]:
-    """The image of a position without .png or .jpg, and its calibration."""
-    cam = f"{position - 1:08d}_cam.txt"
-    test = root / f"scan{scene}"
-    if not raw and (test / "cams").is_dir():
-        return test / "images" / f"{position - 1:08d}", test / "cams" / cam
-    calibration = f"Calibration/cal18/pos_{position:03d}.txt" if raw else f"Cameras/{cam}"
-    folder, cleaned = (root / kind / f"scan{scene}" for kind in ("Rectified", "Cleaned"))
-    name = f"{position:03d}_{light if light == 'max' else f'{light}_r5000'}"
-    if cleaned.is_dir() and not folder.is_dir():
-        return cleaned / f"clean_{name}", root / calibration
-    return folder / f"rect_{name}", root / calibration

@@ -1,13 +1,12 @@
 """Lists of DTU pairs in SuperGlue's format: only which views make a pair is taken from them.
 
-Scene and view come from the names of the images, in any of the layouts
-(`scan65/rect_012_3_r5000.png`, `scan65/images/00000011.jpg`); the truth comes from the calibration,
-so that a list serves every layout and light.
+Scene and view come from the names of the images (`scan65/rect_012_3_r5000.png`); the truth comes
+from the calibration, so that a list serves every light.
 """
 
 import re
 from collections.abc import Collection, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from dgc_pose.benchmarks.dtu.dataset import Dataset
 from dgc_pose.benchmarks.dtu.view_pairs import (
@@ -21,10 +20,7 @@ from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 
 PAIRS = 3000  # of the paper
-_SCENE = re.compile(r"(?:dtu_)?scan(\d+)(?:_train)?")
-# Files called rect or clean are numbered from 1, files with a number alone from 0.
-_FROM_ONE = re.compile(r"(?:rect|clean)_(\d{3})_\w+\.\w+")
-_FROM_ZERO = re.compile(r"(?:\d{2})?(\d{6})\.\w+")
+_NAME = re.compile(r"(?:.*/)?scan(\d+)(?:_train)?/(?:rect|clean)_(\d{3})_\w+\.\w+")
 
 
 def choose_pairs(
@@ -76,9 +72,7 @@ def read_view_pairs(
 
 def _view(name: str, where: str) -> tuple[int, int]:
     """Scene and view of an image by its name."""
-    *folders, file = PurePosixPath(name).parts or ("",)
-    scenes = [match[1] for folder in folders if (match := _SCENE.fullmatch(folder))]
-    for pattern, start in ((_FROM_ONE, 0), (_FROM_ZERO, 1)):
-        if scenes and (match := pattern.fullmatch(file)):
-            return int(scenes[-1]), int(match[1]) + start
-    raise InputError(f"{where}: expected the names of DTU images")
+    match = _NAME.fullmatch(name)
+    if match is None:
+        raise InputError(f"{where}: expected the names of DTU images")
+    return int(match[1]), int(match[2])

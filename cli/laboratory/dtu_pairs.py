@@ -24,7 +24,7 @@ LIGHT_HELP = "Number of the light, or max."
 def dtu_pairs(root: str, out: str, scan: int, light: Light, options: ViewPairOptions) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
-    ROOT holds DTU as its authors ship it, or as prepared for MVSNet. OUT.txt is a list in
+    ROOT holds DTU as its authors ship it. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
     dataset = open_dataset(root, scenes=[scan], light=light)

@@ -166,7 +166,7 @@ def _make_matches(folder: Path) -> None:
         (folder / name).mkdir()
     cv2.writeOpticalFlow(str(folder / "flo/pair.flo"), flow)
     np.save(folder / "npy/pair.npy", flow)
-    np.savez(folder / "flow/pair.npz", flow=flow, certainty=np.ones((30, 40)))
+    np.savez(folder / "flow/pair.npz", flow=flow, matchability=np.ones((30, 40)))
     grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(30.0)), -1)
     maps = {"map": grid + 1, "grid": grid, "matchability": np.ones((30, 40))}
     np.savez_compressed(folder / "map/pair.npz", **maps)

@@ -5,12 +5,9 @@ import numpy as np
 import pytest
 from dtu_layout import (
     SIZE,
-    WRITERS,
     Scan,
     grey_scan,
     rendered_scan,
-    write_mvsnet,
-    write_mvsnet_training,
     write_raw,
 )
 
@@ -18,15 +15,12 @@ from dgc_pose.benchmarks.dtu.calibration import relative_pose
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.errors import InputError
 
-LAYOUTS = list(WRITERS)
 
-
-@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("extension", ["png", "jpg"])
-def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
+def test_scenes_are_found_by_looking(tmp_path, extension):
     scan = grey_scan([0, 10, 20])
     for number in (118, 4):
-        WRITERS[layout](tmp_path, scan, number=number, extension=extension)
+        write_raw(tmp_path, scan, number=number, extension=extension)
     dataset = open_dataset(tmp_path)
     assert (dataset.root, dataset.left_out) == (tmp_path, ())
     assert [(scene.name, scene.number) for scene in dataset.scenes] == [
@@ -42,11 +36,10 @@ def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
         assert scene.missing == views - 3
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_views_are_those_of_their_images(tmp_path, layout):
+def test_views_are_those_of_their_images(tmp_path):
     """A surface point has one colour, whichever image it is looked up in."""
     scan = rendered_scan()
-    WRITERS[layout](tmp_path, scan, extension="png")
+    write_raw(tmp_path, scan, extension="png")
     (scene,) = open_dataset(tmp_path).scenes
     images = {n: cv2.imread(str(path)).astype(float) for n, path in scene.images.items()}
     for one, two in combinations(scene.views, 2):
@@ -61,12 +54,6 @@ def test_views_are_those_of_their_images(tmp_path, layout):
         difference = np.abs(there - images[one]).mean(-1)[seen]
         moved = np.abs(images[two] - images[one]).mean(-1)[seen]
         assert np.median(difference) < 0.4 * np.median(moved)
-
-
-def test_the_training_set_of_mvsnet_has_one_folder_of_cameras(tmp_path):
-    write_mvsnet_training(tmp_path, grey_scan([0, 10]))
-    (scene,) = open_dataset(tmp_path).scenes
-    assert (scene.images[1].parent.name, scene.size) == ("scan65", SIZE)
 
 
 def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
@@ -94,22 +81,11 @@ def test_cleaned_images_serve_where_there_are_no_rectified_ones(tmp_path):
     ]
 
 
-IMAGE_2 = {
-    "raw": "Rectified/scan65/rect_002_3_r5000.png",
-    "mvsnet": "scan65/images/00000001.png",
-}
-CALIBRATION_4 = {
-    "raw": "Calibration/cal18/pos_004.txt",
-    "mvsnet": "scan65/cams/00000003_cam.txt",
-}
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_views_that_are_not_there_are_left_out_and_named(tmp_path, layout):
+def test_views_that_are_not_there_are_left_out_and_named(tmp_path):
     scan = grey_scan([0, 10, 20, 30, 40])
-    WRITERS[layout](tmp_path, scan, extension="png")
-    (tmp_path / IMAGE_2[layout]).unlink()
-    (tmp_path / CALIBRATION_4[layout]).unlink()
+    write_raw(tmp_path, scan, extension="png")
+    (tmp_path / "Rectified/scan65/rect_002_3_r5000.png").unlink()
+    (tmp_path / "Calibration/cal18/pos_004.txt").unlink()
     (scene,) = open_dataset(tmp_path).scenes
     assert sorted(scene.views) == sorted(scene.images) == [1, 3, 5]
     assert scene.missing == 46
@@ -126,23 +102,16 @@ def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_
     assert len(open_dataset(tmp_path, scenes=[7, 7]).scenes) == 1
 
 
-def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
-    with pytest.raises(InputError, match="no scene of DTU.*cal18.*_cam.txt"):
+def test_what_is_no_copy_of_dtu_is_an_error_that_says_what_would_be(tmp_path):
+    with pytest.raises(InputError, match="no scene of DTU.*cal18.*Rectified"):
         open_dataset(tmp_path)
     with pytest.raises(InputError, match="nowhere: no such folder"):
         open_dataset(tmp_path / "nowhere")
 
 
-def test_of_both_layouts_the_raw_one_is_taken(tmp_path):
-    write_raw(tmp_path, grey_scan([0, 10]))
-    write_mvsnet(tmp_path, grey_scan([0, 10, 20]))
-    assert len(open_dataset(tmp_path).scenes[0].views) == 2
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_calibration_of_another_image_size_is_refused(tmp_path, layout):
+def test_a_calibration_of_another_image_size_is_refused(tmp_path):
     scan = grey_scan([0, 10])
     small = dict.fromkeys(scan.views, np.zeros((60, 80, 3), np.uint8))
-    WRITERS[layout](tmp_path, Scan(scan.views, small, {}), extension="png")
+    write_raw(tmp_path, Scan(scan.views, small, {}), extension="png")
     with pytest.raises(InputError, match=r"\.png has its principal point .* the image has 80x60"):
         open_dataset(tmp_path)

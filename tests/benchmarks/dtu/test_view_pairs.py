@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dtu_layout import SIZE, WRITERS, arc, grey_scan
+from dtu_layout import SIZE, arc, grey_scan, write_raw
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
@@ -90,7 +90,7 @@ def test_the_draw_is_seeded_balanced_over_scenes_and_spread_over_the_rotations_o
 
 def test_pairs_carry_the_calibration(tmp_path):
     scan = grey_scan([0, 12])
-    WRITERS["raw"](tmp_path, scan, extension="jpg")
+    write_raw(tmp_path, scan, extension="jpg")
     data = open_dataset(tmp_path)
     (found,) = find_view_pairs(data, ViewPairOptions(min_overlap=0))
     pair = listed_pair(data, found)
