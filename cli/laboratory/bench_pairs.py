@@ -38,7 +38,7 @@ class PairBenchOptions:
 
 
 @click.command()
-@click.argument("pair_list", metavar="LIST")
+@click.argument("pair_list", metavar="LIST", type=click.Path())
 @dataclass_options(PairBenchOptions, "options")
 @dataclass_options(CameraTrial, "cameras")
 @dataclass_options(RunChoice, "run")

@@ -40,7 +40,7 @@ def test_names_stand_for_methods() -> None:
         (["dis:runs=many"], [], "runs cannot be 'many'"),
         (["sift:refine=map"], [], "refine=map needs the features of a network"),
         (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
-        (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
+        (["net:matchability=2"], [], "net:matchability=2: matchability must be at"),
     ],
 )
 def test_names_that_stand_for_none(names, stored, reason) -> None:
