@@ -85,7 +85,7 @@ class Record:
 
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
-    """The records of each pair, in order; `options.verdict` does not matter."""
+    """The records of each pair, in order."""
     stored = iter(pairs)
     while chunk := list(islice(stored, _CHUNK)):
         work = [(pair, case) for pair in chunk for case in _cases(pair)]
