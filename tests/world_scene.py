@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.camera_spread import SIZE
 from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import SIZE
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.localization.sights import Sight, WorldPose

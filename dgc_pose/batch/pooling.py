@@ -18,7 +18,7 @@ import numpy as np
 from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds, is_of_part
+from dgc_pose.estimation.intrinsics_prior import SIZE, deviating, deviation_stds, is_of_part
 from dgc_pose.files.outputs import write_text
 
 CAMERAS = "cameras.csv"

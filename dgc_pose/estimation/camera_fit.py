@@ -20,19 +20,27 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_spread import (
+from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import (
     ASPECTS,
     FOCALS,
     SIZE,
-    CameraSpread,
+    IntrinsicsPrior,
     deviated_points,
     deviated_slopes,
     deviating_pair,
     error_slopes,
     normaliser,
+    tangent_basis,
 )
-from dgc_pose.estimation.covariance import Covariance, pose_covariance
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    cauchy_losses,
+    loss_width,
+    minimised,
+)
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
@@ -57,7 +65,6 @@ _MAX_STARTS = 3  # that are fitted
 LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
 MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
-_CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
 
 
@@ -67,7 +74,7 @@ class JointPose:
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
-    z: np.ndarray  # (M,) the deviations in the basis of a `CameraSpread`, standard deviations
+    z: np.ndarray  # (M,) the deviations in the basis of a `IntrinsicsPrior`, standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,27 +85,27 @@ class JointFit:
     cameras: tuple[Camera, Camera]
 
     @cached_property
-    def spread(self) -> CameraSpread:
+    def spread(self) -> IntrinsicsPrior:
         """Of the cameras."""
-        return CameraSpread.of(*self.cameras)
+        return IntrinsicsPrior.of(*self.cameras)
 
     def deviations(self, pose: JointPose) -> np.ndarray:
-        """(2 * SIZE,) of both cameras, see `CameraSpread`."""
+        """(2 * SIZE,) of both cameras, see `IntrinsicsPrior`."""
         return self.spread.basis @ pose.z
 
     def cost(self, pose: JointPose) -> float:
-        """Truncated squares of the errors, as if the threshold were the scale of the loss, and the
+        """Truncated squares of the errors, as if the threshold were the width of the loss, and the
         deviations: what starts are compared by."""
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
-        return float(EFFICIENT**2 * squares.sum() / ALIKE + pose.z @ pose.z) / 2
+        return float(EFFICIENT**2 * squares.sum() / CORRELATED + pose.z @ pose.z) / 2
 
-    def log_likelihood(self, pose: JointPose, scale: float) -> float:
+    def log_likelihood(self, pose: JointPose, width: float) -> float:
         """The logarithm of the likelihood of the errors, of a Cauchy distribution, cut off, and of
-        the deviations, up to a constant. scale: of the distribution, the problem's unit."""
+        the deviations, up to a constant. width: of the distribution, the problem's unit."""
         largest = MOST_ERROR * self.problem.threshold
         error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
-        return -float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
+        return -float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
 
     def inliers_in_front(self, pose: JointPose) -> np.ndarray:
         """(N,) bool, matches below the threshold and in front of both cameras."""
@@ -122,45 +129,36 @@ class JointFit:
             chosen = (error < threshold * limit) & in_front
             if chosen.sum() <= MINIMAL + len(self.spread):
                 return pose
-            scale = error_scale(error[chosen], threshold)
+            width = loss_width(error[chosen], threshold)
             part = replace(self, problem=self.problem.subset(chosen))
-            pose = part._minimised(pose, scale, iterations)
+            pose = part._minimised(pose, width, iterations)
         return pose
 
-    def _minimised(self, pose: JointPose, scale: float, iterations: int) -> JointPose:
-        """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        inverse_variance = (EFFICIENT / scale) ** 2 / ALIKE
+    def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
+        """Of least loss, with weights from the loss (iteratively reweighted least squares)."""
+        inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
         prior = np.diag([*np.zeros(5), *np.ones(len(self.spread))])
-        damping, cost = 1e-4, self._loss(pose, scale)
-        for _ in range(iterations):
-            error, slopes, tangent = error_slopes(
-                self.problem, pose.R, pose.t, self.spread, self.deviations(pose)
-            )
-            weighted = slopes * (inverse_variance / (1 + (error / scale) ** 2))[:, None]
-            hessian = weighted.T @ slopes + prior
-            gradient = weighted.T @ error + prior @ np.concatenate([np.zeros(5), pose.z])
-            before = cost
-            while damping < 1e6:
-                damped = hessian + damping * np.diag(np.diag(hessian))
-                step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
-                change = np.abs((self.spread.basis @ step[5:])[FOCALS]).max(initial=0)
-                step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
-                t = pose.t + tangent @ step[3:5]
-                candidate = JointPose(
-                    cv2.Rodrigues(step[:3])[0] @ pose.R,
-                    t / np.linalg.norm(t),
-                    pose.z + step[5:],
-                )
-                if (cost := self._loss(candidate, scale)) < before:
-                    pose, damping = candidate, max(damping / 10, 1e-9)
-                    break
-                damping, cost = damping * 10, before
-            if before - cost <= _CONVERGED * (1 + before):
-                break
-        return pose
 
-    def _loss(self, pose: JointPose, scale: float) -> float:
-        return float(cauchy_losses(self._errors(pose), scale).sum() + pose.z @ pose.z / 2)
+        def normal_equations(at: JointPose) -> tuple[np.ndarray, np.ndarray]:
+            error, slopes, _ = error_slopes(
+                self.problem, at.R, at.t, self.spread, self.deviations(at)
+            )
+            weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
+            of_prior = prior @ np.concatenate([np.zeros(5), at.z])
+            return weighted.T @ slopes + prior, weighted.T @ error + of_prior
+
+        def moved(at: JointPose, step: np.ndarray) -> JointPose:
+            change = np.abs((self.spread.basis @ step[5:])[FOCALS]).max(initial=0)
+            step = step * min(1.0, _LARGEST_STEP / max(change, 1e-12))
+            t = at.t + tangent_basis(at.t) @ step[3:5]
+            R = cv2.Rodrigues(step[:3])[0] @ at.R
+            return JointPose(R, t / np.linalg.norm(t), at.z + step[5:])
+
+        loss = partial(self._loss, width=width)
+        return minimised(pose, loss, normal_equations, moved, iterations)
+
+    def _loss(self, pose: JointPose, width: float) -> float:
+        return float(cauchy_losses(self._errors(pose), width).sum() + pose.z @ pose.z / 2)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
@@ -198,19 +196,12 @@ class JointFit:
 
     def covariance(
         self, pose: JointPose, matches: Matches, options: EstimationOptions
-    ) -> Covariance | None:
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """`pose_covariance` of a fitted pose and its cameras, by matches in pixels."""
         cameras = deviating_pair(self.cameras, self.deviations(pose))
         problem = TwoViewProblem.of(matches, *cameras, options)
         fitted = Hypothesis.of_pose(problem, pose.R, pose.t)
-        return pose_covariance(problem, fitted, CameraSpread.of(*cameras))
-
-
-def cauchy_losses(error: np.ndarray, scale: float) -> np.ndarray:
-    """Minus the logarithms of the likelihoods (N,) of errors of a Cauchy distribution of this
-    scale, up to a constant, over the number of matches that err alike."""
-    losses: np.ndarray = EFFICIENT**2 / ALIKE / 2 * np.log1p((error / scale) ** 2)
-    return losses
+        return pose_covariance(problem, fitted, IntrinsicsPrior.of(*cameras))
 
 
 def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:

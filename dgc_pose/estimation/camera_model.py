@@ -21,14 +21,13 @@ from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
     JointFit,
     JointPose,
-    cauchy_losses,
     of_focals,
     start_at,
 )
-from dgc_pose.estimation.camera_spread import FOCALS, is_of_part
 from dgc_pose.estimation.competition import choice_shares
 from dgc_pose.estimation.evidence import ModelName
-from dgc_pose.estimation.hypothesis import error_scale
+from dgc_pose.estimation.intrinsics_prior import FOCALS, is_of_part
+from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import draw, run_seeds
@@ -92,7 +91,7 @@ def likeliest_model(
     joint = sample.joint(stated)
     error = sample.errors(joint, pose)
     near = error[error < 1]
-    scale = error_scale(near, 1.0) if len(near) else 1.0
+    scale = loss_width(near, 1.0) if len(near) else 1.0
     cost = float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
     assumed = replace(assumed, cost=cost)
     names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
@@ -120,7 +119,7 @@ def likeliest_model(
         spread += share * np.outer(difference, difference)
         own = sample.joint(model.cameras).covariance(model.pose, drawn, options)
         if own is not None:
-            spread += share * own.pose
+            spread += share * own[0]
     return replace(best, pose_spread=spread)
 
 

@@ -66,14 +66,12 @@ def _log(value: float | None, low: float, high: float) -> float:
 
 
 FEATURES: Mapping[str, Feature] = {
-    "inliers": Feature("num_inliers", 1, "only {e.num_inliers} inliers", (5, 2000)),
     "inlier_ratio": Feature(
         "inlier_ratio", 1, "only {e.inlier_ratio:.0%} of the matches are inliers"
     ),
     "over_chance": Feature(
         "over_chance", 1, "{e.chance_ratio:.0%} of wrong matches agree as well", (1, 100)
     ),
-    "false_alarms": Feature("log10_rarity", 1, "so many inliers could be chance", (1, 5000)),
     "cheirality": Feature(
         "cheirality_ratio",
         1,
@@ -81,9 +79,6 @@ FEATURES: Mapping[str, Feature] = {
     ),
     "occupied_cells": Feature(
         "occupied_cells", 1, "the inliers lie in only {e.occupied_cells} grid cells", (3, 400)
-    ),
-    "hull": Feature(
-        "hull_cells", 1, "the inliers cover only {e.hull_cells:.0f} grid cells", (2, 400)
     ),
     "rotation_error": Feature(
         "raw_rotation_90_deg", -1, "the inliers hardly determine the rotation", (0.02, 60)
@@ -108,9 +103,6 @@ FEATURES: Mapping[str, Feature] = {
         "homography_ratio", -1, "one homography explains {e.homography_ratio:.0%} of the inliers"
     ),
     "confidence": Feature("confidence", 1, "the matched patches are not alike"),
-    "run_agreement": Feature(
-        "run_agreement", 1, "only {e.run_agreement:.0%} of the RANSAC runs found this pose"
-    ),
     "rival": Feature("other_ratio", -1, "another pose has {e.other_ratio:.0%} as many inliers"),
     "matchability": Feature("map_matchability", 1, "the dense map is hardly matchable"),
     "map_agreement": Feature(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 import poselib
 
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -129,7 +129,7 @@ def _essential(pose: poselib.CameraPose, info: dict[str, float]) -> np.ndarray |
 
 
 def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
-    """The hypothesis after at most three fits with the threshold as the scale of the loss, until
+    """The hypothesis after at most three fits with the threshold as the width of the loss, until
     the inliers, chosen anew after each fit, stay the same."""
     pose = start
     for _ in range(_ROUNDS):
@@ -139,10 +139,10 @@ def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
     return pose
 
 
-def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = False) -> Hypothesis:
+def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_width: bool = False) -> Hypothesis:
     """The hypothesis after least squares on its inliers in front of both cameras.
 
-    adapt_scale: take the scale of the loss from the inliers' errors, three times in turn,
+    adapt_width: take the width of the loss from the inliers' errors, three times in turn,
     instead of the threshold. Most inliers are far more accurate than the threshold, and the others
     would bias the pose. Returns `start` itself if it has no more than five such inliers, or if the
     fit would lose more than one inlier in fifty.
@@ -152,11 +152,11 @@ def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = Fal
     if len(inliers) <= MINIMAL:
         return start
     R, t = start.R, start.t
-    for _ in range(_ROUNDS if adapt_scale else 1):
-        scale = pose_error_scale(inliers, R, t) if adapt_scale else problem.threshold
-        R, t = least_squares_pose(inliers, R, t, scale)
+    for _ in range(_ROUNDS if adapt_width else 1):
+        width = pose_loss_width(inliers, R, t) if adapt_width else problem.threshold
+        R, t = least_squares_pose(inliers, R, t, width)
     fitted = Hypothesis.of_pose(problem, R, t)
-    if not adapt_scale:
+    if not adapt_width:
         # The epipolar error does not depend on the sign of the translation; the depths do.
         opposite = Hypothesis.of_pose(problem, R, -t)
         fitted = max((fitted, opposite), key=lambda pose: (pose.num_inliers, pose.num_in_front))
@@ -164,12 +164,12 @@ def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = Fal
 
 
 def least_squares_pose(
-    inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray, scale: float
+    inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray, width: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and unit t of least Cauchy loss, from a start. scale: of the loss, in the points' unit."""
+    """R and unit t of least Cauchy loss, from a start. width: of the loss, in the points' unit."""
     start = poselib.CameraPose()
     start.R, start.t = R, t
-    options = {"loss_type": "CAUCHY", "loss_scale": scale * _FOCAL, "max_iterations": 100}
+    options = {"loss_type": "CAUCHY", "loss_scale": width * _FOCAL, "max_iterations": 100}
     pose, _ = poselib.refine_relative_pose(*_pixels(inliers), start, _CAMERA, _CAMERA, options)
     length = np.linalg.norm(pose.t)
     if length < 1e-12 or not np.isfinite(pose.R).all():

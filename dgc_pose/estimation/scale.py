@@ -12,8 +12,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import numbers
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation.covariance import SHIFTS, block_sums
-from dgc_pose.estimation.hypothesis import DEVIATION, EFFICIENT
+from dgc_pose.estimation.least_squares import DEVIATION, EFFICIENT, SHIFTS, block_sums
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance

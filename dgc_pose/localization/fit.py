@@ -14,9 +14,14 @@ import cv2
 import numpy as np
 
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
-from dgc_pose.estimation.covariance import block_sums, jackknife
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, error_scale
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    block_sums,
+    jackknife,
+    loss_width,
+)
 from dgc_pose.estimation.robust_fit import (
     RigidPose,
     absolute_pose,
@@ -43,7 +48,7 @@ _MIN_KEPT = 0.95  # of the score, or a fit is rejected
 def located(
     sights: Sequence[Sight],
     points: Sequence[PointSight],
-    spread: CameraSpread,
+    spread: IntrinsicsPrior,
     options: EstimationOptions,
     before: WorldPose | None = None,
 ) -> WorldPose | None:
@@ -123,7 +128,7 @@ def _even(count: int, most: int) -> np.ndarray:
     return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
-def fitted(sights: Sequence[AnySight], pose: WorldPose, spread: CameraSpread) -> WorldPose:
+def fitted(sights: Sequence[AnySight], pose: WorldPose, spread: IntrinsicsPrior) -> WorldPose:
     """The pose of least Cauchy loss of the Sampson errors of the inliers in front of the cameras,
     and the deviations of the camera: Gauss-Newton, with weights from the loss, and inliers chosen
     anew before each step. The pose itself if the fit has a much worse score."""
@@ -153,21 +158,21 @@ def _parts(sights: Sequence[AnySight], pose: WorldPose, most: int | None = None)
         error, in_front = sight.errors(pose)
         chosen = np.flatnonzero(in_front & (error < sight.threshold))
         if len(chosen) >= _MIN_INLIERS:
-            scale = error_scale(error[chosen], sight.threshold)
+            scale = loss_width(error[chosen], sight.threshold)
             sample = chosen if most is None else chosen[_even(len(chosen), most)]
             parts.append((sight.subset(sample), scale))
     return parts
 
 
 def _linearised(
-    part: Part, pose: WorldPose, spread: CameraSpread, *, curvature: bool = False
+    part: Part, pose: WorldPose, spread: IntrinsicsPrior, *, curvature: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Derivatives (N, 6 + M) of the errors, their weights (N,), and the gradients (N, 6 + M) of the
     loss. curvature: weights by the loss's second derivative, and not those of a step."""
     sight, scale = part
     error, slopes = sight.slopes(pose, spread)
     squared = (error / scale) ** 2
-    weights = (EFFICIENT / scale) ** 2 / ALIKE / (1 + squared)
+    weights = (EFFICIENT / scale) ** 2 / CORRELATED / (1 + squared)
     gradients = slopes * (weights * error)[:, None]
     if curvature:
         weights = weights * np.maximum(1 - squared, 0) / (1 + squared)
@@ -175,7 +180,7 @@ def _linearised(
 
 
 def world_covariance(
-    sights: Sequence[AnySight], pose: WorldPose, spread: CameraSpread
+    sights: Sequence[AnySight], pose: WorldPose, spread: IntrinsicsPrior
 ) -> np.ndarray | None:
     """Covariance (6 + M, 6 + M) of the rotation vector, radians, the centre, in the model's unit,
     and the basis of `spread`; None if the inliers do not determine them.

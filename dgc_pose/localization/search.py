@@ -12,9 +12,9 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_model import is_edited
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, deviating
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.localization.fit import fitted, located, world_covariance
@@ -91,7 +91,7 @@ class ReferenceSearch:
         self.sights |= {p.name: self._sight(p) for p in useful if p.name not in self.sights}
         sights = list(self.sights.values())
         shown = [self._points(pair) for pair in useful if len(pair.points)]
-        spread = CameraSpread.of(self.model.cameras[name], self.camera)
+        spread = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
         self.pose = located(sights, shown, spread, self.options, before)
         if self.pose is None:
@@ -99,7 +99,7 @@ class ReferenceSearch:
         if is_edited(self.stated) and not self.camera.aspect_std:
             centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
-            spread = CameraSpread.of(self.model.cameras[name], self.camera)
+            spread = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
             self.pose = fitted([*sights, *shown], self.pose, spread)
         self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(self.pose)}
         self.covariance = world_covariance([*sights, *shown], self.pose, spread)

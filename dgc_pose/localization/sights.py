@@ -12,14 +12,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_spread import (
+from dgc_pose.estimation.hypothesis import DISTINCT_DEG, Hypothesis
+from dgc_pose.estimation.intrinsics_prior import (
     SIZE,
-    CameraSpread,
+    IntrinsicsPrior,
     deviated,
     deviated_slopes,
     error_slopes,
 )
-from dgc_pose.estimation.hypothesis import DISTINCT_DEG, Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance, skew
 from dgc_pose.geometry.triangulation import depths
@@ -34,7 +34,7 @@ class WorldPose:
 
     R: np.ndarray  # (3, 3) cam_from_world
     centre: np.ndarray  # (3,) world
-    deviations: np.ndarray  # (SIZE,) of the camera, see `camera_spread`
+    deviations: np.ndarray  # (SIZE,) of the camera, see `intrinsics_prior`
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ class Sight:
         error = error * math.exp(pose.deviations[0] / 2)
         return np.nan_to_num(error, nan=np.inf), (depth1 > 0) & (depth2 > 0)
 
-    def slopes(self, pose: WorldPose, spread: CameraSpread) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(self, pose: WorldPose, spread: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
         """Signed errors (N,), and their derivatives (N, 6 + M) by a rotation vector w, R becoming
         exp([w]x) R; the centre; and the basis of `spread`."""
         R, t = self.pair_pose(pose)
@@ -135,7 +135,7 @@ class PointSight:
         offset, seen = self._offset(pose)
         return np.nan_to_num(np.abs(offset).max(1), nan=np.inf), seen[:, 2] > 0
 
-    def slopes(self, pose: WorldPose, spread: CameraSpread) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(self, pose: WorldPose, spread: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
         """As of a `Sight`, (2 N,): the errors along x, then those along y."""
         offset, seen = self._offset(pose)
         x, y, z = seen.T[:, :, None]

@@ -10,7 +10,7 @@ from camera_scene import camera_scene, pinhole
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
-from dgc_pose.estimation.camera_spread import ASPECTS, SIZE, deviating_pair
+from dgc_pose.estimation.intrinsics_prior import ASPECTS, SIZE, deviating_pair
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous

@@ -8,7 +8,7 @@ from camera_scene import NO_EXIF, CameraScene, camera_scene, pinhole
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation import RelativePose, relative_pose
+from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_model import CameraModel
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.images.header import Exif
@@ -153,7 +153,7 @@ def test_a_usual_camera_costs_nothing(
     scene = _scene(name, seed)
     pose = scene.estimate(*scene.auto(exif), seed=seed)
     monkeypatch.setattr(
-        relative_pose,
+        candidates,
         "likeliest_model",
         lambda problem, matches, stated, pose, options: CameraModel("assumed", stated, pose=pose),
     )
@@ -235,7 +235,7 @@ def test_beside_a_camera_that_is_stated_the_other_alone_changes(
 def test_a_panorama_by_its_file_has_no_fit(
     number: int, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(relative_pose, "assess", None)
+    monkeypatch.setattr(relative_pose, "candidates", None)
     scene = _scene("usual", 0)
     cameras = list(scene.auto())
     cameras[number - 1] = replace(cameras[number - 1], projection=kind)

@@ -77,14 +77,11 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
 @pytest.mark.parametrize(
     "changes",
     [
-        {"num_inliers": 30},
         {"chance_ratio": 0.2},
-        {"log10_false_alarms": -3.0},
         {"raw_rotation_90_deg": 9.0},
         {"raw_rotation_90_deg": None},
         {"parallax": 1.5},
         {"homography_ratio": 0.95},
-        {"run_agreement": 0.2},
         {"other_ratio": 0.95},
         {"map_agreement": 0.3},
     ],
@@ -115,7 +112,6 @@ def test_any_evidence_has_a_probability(count, ratio, chance, alarms, error) -> 
         raw_rotation_90_deg=error,
         raw_translation_90_deg=error,
         parallax=ratio,
-        hull_cells=0.0,
         threshold_cells=0.0,
     )
     assert 0 < _model().probability(evidence) < 1

@@ -110,7 +110,7 @@ def test_at_the_scale_of_their_errors_poor_inliers_do_not_bias_the_pose():
         points2[poor] += rng.uniform(0, THRESHOLD, (poor.sum(), 2))  # all to one side
         problem = normalised_problem(exact.points1, points2, THRESHOLD)
         before = refine(problem, Hypothesis.of_pose(problem, scene.R, scene.t))
-        after = refit(problem, before, adapt_scale=True)
+        after = refit(problem, before, adapt_width=True)
         assert after.num_inliers >= 0.98 * before.num_inliers
         gains.append([pose.angle_to(scene.R, scene.t) for pose in (before, after)])
     worse, better = np.mean(gains, axis=0)
@@ -121,4 +121,4 @@ def test_five_inliers_are_too_few_for_a_fit():
     scene = two_view_scene(count=100, outliers=0.0)
     problem = scene.problem().subset(np.arange(100) < 5)
     pose = Hypothesis.of_pose(problem, scene.R, scene.t)
-    assert refit(problem, pose, adapt_scale=True) is pose and refine(problem, pose) is pose
+    assert refit(problem, pose, adapt_width=True) is pose and refine(problem, pose) is pose

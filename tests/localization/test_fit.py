@@ -7,13 +7,13 @@ import poselib
 import pytest
 from world_scene import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, deviating
 from dgc_pose.localization.fit import located, world_covariance
 from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 from dgc_pose.metrics import rotation_error_deg
 
-EXACT = CameraSpread.of(CAMERA, PHOTO_CAMERA)
+EXACT = IntrinsicsPrior.of(CAMERA, PHOTO_CAMERA)
 
 
 def _sights(scene: WorldScene, seed: int = 0) -> list[Sight]:
@@ -67,7 +67,7 @@ def test_a_focal_length_is_fitted() -> None:
     scene = world_scene()
     wrong = replace(PHOTO_CAMERA.with_focal(1.05 * PHOTO_CAMERA.focal), focal_std=0.1)
     sights = [scene.sight(number, photo=wrong) for number in range(5)]
-    pose = located(sights, [], CameraSpread.of(CAMERA, wrong), OPTIONS)
+    pose = located(sights, [], IntrinsicsPrior.of(CAMERA, wrong), OPTIONS)
     assert pose is not None
     fitted = deviating(wrong, pose.deviations)
     assert fitted.focal == pytest.approx(PHOTO_CAMERA.focal, rel=0.005)

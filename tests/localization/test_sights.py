@@ -8,7 +8,7 @@ import pytest
 from world_scene import CAMERA, PHOTO_CAMERA, world_scene
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior
 from dgc_pose.localization.fit import fitted
 from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 
@@ -17,7 +17,7 @@ FISHEYE = Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0.0, 0.0))
 LENSES = [None, Distortion("RADIAL", (0.05, -0.1)), FISHEYE]
 
 
-def _moved(pose: WorldPose, change: np.ndarray, spread: CameraSpread) -> WorldPose:
+def _moved(pose: WorldPose, change: np.ndarray, spread: IntrinsicsPrior) -> WorldPose:
     R = cv2.Rodrigues(change[:3])[0] @ pose.R
     deviations = pose.deviations + (spread.basis @ change[6:])[SIZE:]
     return WorldPose(R, pose.centre + change[3:6], deviations)
@@ -29,7 +29,7 @@ def test_slopes_are_derivatives(kind: str, lens: Distortion | None) -> None:
     scene = world_scene(count=40)
     photo = replace(PHOTO_CAMERA, distortion=lens, focal_std=0.1, centre_std=5.0, lens_std=0.05)
     photo = replace(photo, aspect_std=0.02)
-    spread = CameraSpread.of(CAMERA, photo)
+    spread = IntrinsicsPrior.of(CAMERA, photo)
     sight: Sight | PointSight = scene.sight(1, photo=photo)
     if kind == "points":
         places = photo.normalise(scene.pixels(PHOTO_CAMERA, scene.R, scene.centre))
@@ -70,7 +70,7 @@ def test_a_reference_at_the_same_place_has_a_finite_pose() -> None:
 def test_points_do_not_bias_the_focal_length() -> None:
     """The errors are of the image: a shorter focal length makes none of them smaller."""
     photo = replace(PHOTO_CAMERA, focal_std=0.45)
-    spread = CameraSpread.of(CAMERA, photo)
+    spread = IntrinsicsPrior.of(CAMERA, photo)
     off = []
     for seed in range(30):
         scene = world_scene(seed=seed)

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import estimate_pose
-from dgc_pose.estimation.camera_spread import (
+from dgc_pose.estimation.intrinsics_prior import (
     EXACT,
     SIZE,
-    CameraSpread,
+    IntrinsicsPrior,
     deviated,
     deviating,
     error_slopes,
@@ -47,7 +47,7 @@ STDS = {"focal_std": 0.3, "centre_std": 17.0, "lens_std": 0.1, "aspect_std": 0.2
 def test_the_slopes_are_the_differences_of_the_errors(lens):
     """By a rotation, two coordinates of t, and the cameras, where these deviate already."""
     scene = two_view_scene("skew", count=50, outliers=0.0)
-    problem, spread = replace(scene.problem(), lenses=(lens, lens)), CameraSpread(BASIS)
+    problem, spread = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(BASIS)
     _, slopes, tangent = error_slopes(problem, scene.R, scene.t, spread, DEVIATIONS)
     assert slopes.shape == (50, 9)
     np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-12)
@@ -69,7 +69,7 @@ def test_the_slopes_by_the_coefficients_of_a_lens(lens):
     basis = np.random.default_rng(4).standard_normal((2 * SIZE, 3)) * 0.02
     deviations = DEVIATIONS + 0.03 * np.isin(np.arange(2 * SIZE), OF_LENSES[:3])
     scene = two_view_scene("skew", count=50, outliers=0.0)
-    problem, spread = replace(scene.problem(), lenses=(lens, lens)), CameraSpread(basis)
+    problem, spread = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(basis)
     _, slopes, _ = error_slopes(problem, scene.R, scene.t, spread, deviations)
     for k in range(3):
         ahead, behind = (
@@ -83,7 +83,7 @@ def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
     """Up to the unit, which stays that of the cameras before."""
     scene = two_view_scene("skew", count=50, outliers=0.0)
     problem = scene.problem()
-    errors, _, _ = error_slopes(problem, scene.R, scene.t, CameraSpread(BASIS), DEVIATIONS)
+    errors, _, _ = error_slopes(problem, scene.R, scene.t, IntrinsicsPrior(BASIS), DEVIATIONS)
     A1, A2 = normaliser(DEVIATIONS[:SIZE]), normaliser(DEVIATIONS[SIZE:])
     F = A2.T @ essential_from_pose(scene.R, scene.t) @ A1
     expected = sampson_distance(problem.points1, problem.points2, F)
@@ -107,7 +107,7 @@ def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, sa
         replace(camera, **STDS, identity=identity)
         for camera in (camera1, camera2 if same_size else replace(camera2, size=(1200, 1600)))
     )
-    spread = CameraSpread.of(camera1, camera2)
+    spread = IntrinsicsPrior.of(camera1, camera2)
     assert len(spread) == columns
     covariance = spread.basis @ spread.basis.T
     np.testing.assert_allclose(covariance[0, SIZE], 0.09 if identity else 0)
@@ -129,7 +129,7 @@ def test_parts_of_larger_images_share_no_principal_point(source, centre_std, sha
     camera = replace(CAMERA, centre_std=centre_std, focal_source=source, identity="a")
     for other in (camera, replace(camera, centre_std=1.0)):
         for pair in ((camera, other), (other, camera)):
-            spread = CameraSpread.of(*pair)
+            spread = IntrinsicsPrior.of(*pair)
             assert len(spread) == (2 if shared else 4)
             assert (spread.basis[1] @ spread.basis[SIZE + 1] > 0) == shared
 
@@ -137,7 +137,7 @@ def test_parts_of_larger_images_share_no_principal_point(source, centre_std, sha
 def test_a_match_at_both_epipoles_has_no_slope_rather_than_nan():
     points = np.zeros((1, 2))
     problem = normalised_problem(points, points)
-    for spread in (EXACT, CameraSpread(BASIS)):
+    for spread in (EXACT, IntrinsicsPrior(BASIS)):
         errors, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]), spread)
         assert np.isfinite(errors).all() and np.isfinite(slopes).all()
 

@@ -31,14 +31,14 @@ _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 
 @dataclass(frozen=True, eq=False)
-class CameraSpread:
+class IntrinsicsPrior:
     """The deviations (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras are `basis` times a
     standard normal vector (M,)."""
 
     basis: np.ndarray  # (12, M); no columns: both cameras are exact
 
     @classmethod
-    def of(cls, camera1: Camera, camera2: Camera) -> CameraSpread:
+    def of(cls, camera1: Camera, camera2: Camera) -> IntrinsicsPrior:
         """The spread of two cameras' standard deviations. One camera that took both images, by its
         `identity`, has one focal length and lens, and one principal point unless the images' sizes
         differ.
@@ -71,7 +71,7 @@ class CameraSpread:
 
 SIZE = 6  # deviations of a camera
 FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
-EXACT = CameraSpread(np.zeros((2 * SIZE, 0)))
+EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
 _OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
@@ -190,7 +190,7 @@ def error_slopes(
     problem: TwoViewProblem,
     R: np.ndarray,
     t: np.ndarray,
-    spread: CameraSpread = EXACT,
+    spread: IntrinsicsPrior = EXACT,
     deviations: np.ndarray = _AS_NORMALISED,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Signed Sampson errors (N,), their derivatives (N, 5 + M), and a basis (3, 2).
@@ -201,7 +201,7 @@ def error_slopes(
     """
     if len(spread) and spread.bends(problem):
         return _lens_slopes(problem, R, t, spread, deviations)
-    tangent = np.linalg.svd(t[None])[2][1:].T
+    tangent = tangent_basis(t)
     E = essential_from_pose(R, t)
     of_pose = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
     of_pose += [essential_from_pose(R, axis) for axis in tangent.T]
@@ -225,11 +225,16 @@ def error_slopes(
     return algebraic / root, (slopes / root).T, tangent
 
 
+def tangent_basis(t: np.ndarray) -> np.ndarray:
+    """Two unit vectors (3, 2) that are perpendicular to t (3,) and to each other."""
+    return np.linalg.svd(t[None])[2][1:].T
+
+
 def _lens_slopes(
     problem: TwoViewProblem,
     R: np.ndarray,
     t: np.ndarray,
-    spread: CameraSpread,
+    spread: IntrinsicsPrior,
     deviations: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """As `error_slopes`, of cameras with lenses: deviations move each point in another way."""

@@ -1,0 +1,143 @@
+"""Robust least squares: the Cauchy loss, its minimum beside a Gaussian prior, and the covariance of
+that by the jackknife.
+
+Errors of dense matches are correlated: neighbours lie on the same misplaced surface, so a thousand
+of them carry little more information than a few. The usual covariance takes all matches for
+independent and is several times too small. The jackknife leaves out one block of an image after the
+other (delete-a-group, Kott 2001), so that correlated errors are left out together.
+"""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+State = TypeVar("State")
+
+DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
+EFFICIENT = 2.385  # width of the Cauchy loss of 95 % efficiency on Gaussian noise, in deviations
+# Neighbouring matches err alike: so many are worth one that errs by itself, where they are weighed
+# against a prior. See docs/experiments.md.
+CORRELATED = 10.0
+BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
+SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
+# Share of the whole information that is kept when a block is left out: of a dense map a block may
+# have nearly all of it, see docs/experiments.md; else only so much that the rest is regular.
+KEPT, REGULAR = 0.1, 1e-9
+_MIN_WIDTH = 0.02  # of the threshold: matches are not trusted to be more accurate than that
+_CONVERGED = 1e-4  # relative change of the cost
+
+
+def loss_width(error: np.ndarray, threshold: float) -> float:
+    """Width of the Cauchy loss for inliers' errors (N,), in their unit.
+
+    From the median error, as if the errors were Gaussian; at most the threshold.
+    """
+    width = EFFICIENT * DEVIATION * float(np.median(np.abs(error)))
+    return min(max(width, _MIN_WIDTH * threshold), threshold)
+
+
+def cauchy_losses(error: np.ndarray, width: float) -> np.ndarray:
+    """Minus the logarithms of the likelihoods (N,) of errors of a Cauchy distribution of this
+    width, up to a constant, over the number of matches that are correlated."""
+    losses: np.ndarray = EFFICIENT**2 / CORRELATED / 2 * np.log1p((error / width) ** 2)
+    return losses
+
+
+def cauchy_curvature(error: np.ndarray, width: float | np.ndarray) -> np.ndarray:
+    """The second derivatives (N,) of the Cauchy losses of errors, over that of no error. Negative
+    beyond the loss's inflection, they count as 0: a match must not be negative evidence."""
+    squared = (error / width) ** 2
+    curvature: np.ndarray = np.maximum(1 - squared, 0) / (1 + squared) ** 2
+    return curvature
+
+
+def minimised(
+    state: State,
+    loss: Callable[[State], float],
+    normal_equations: Callable[[State], tuple[np.ndarray, np.ndarray]],
+    moved: Callable[[State, np.ndarray], State],
+    iterations: int,
+) -> State:
+    """The state of least loss near a start, by Levenberg-Marquardt.
+
+    normal_equations: the Hessian (P, P) and the gradient (P,) at a state. moved: a state after a
+    step (P,), which may be shortened.
+    """
+    damping, cost = 1e-4, loss(state)
+    for _ in range(iterations):
+        hessian, gradient = normal_equations(state)
+        before = cost
+        while damping < 1e6:
+            damped = hessian + damping * np.diag(np.diag(hessian))
+            candidate = moved(state, np.linalg.lstsq(damped, -gradient, rcond=None)[0])
+            if (cost := loss(candidate)) < before:
+                state, damping = candidate, max(damping / 10, 1e-9)
+                break
+            damping, cost = damping * 10, before
+        if before - cost <= _CONVERGED * (1 + before):
+            break
+    return state
+
+
+def block_jackknife(
+    error: np.ndarray,
+    slopes: np.ndarray,
+    width: float,
+    prior: np.ndarray,
+    points: np.ndarray,
+    kept: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The covariance (P, P) of parameters of least Cauchy loss by leaving out blocks of an image,
+    the mean over `SHIFTS`; and their information (P, P) by all errors, without the prior's.
+
+    error: (N,). slopes: their derivatives (N, P). prior: information (P, P), in the unit of that of
+    an error without loss. points: (N, 2) in the image. kept: share of the information beside the
+    rest. Raises LinAlgError if the rest does not determine the parameters.
+    """
+    terms = loss_terms(error, slopes, width)
+    count = len(prior)
+    total = terms[:, : count**2].sum(0).reshape(count, count)
+    covariances = [
+        jackknife(total + prior, block_sums(terms, points, shift), kept) for shift in SHIFTS
+    ]
+    covariance: np.ndarray = np.mean(covariances, axis=0)
+    return covariance, total
+
+
+def loss_terms(error: np.ndarray, slopes: np.ndarray, width: float) -> np.ndarray:
+    """Of errors (N,) with derivatives (N, P) the information and the gradients of the Cauchy loss,
+    (N, P * P + P), in the unit of the information of an error without loss."""
+    gradients = slopes * (error / (1 + (error / width) ** 2))[:, None]
+    weighted = slopes * cauchy_curvature(error, width)[:, None]
+    information = weighted[:, :, None] * slopes[:, None]
+    return np.column_stack([information.reshape(len(error), -1), gradients])
+
+
+def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = REGULAR) -> np.ndarray:
+    """The covariance (P, P) of P parameters by leaving out one group after the other.
+
+    total: their information (P, P), with any prior's. sums: (G, P * P + P) of each group, its
+    information and the gradient of its loss. kept: share of `total` beside the rest. Raises
+    LinAlgError if the rest determines none.
+    """
+    count, groups = len(total), len(sums)
+    left_out = sums[:, : count**2].reshape(-1, count, count)
+    gradient = sums[:, count**2 :, None]
+    moves = np.linalg.solve((1 + kept) * total - left_out, gradient)[:, :, 0]
+    covariance: np.ndarray = (groups - 1) / groups * moves.T @ moves
+    return covariance
+
+
+def block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+    """Sums (B, M) of terms (N, M) over square blocks of points (N, 2), empty blocks left out.
+
+    No matrix product: the order of its sums depends on the number of threads.
+    """
+    low, high = points.min(0), points.max(0)
+    # Slightly more than the span, or the farthest point would be alone in a block.
+    side = max((1 + 1e-9) * float((high - low).max()), np.finfo(float).tiny) / BLOCKS
+    column, row = np.floor((points - low) / side + shift).astype(int).T
+    block = column + (BLOCKS + 1) * row
+    order = np.argsort(block, kind="stable")
+    return np.add.reduceat(terms[order], np.unique(block[order], return_index=True)[1])
