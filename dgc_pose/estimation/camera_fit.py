@@ -3,7 +3,7 @@
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
 unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
 Cauchy loss of the Sampson errors over the number of matches that err alike, plus half the squares
-of the deviations over their standard deviations, so that the least is the most probable.
+of the parameters over their standard deviations, so that the least is the most probable.
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
@@ -27,19 +27,17 @@ from dgc_pose.estimation.intrinsics_prior import (
     FOCALS,
     SIZE,
     IntrinsicsPrior,
-    deviated_points,
-    deviated_slopes,
-    deviating_pair,
     error_slopes,
     normaliser,
-    tangent_basis,
+    pair_with_parameters,
+    renormalised_pair,
+    renormalised_slopes,
 )
 from dgc_pose.estimation.least_squares import (
     CORRELATED,
     EFFICIENT,
     cauchy_losses,
     loss_width,
-    minimised,
 )
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -65,6 +63,7 @@ _MAX_STARTS = 3  # that are fitted
 LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
 MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
+_CONVERGED = 1e-4  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
 
 
@@ -74,35 +73,35 @@ class JointPose:
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
-    z: np.ndarray  # (M,) the deviations in the basis of a `IntrinsicsPrior`, standard deviations
+    z: np.ndarray  # (M,) the parameters in the basis of an `IntrinsicsPrior`, standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The least squares of one problem, normalised by two cameras that have deviations."""
+    """The least squares of one problem, normalised by two cameras that are not exact."""
 
     problem: TwoViewProblem
     cameras: tuple[Camera, Camera]
 
     @cached_property
-    def spread(self) -> IntrinsicsPrior:
+    def prior(self) -> IntrinsicsPrior:
         """Of the cameras."""
         return IntrinsicsPrior.of(*self.cameras)
 
-    def deviations(self, pose: JointPose) -> np.ndarray:
+    def parameters(self, pose: JointPose) -> np.ndarray:
         """(2 * SIZE,) of both cameras, see `IntrinsicsPrior`."""
-        return self.spread.basis @ pose.z
+        return self.prior.basis @ pose.z
 
     def cost(self, pose: JointPose) -> float:
         """Truncated squares of the errors, as if the threshold were the width of the loss, and the
-        deviations: what starts are compared by."""
+        parameters: what starts are compared by."""
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
         return float(EFFICIENT**2 * squares.sum() / CORRELATED + pose.z @ pose.z) / 2
 
     def log_likelihood(self, pose: JointPose, width: float) -> float:
         """The logarithm of the likelihood of the errors, of a Cauchy distribution, cut off, and of
-        the deviations, up to a constant. width: of the distribution, the problem's unit."""
+        the parameters, up to a constant. width: of the distribution, the problem's unit."""
         largest = MOST_ERROR * self.problem.threshold
         error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
         return -float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
@@ -127,7 +126,7 @@ class JointFit:
                 pose = replace(pose, t=-pose.t)
                 in_front = self._in_front(pose)
             chosen = (error < threshold * limit) & in_front
-            if chosen.sum() <= MINIMAL + len(self.spread):
+            if chosen.sum() <= MINIMAL + len(self.prior):
                 return pose
             width = loss_width(error[chosen], threshold)
             part = replace(self, problem=self.problem.subset(chosen))
@@ -135,52 +134,57 @@ class JointFit:
         return pose
 
     def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
-        """Of least loss, with weights from the loss (iteratively reweighted least squares)."""
+        """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
         inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
-        prior = np.diag([*np.zeros(5), *np.ones(len(self.spread))])
-
-        def normal_equations(at: JointPose) -> tuple[np.ndarray, np.ndarray]:
-            error, slopes, _ = error_slopes(
-                self.problem, at.R, at.t, self.spread, self.deviations(at)
+        of_prior = np.diag([*np.zeros(5), *np.ones(len(self.prior))])
+        damping, cost = 1e-4, self._loss(pose, width)
+        for _ in range(iterations):
+            error, slopes, tangent = error_slopes(
+                self.problem, pose.R, pose.t, self.prior, self.parameters(pose)
             )
             weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
-            of_prior = prior @ np.concatenate([np.zeros(5), at.z])
-            return weighted.T @ slopes + prior, weighted.T @ error + of_prior
-
-        def moved(at: JointPose, step: np.ndarray) -> JointPose:
-            change = np.abs((self.spread.basis @ step[5:])[FOCALS]).max(initial=0)
-            step = step * min(1.0, _LARGEST_STEP / max(change, 1e-12))
-            t = at.t + tangent_basis(at.t) @ step[3:5]
-            R = cv2.Rodrigues(step[:3])[0] @ at.R
-            return JointPose(R, t / np.linalg.norm(t), at.z + step[5:])
-
-        loss = partial(self._loss, width=width)
-        return minimised(pose, loss, normal_equations, moved, iterations)
+            hessian = weighted.T @ slopes + of_prior
+            gradient = weighted.T @ error + of_prior @ np.concatenate([np.zeros(5), pose.z])
+            before = cost
+            while damping < 1e6:
+                damped = hessian + damping * np.diag(np.diag(hessian))
+                step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
+                change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
+                step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
+                R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
+                candidate = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
+                if (cost := self._loss(candidate, width)) < before:
+                    pose, damping = candidate, max(damping / 10, 1e-9)
+                    break
+                damping, cost = damping * 10, before
+            if before - cost <= _CONVERGED * (1 + before):
+                break
+        return pose
 
     def _loss(self, pose: JointPose, width: float) -> float:
         return float(cauchy_losses(self._errors(pose), width).sum() + pose.z @ pose.z / 2)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
-        deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
-        if self.spread.bends(self.problem):
-            error = sampson_distance(*deviated_points(self.problem, deviations), E)
-            return np.nan_to_num(error * np.exp(deviations[FOCALS].mean()), nan=np.inf)
-        F = normaliser(deviations[SIZE:]).T @ E @ normaliser(deviations[:SIZE])
+        parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
+        if self.prior.bends(self.problem):
+            error = sampson_distance(*renormalised_pair(self.problem, parameters), E)
+            return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
+        F = normaliser(parameters[SIZE:]).T @ E @ normaliser(parameters[:SIZE])
         return sampson_distance(self.problem.points1, self.problem.points2, F)
 
     def errors_px(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a
         distortion is not undone."""
-        deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
-        points1, points2 = deviated_points(self.problem, deviations)
+        parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
+        points1, points2 = renormalised_pair(self.problem, parameters)
         lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
         squared = np.zeros(len(points1))
         for number, (seen, lines) in enumerate(
             ((self.problem.points1, lines1), (self.problem.points2, lines2))
         ):
-            lens, own = self.problem.lenses[number], deviations[SIZE * number :][:SIZE]
-            by_shift = deviated_slopes(seen, lens, own)[:, :, 1:3]
+            lens, own = self.problem.lenses[number], parameters[SIZE * number :][:SIZE]
+            by_shift = renormalised_slopes(seen, lens, own)[:, :, 1:3]
             by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / self.cameras[number].focal
             squared += (by_pixel**2).sum(1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -190,7 +194,7 @@ class JointFit:
     def _in_front(self, pose: JointPose) -> np.ndarray:
         """Whether the points are in front of both cameras, (N,)."""
         depth1, depth2 = depths(
-            *deviated_points(self.problem, self.deviations(pose)), pose.R, pose.t
+            *renormalised_pair(self.problem, self.parameters(pose)), pose.R, pose.t
         )
         return (depth1 > 0) & (depth2 > 0)
 
@@ -198,7 +202,7 @@ class JointFit:
         self, pose: JointPose, matches: Matches, options: EstimationOptions
     ) -> tuple[np.ndarray, np.ndarray] | None:
         """`pose_covariance` of a fitted pose and its cameras, by matches in pixels."""
-        cameras = deviating_pair(self.cameras, self.deviations(pose))
+        cameras = pair_with_parameters(self.cameras, self.parameters(pose))
         problem = TwoViewProblem.of(matches, *cameras, options)
         fitted = Hypothesis.of_pose(problem, pose.R, pose.t)
         return pose_covariance(problem, fitted, IntrinsicsPrior.of(*cameras))
@@ -217,11 +221,11 @@ def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:
 
 def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | None]:
     """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
-    stds = np.array([np.linalg.norm(joint.spread.basis[row]) for row in FOCALS])
+    stds = np.array([np.linalg.norm(joint.prior.basis[row]) for row in FOCALS])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
-            JointPose(run.R, run.t, np.zeros(len(joint.spread)))
+            JointPose(run.R, run.t, np.zeros(len(joint.prior)))
             for run in sample(joint.problem, options)[:_MAX_STARTS]
         ]
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
@@ -238,9 +242,9 @@ def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | Non
 def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
-    if joint.spread.shared_focal:
+    if joint.prior.shared_focal:
         result = essential_and_focal(draw(joint.problem, seed), options, seed)
-    elif joint.spread.basis[FOCALS].any(axis=1).all():
+    elif joint.prior.basis[FOCALS].any(axis=1).all():
         result = essential_and_focals(draw(joint.problem, seed), options, seed)
     else:
         return None
@@ -248,30 +252,30 @@ def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> Join
 
 
 def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
-    """The deviations (2 * SIZE,) of cameras by ln f and by ln fy / fx."""
-    deviations = np.zeros(2 * SIZE)
-    deviations[FOCALS], deviations[ASPECTS] = log_focals, aspects
-    return deviations
+    """The parameters (2 * SIZE,) of cameras by ln f and by ln fy / fx."""
+    parameters = np.zeros(2 * SIZE)
+    parameters[FOCALS], parameters[ASPECTS] = log_focals, aspects
+    return parameters
 
 
 def start_at(
-    joint: JointFit, deviations: np.ndarray, options: EstimationOptions, seed: int
+    joint: JointFit, parameters: np.ndarray, options: EstimationOptions, seed: int
 ) -> JointPose | None:
-    """The pose of one RANSAC run on cameras with deviations (2 * SIZE,); None if it fails."""
-    drawn = draw(_rescaled(joint.problem, deviations), seed)
+    """The pose of one RANSAC run on cameras with parameters (2 * SIZE,); None if it fails."""
+    drawn = draw(_rescaled(joint.problem, parameters), seed)
     E = essential_matrix(drawn, options, seed)
-    return None if E is None else _start(joint, E, deviations)
+    return None if E is None else _start(joint, E, parameters)
 
 
-def _rescaled(problem: TwoViewProblem, deviations: np.ndarray) -> TwoViewProblem:
-    """The problem for cameras with deviations (2 * SIZE,); those of a lens must be 0."""
-    points1, points2 = deviated_points(problem, deviations)
-    shrink = float(np.exp(-deviations[FOCALS]).mean())
+def _rescaled(problem: TwoViewProblem, parameters: np.ndarray) -> TwoViewProblem:
+    """The problem for cameras with parameters (2 * SIZE,); those of a lens must be 0."""
+    points1, points2 = renormalised_pair(problem, parameters)
+    shrink = float(np.exp(-parameters[FOCALS]).mean())
     moved = replace(problem, points1=points1, points2=points2, threshold=problem.threshold * shrink)
     return moved.subset(np.isfinite(points1).all(1) & np.isfinite(points2).all(1))
 
 
-def _start(joint: JointFit, E: np.ndarray, deviations: np.ndarray) -> JointPose:
-    pose = Hypothesis.of_essential(_rescaled(joint.problem, deviations), E)
-    z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
+def _start(joint: JointFit, E: np.ndarray, parameters: np.ndarray) -> JointPose:
+    pose = Hypothesis.of_essential(_rescaled(joint.problem, parameters), E)
+    z = np.linalg.lstsq(joint.prior.basis, parameters, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)

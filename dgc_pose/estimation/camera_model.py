@@ -101,7 +101,7 @@ def likeliest_model(
         CameraModel(name, (with_model(stated[0], name), with_model(stated[1], name)))
         for name in names
     ]
-    at = joint.deviations(pose)
+    at = joint.parameters(pose)
     fits = in_threads(lambda model: sample.fitted(model, pose, at, error, scale), others)
     models = [assumed, *fits]
     before = max(map(_log_odds, stated))
@@ -151,8 +151,8 @@ class _Sample:
         starts = [] if is_explained else _starts(model, at[FOCALS])
         seeds = run_seeds(replace(self.options, runs=max(1, len(starts))))
         rough, start = float(cauchy_losses(error, 1.0).sum()) + _WORSE, None
-        for deviations, seed in zip(starts, seeds, strict=False):
-            run = start_at(joint, deviations, self.options, seed)
+        for parameters, seed in zip(starts, seeds, strict=False):
+            run = start_at(joint, parameters, self.options, seed)
             if run is None:
                 continue
             loss = float(cauchy_losses(self.errors(joint, run), 1.0).sum())
@@ -160,7 +160,7 @@ class _Sample:
                 rough, start = loss, run
         fits = [] if start is None else [joint.fitted(start, _OF_START, _FIT_ITERATIONS)]
         if model.name not in _WIDE:
-            start = replace(pose, z=np.linalg.lstsq(joint.spread.basis, at, rcond=None)[0])
+            start = replace(pose, z=np.linalg.lstsq(joint.prior.basis, at, rcond=None)[0])
             fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
         best, most = model, cauchy_losses(error, scale)[near].sum() + _AS_WELL
         for fit in fits:

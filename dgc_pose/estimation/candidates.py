@@ -13,7 +13,7 @@ from dgc_pose.estimation.camera_model import CameraModel, likeliest_model
 from dgc_pose.estimation.competition import compared, competitors, ranked
 from dgc_pose.estimation.evidence import measured
 from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.intrinsics_prior import IntrinsicsPrior, deviating_pair
+from dgc_pose.estimation.intrinsics_prior import IntrinsicsPrior, pair_with_parameters
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.plane import PLANAR_SHARE, best_planar, fit_plane, still_camera
 from dgc_pose.estimation.probability import ProbabilityModel, shipped_models
@@ -128,7 +128,7 @@ def _fitted_runs(
     if model.name != "assumed" and model.pose is not None:
         joint = JointFit(TwoViewProblem.of(matches, *model.cameras, options), model.cameras)
         pose = joint.fitted(model.pose)
-    model = replace(model, cameras=deviating_pair(joint.cameras, joint.deviations(pose)))
+    model = replace(model, cameras=pair_with_parameters(joint.cameras, joint.parameters(pose)))
     problem = TwoViewProblem.of(matches, *model.cameras, options)
     rest = replace(options, runs=max(1, options.runs - SEARCH_RUNS))
     runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *sample(problem, rest)]

@@ -54,7 +54,7 @@ def check_focals(
         for c in cameras
     )
     joint = JointFit(problem, (loose1, loose2))
-    stated = JointPose(first.R, first.t, np.zeros(len(joint.spread)))
+    stated = JointPose(first.R, first.t, np.zeros(len(joint.prior)))
     other = None
     if first.num_in_front < _EXPLAINED_SHARE * len(problem):
         # The pose of a wrong K may be a local minimum.
@@ -65,7 +65,7 @@ def check_focals(
         # K is right as a rule, which some of the matches show.
         some = draw(problem, problem.seed, _SAMPLED)
         pose = replace(joint, problem=some).fitted(stated, LIMITS[:1])
-        if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
+        if abs(joint.parameters(pose)[0]) >= AGREEING_LOG_FOCAL:
             pose = joint.fitted(pose)
     width = pose_loss_width(problem.subset(first.inliers), first.R, first.t)
     log_odds = joint.log_likelihood(pose, width) - joint.log_likelihood(stated, width)
@@ -76,7 +76,7 @@ def check_focals(
         return None
     of_pose, of_cameras = covariances
     return FocalCheck(
-        math.exp(joint.deviations(pose)[0]),
+        math.exp(joint.parameters(pose)[0]),
         _CALIBRATION * math.sqrt(of_cameras[0, 0]),
         first.angle_to(pose.R, pose.t),
         max(error_radius_deg(of_pose[k : k + 3, k : k + 3]) for k in (0, 3)),

@@ -1,5 +1,4 @@
-"""Robust least squares: the Cauchy loss, its minimum beside a Gaussian prior, and the covariance of
-that by the jackknife.
+"""The Cauchy loss of robust least squares, and the covariance of its minimum by the jackknife.
 
 Errors of dense matches are correlated: neighbours lie on the same misplaced surface, so a thousand
 of them carry little more information than a few. The usual covariance takes all matches for
@@ -7,12 +6,7 @@ independent and is several times too small. The jackknife leaves out one block o
 other (delete-a-group, Kott 2001), so that correlated errors are left out together.
 """
 
-from collections.abc import Callable
-from typing import TypeVar
-
 import numpy as np
-
-State = TypeVar("State")
 
 DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
 EFFICIENT = 2.385  # width of the Cauchy loss of 95 % efficiency on Gaussian noise, in deviations
@@ -25,7 +19,6 @@ SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in b
 # have nearly all of it, see docs/experiments.md; else only so much that the rest is regular.
 KEPT, REGULAR = 0.1, 1e-9
 _MIN_WIDTH = 0.02  # of the threshold: matches are not trusted to be more accurate than that
-_CONVERGED = 1e-4  # relative change of the cost
 
 
 def loss_width(error: np.ndarray, threshold: float) -> float:
@@ -50,34 +43,6 @@ def cauchy_curvature(error: np.ndarray, width: float | np.ndarray) -> np.ndarray
     squared = (error / width) ** 2
     curvature: np.ndarray = np.maximum(1 - squared, 0) / (1 + squared) ** 2
     return curvature
-
-
-def minimised(
-    state: State,
-    loss: Callable[[State], float],
-    normal_equations: Callable[[State], tuple[np.ndarray, np.ndarray]],
-    moved: Callable[[State, np.ndarray], State],
-    iterations: int,
-) -> State:
-    """The state of least loss near a start, by Levenberg-Marquardt.
-
-    normal_equations: the Hessian (P, P) and the gradient (P,) at a state. moved: a state after a
-    step (P,), which may be shortened.
-    """
-    damping, cost = 1e-4, loss(state)
-    for _ in range(iterations):
-        hessian, gradient = normal_equations(state)
-        before = cost
-        while damping < 1e6:
-            damped = hessian + damping * np.diag(np.diag(hessian))
-            candidate = moved(state, np.linalg.lstsq(damped, -gradient, rcond=None)[0])
-            if (cost := loss(candidate)) < before:
-                state, damping = candidate, max(damping / 10, 1e-9)
-                break
-            damping, cost = damping * 10, before
-        if before - cost <= _CONVERGED * (1 + before):
-            break
-    return state
 
 
 def block_jackknife(

@@ -81,7 +81,7 @@ def test_a_camera_that_is_not_fitted_moves_the_pose():
     scene, points1, points2 = normalised(800, sigma_px=0.0)
     std = 0.004
     camera = replace(scene.cameras[0], focal_std=std, identity="one")
-    spread = IntrinsicsPrior.of(camera, camera)
+    prior = IntrinsicsPrior.of(camera, camera)
     rng = np.random.default_rng(0)
     noise = 1e-5 * rng.standard_normal(points2.shape)
     rotations, shifts, stated = [], [], []
@@ -90,7 +90,7 @@ def test_a_camera_that_is_not_fitted_moves_the_pose():
         problem = normalised_problem(*points, 4 * SCALE)
         scale = pose_loss_width(problem, scene.R, scene.t)
         pose = Hypothesis.of_pose(problem, *least_squares_pose(problem, scene.R, scene.t, scale))
-        covariance, of_cameras = pose_covariance(problem, pose, spread, fitted=False)
+        covariance, of_cameras = pose_covariance(problem, pose, prior, fitted=False)
         rotations.append(Rotation.from_matrix(pose.R @ scene.R.T).as_rotvec())
         shifts.append(pose.t - scene.t)
         stated.append(covariance - pose_covariance(problem, pose)[0])
