@@ -44,7 +44,6 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
     draw,
-    essential_and_focal,
     essential_and_focals,
     essential_matrix,
     run_seeds,
@@ -242,12 +241,10 @@ def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | Non
 def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
-    if joint.prior.shared_focal:
-        result = essential_and_focal(draw(joint.problem, seed), options, seed)
-    elif joint.prior.basis[FOCALS].any(axis=1).all():
-        result = essential_and_focals(draw(joint.problem, seed), options, seed)
-    else:
+    if not joint.prior.basis[FOCALS].any(axis=1).all():
         return None
+    shared = joint.prior.shared_focal
+    result = essential_and_focals(draw(joint.problem, seed), options, seed, shared=shared)
     return None if result is None else _start(joint, result[0], of_focals(np.log(result[1])))
 
 

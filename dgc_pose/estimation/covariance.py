@@ -19,8 +19,11 @@ from dgc_pose.estimation.least_squares import (
     EFFICIENT,
     KEPT,
     REGULAR,
-    block_jackknife,
+    SHIFTS,
+    block_sums,
     cauchy_curvature,
+    jackknife,
+    loss_terms,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
@@ -56,9 +59,15 @@ def pose_covariance(
     information = variance * np.diag([*np.zeros(5), *np.ones(slopes.shape[1] - 5)])
     # The blocks show all of the errors of key points, which err independently of their neighbours.
     kept = REGULAR if problem.key_points else KEPT
+    terms, count = loss_terms(error, slopes, width), slopes.shape[1]
+    total = terms[:, : count**2].sum(0).reshape(count, count)
     try:
-        covariance, total = block_jackknife(
-            error, slopes, width, information, inliers.points2, kept
+        covariance = np.mean(
+            [
+                jackknife(total + information, block_sums(terms, inliers.points2, shift), kept)
+                for shift in SHIFTS
+            ],
+            axis=0,
         )
         beside = information if problem.key_points else information + total
         inverse = np.linalg.inv(total + information)
@@ -75,13 +84,6 @@ def pose_covariance(
     of_cameras = covariance[5:, 5:] if fitted else np.eye(len(prior))
     cameras = prior.basis @ of_cameras @ prior.basis.T
     return (of_pose, cameras) if np.isfinite(of_pose).all() and np.isfinite(cameras).all() else None
-
-
-def error_radii_deg(covariance: np.ndarray | None) -> tuple[float | None, float | None]:
-    """`error_radius_deg` of the rotation and of the translation of a pose's covariance (6, 6)."""
-    if covariance is None:
-        return None, None
-    return error_radius_deg(covariance[:3, :3]), error_radius_deg(covariance[3:, 3:])
 
 
 def error_radius_deg(covariance: np.ndarray) -> float:

@@ -41,48 +41,76 @@ class FocalCheck(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """The measurements of the likeliest hypothesis."""
+    """The measurements of the likeliest hypothesis.
+
+    Attributes:
+        num_inliers: Number of matches that the hypothesis explains.
+        inlier_ratio: The same, as a share of all matches.
+        chance_ratio: The inlier ratio of the same pose, of the same points paired wrongly.
+        log10_false_alarms: Decimal logarithm of the expected number of poses with so many inliers
+            in random matches.
+        cheirality_ratio: Share of inliers in front of both cameras.
+        rotation: The rotation (3, 3) that explains most matches without a translation.
+        num_rotation_inliers: Matches that `rotation` explains, on which the parallax is measured.
+        rotation_share: `num_rotation_inliers` over the inliers.
+        strict_rotation_share: Share of inliers that `rotation` explains within the threshold.
+        parallax: Motion left by `rotation`, over the epipolar error, standard deviations of both.
+        median_triangulation_angle_deg: Median angle between the two rays of an inlier, degrees.
+        collinear: Whether the inliers of either image lie on one line.
+        occupied_cells: Grid cells with inliers, in the image with fewer of them.
+        key_points: Whether the matches are independent detections.
+        residual: Median epipolar error of the inliers, over the threshold.
+        threshold_cells: The threshold over the side of a grid cell, mean of both images.
+        confidence: Median confidence of the inliers.
+        homography_ratio: Share of inliers that one homography explains.
+        raw_rotation_90_deg: Nine times in ten the error of R is below, as the jackknife has
+            it, not calibrated; None if it is not known.
+        raw_translation_90_deg: The same of the direction of t.
+        raw_focal_90_percent: The same of ln f, per cent; None if K is exact.
+        focal_check: The focal lengths that the matches suggest, where K is exact; None if they
+            suggest none, and of a plane that leaves no others over.
+        other_ratio: Most inliers in front of another hypothesis, over this one's.
+        map_matchability: Mean matchability of the dense map; None without one.
+        map_agreement: Share of its cells, by matchability, that have the pose; None likewise.
+        map_chance: The same of those cells paired wrongly; None likewise.
+        still_ratio: Share of inliers that a camera explains which did not move, where the focal
+            lengths are not known (`still_camera`); 0 if they are.
+        num_second_inliers: Inliers of another motion among the matches left over, which chance does
+            not explain; 0 without. It is asked of a plane, and where the cameras are fitted.
+        second_rotation_deg: Angle between the rotation of that motion and `rotation`.
+        camera_model: The camera that the matches agree with, see `camera_model`.
+    """
 
     num_inliers: int
-    inlier_ratio: float  # inliers, as a share of all matches
-    chance_ratio: float  # the inlier ratio of the same pose, of the same points paired wrongly
-    # Decimal logarithm of the expected number of poses with so many inliers in random matches.
+    inlier_ratio: float
+    chance_ratio: float
     log10_false_alarms: float
-    cheirality_ratio: float  # share of inliers in front of both cameras
-    rotation: np.ndarray  # (3, 3) that explains most matches without a translation
-    num_rotation_inliers: int  # matches that `rotation` explains: the parallax is measured on them
-    rotation_share: float  # `num_rotation_inliers` over the inliers
-    strict_rotation_share: float  # of inliers that `rotation` explains within the threshold
-    parallax: float  # spread of the motion left by `rotation`, over that of the epipolar error
-    median_triangulation_angle_deg: float  # between the two rays of an inlier
-    collinear: bool  # whether the inliers of either image lie on one line
-    occupied_cells: int  # grid cells with inliers, in the image with fewer of them
-    key_points: bool  # whether the matches are independent detections
-    residual: float  # median epipolar error of the inliers, over the threshold
-    threshold_cells: float  # the threshold over the side of a grid cell, mean of both images
-    confidence: float  # median of the inliers
-    homography_ratio: float = 0.0  # share of inliers that one homography explains
-    # Nine times in ten the errors of R and of the direction of t are below, as the jackknife has
-    # it, not calibrated; None: not known. The same of ln f, per cent; None: K is exact.
+    cheirality_ratio: float
+    rotation: np.ndarray
+    num_rotation_inliers: int
+    rotation_share: float
+    strict_rotation_share: float
+    parallax: float
+    median_triangulation_angle_deg: float
+    collinear: bool
+    occupied_cells: int
+    key_points: bool
+    residual: float
+    threshold_cells: float
+    confidence: float
+    homography_ratio: float = 0.0
     raw_rotation_90_deg: float | None = None
     raw_translation_90_deg: float | None = None
     raw_focal_90_percent: float | None = None
-    # The focal lengths that the matches suggest, where K is exact; None if they suggest none, and
-    # of a plane that leaves no others over.
     focal_check: FocalCheck | None = None
-    other_ratio: float = 0.0  # most inliers in front of another hypothesis, over this one's
-    map_matchability: float | None = None  # mean over the dense map; None without one
-    map_agreement: float | None = None  # share of the map, by matchability, that has this pose
-    map_chance: float | None = None  # the same of its cells paired wrongly
-    # Share of the inliers that a camera explains which did not move, where the focal lengths are
-    # not known (`still_camera`); 0 if they are.
+    other_ratio: float = 0.0
+    map_matchability: float | None = None
+    map_agreement: float | None = None
+    map_chance: float | None = None
     still_ratio: float = 0.0
-    # Inliers of another motion among the matches left over, which chance does not explain; it is
-    # asked of a plane, and where the cameras are fitted. And the angle between the rotation of that
-    # motion and `rotation`.
     num_second_inliers: int = 0
     second_rotation_deg: float = 0.0
-    camera_model: ModelName = "assumed"  # that the matches agree with
+    camera_model: ModelName = "assumed"
 
     @property
     def over_chance(self) -> float:

@@ -102,9 +102,8 @@ def normaliser(parameters: np.ndarray) -> np.ndarray:
     return np.array([[by_x, 0, -x * by_x], [0, by_y, -y * by_y], [0, 0, 1]])
 
 
-def normaliser_slopes(parameters: np.ndarray) -> list[np.ndarray]:
-    """The derivatives (3, 3) of A by the parameters (SIZE,); 0 by that of the lens."""
-    A = normaliser(parameters)
+def _normaliser_slopes(A: np.ndarray) -> list[np.ndarray]:
+    """The derivatives (3, 3) of A by the parameters (SIZE,); 0 by those of the lens."""
     by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
     by_x[0, 2], by_y[1, 2] = -A[0, 0], -A[1, 1]
     return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3)), _BY_ASPECT @ A]
@@ -211,8 +210,8 @@ def error_slopes(
     if len(prior):
         A1, A2 = normaliser(parameters[:SIZE]), normaliser(parameters[SIZE:])
         F, changes = A2.T @ E @ A1, [A2.T @ change @ A1 for change in of_pose]
-        of_cameras = [A2.T @ E @ change for change in normaliser_slopes(parameters[:SIZE])]
-        of_cameras += [change.T @ E @ A1 for change in normaliser_slopes(parameters[SIZE:])]
+        of_cameras = [A2.T @ E @ change for change in _normaliser_slopes(A1)]
+        of_cameras += [change.T @ E @ A1 for change in _normaliser_slopes(A2)]
         changes += list(np.tensordot(prior.basis.T, of_cameras, axes=1))
     algebraic, squared1, squared2 = epipolar_terms(problem.points1, problem.points2, F)
     squared = np.maximum(squared1 + squared2, np.finfo(float).tiny)  # 0 at the epipoles

@@ -45,31 +45,6 @@ def cauchy_curvature(error: np.ndarray, width: float | np.ndarray) -> np.ndarray
     return curvature
 
 
-def block_jackknife(
-    error: np.ndarray,
-    slopes: np.ndarray,
-    width: float,
-    prior: np.ndarray,
-    points: np.ndarray,
-    kept: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The covariance (P, P) of parameters of least Cauchy loss by leaving out blocks of an image,
-    the mean over `SHIFTS`; and their information (P, P) by all errors, without the prior's.
-
-    error: (N,). slopes: their derivatives (N, P). prior: information (P, P), in the unit of that of
-    an error without loss. points: (N, 2) in the image. kept: share of the information beside the
-    rest. Raises LinAlgError if the rest does not determine the parameters.
-    """
-    terms = loss_terms(error, slopes, width)
-    count = len(prior)
-    total = terms[:, : count**2].sum(0).reshape(count, count)
-    covariances = [
-        jackknife(total + prior, block_sums(terms, points, shift), kept) for shift in SHIFTS
-    ]
-    covariance: np.ndarray = np.mean(covariances, axis=0)
-    return covariance, total
-
-
 def loss_terms(error: np.ndarray, slopes: np.ndarray, width: float) -> np.ndarray:
     """Of errors (N,) with derivatives (N, P) the information and the gradients of the Cauchy loss,
     (N, P * P + P), in the unit of the information of an error without loss."""

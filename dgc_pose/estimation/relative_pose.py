@@ -13,7 +13,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_model import model_warnings
 from dgc_pose.estimation.candidates import Candidates, candidates
-from dgc_pose.estimation.covariance import error_radii_deg
+from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence, measured
 from dgc_pose.estimation.extent import odd_extent
 from dgc_pose.estimation.focal_check import focal_warnings
@@ -111,15 +111,18 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
             num_second_inliers=int(found.second.inliers_in_front[~best.inliers].sum()),
             second_rotation_deg=rotation_error_deg(found.second.R, rotation),
         )
-    rotation_90, translation_90 = error_radii_deg(known.covariance)
+    if known.covariance is not None:
+        evidence = replace(
+            evidence,
+            raw_rotation_90_deg=error_radius_deg(known.covariance[:3, :3]),
+            raw_translation_90_deg=error_radius_deg(known.covariance[3:, 3:]),
+        )
     most_of_others = max((other.num_in_front for other in others), default=0)
     return replace(
         evidence,
         rotation=rotation,
         still_ratio=still_ratio,
         homography_ratio=found.homography_ratio,
-        raw_rotation_90_deg=rotation_90,
-        raw_translation_90_deg=translation_90,
         raw_focal_90_percent=known.focal_90_percent,
         focal_check=known.check,
         other_ratio=most_of_others / max(best.num_in_front, 1),

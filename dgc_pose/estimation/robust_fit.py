@@ -69,34 +69,29 @@ def essential_matrix(
     return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
 
 
-def essential_and_focal(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `essential_matrix`, for points that were normalised by a focal length that is wrong by the
-    same factor in both images: E of the points divided by that factor, and the factor of each image
-    (2,) (six-point solver)."""
-    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
-    pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
-    E, factor = _essential(pair.pose, info), pair.camera1.focal() / FOCAL
-    return None if E is None or not 0 < factor < np.inf else (E, np.array([factor] * 2))
-
-
 def essential_and_focals(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int
+    problem: TwoViewProblem, options: EstimationOptions, seed: int, *, shared: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `essential_and_focal`, with a factor for each image, by the fundamental matrix: the
-    factors nearest to 1 that it allows (Kocur, Kyselica, Kukelova, CVPR 2024)."""
+    """As `essential_matrix`, for points that were normalised by wrong focal lengths: E of the
+    points divided by a factor of each image, and these factors (2,).
+
+    shared: whether the factors are equal (six-point solver). Otherwise they are those nearest to 1
+    that the fundamental matrix allows (Kocur, Kyselica, Kukelova, CVPR 2024).
+    """
     points, settings = _pixels(problem), _ransac_options(problem, options, seed)
-    F, info = poselib.estimate_fundamental(*points, *settings)
-    if info["num_inliers"] == 0:
+    if shared:
+        pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
+        E, factors = _essential(pair.pose, info), np.full(2, pair.camera1.focal() / FOCAL)
+    else:
+        F, info = poselib.estimate_fundamental(*points, *settings)
+        cameras = poselib.focals_from_fundamental_iterative(F, CAMERA, CAMERA)[:2]
+        factors = np.array([camera.focal() / FOCAL for camera in cameras])
+        first, second = (np.diag([factor * FOCAL, factor * FOCAL, 1.0]) for factor in factors)
+        E = second @ F @ first
+        E = E / np.linalg.norm(E) if info["num_inliers"] else None
+    if E is None or not ((factors > 0) & np.isfinite(factors)).all():
         return None
-    camera1, camera2, _ = poselib.focals_from_fundamental_iterative(F, CAMERA, CAMERA)
-    factors = np.array([camera1.focal(), camera2.focal()]) / FOCAL
-    if not ((factors > 0) & np.isfinite(factors)).all():
-        return None
-    first, second = (np.diag([factor * FOCAL, factor * FOCAL, 1.0]) for factor in factors)
-    E = second @ F @ first
-    return E / np.linalg.norm(E), factors
+    return E, factors
 
 
 def _pixels(problem: TwoViewProblem) -> tuple[np.ndarray, np.ndarray]:

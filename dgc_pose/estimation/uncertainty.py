@@ -22,13 +22,13 @@ class Uncertainty:
     """The uncertainty of the likeliest pose."""
 
     cameras: tuple[Camera, Camera]  # with the standard deviations that are left, calibrated
+    check: FocalCheck | None = None  # of the focal lengths of exact cameras
     # (6, 6), see `pose_covariance`, not calibrated; None if the inliers do not determine it.
     covariance: np.ndarray | None = None
     camera_covariance: np.ndarray | None = None  # (12, 12), see `RelativePose`
-    # The error of ln f of the less certain camera that nine in ten stay below, per cent; None if
-    # both focal lengths are exact.
+    # The error of ln f of the less certain camera that nine in ten stay below, per cent, not
+    # calibrated; None if both focal lengths are exact.
     focal_90_percent: float | None = None
-    check: FocalCheck | None = None  # of the focal lengths of exact cameras
 
 
 def uncertainty(found: Candidates, matches: Matches, options: EstimationOptions) -> Uncertainty:
@@ -42,16 +42,17 @@ def uncertainty(found: Candidates, matches: Matches, options: EstimationOptions)
         first, second = (replace(c, focal_source="matches") if c.focal_std else c for c in cameras)
         cameras = first, second
     if covariances is None:
-        return Uncertainty(cameras, check=check)
+        return Uncertainty(cameras, check)
     covariance, of_cameras = covariances[0] + found.model.pose_spread, covariances[1]
     focal_std = float(np.sqrt(of_cameras.diagonal()[FOCALS].max()))
-    known = Uncertainty(cameras, covariance, None, 100 * NORMAL_90 * focal_std or None, check)
-    if not found.fitted:
-        return known
-    first, unit1 = _calibrated(cameras[0], of_cameras[:SIZE, :SIZE])
-    second, unit2 = _calibrated(cameras[1], of_cameras[SIZE:, SIZE:])
-    of_cameras = of_cameras * np.outer(unit1 + unit2, unit1 + unit2)
-    return replace(known, cameras=(first, second), camera_covariance=of_cameras)
+    camera_covariance = None
+    if found.fitted:
+        first, unit1 = _calibrated(cameras[0], of_cameras[:SIZE, :SIZE])
+        second, unit2 = _calibrated(cameras[1], of_cameras[SIZE:, SIZE:])
+        cameras = first, second
+        camera_covariance = of_cameras * np.outer(unit1 + unit2, unit1 + unit2)
+    focal_90_percent = 100 * NORMAL_90 * focal_std or None
+    return Uncertainty(cameras, check, covariance, camera_covariance, focal_90_percent)
 
 
 def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, list[float]]:
