@@ -241,9 +241,10 @@ def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | Non
 def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
-    if not joint.prior.basis[FOCALS].any(axis=1).all():
+    first, second = joint.prior.basis[FOCALS]
+    if not (first.any() and second.any()):
         return None
-    shared = joint.prior.shared_focal
+    shared = bool((first == second).all())  # off by the same factor
     result = essential_and_focals(draw(joint.problem, seed), options, seed, shared=shared)
     return None if result is None else _start(joint, result[0], of_focals(np.log(result[1])))
 

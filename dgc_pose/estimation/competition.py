@@ -109,7 +109,8 @@ def compared(
     map_problem: an even sample of the dense map.
     """
     inliers = problem.subset(first.inliers)
-    scale = pose_loss_width(inliers, first.R, first.t) if len(inliers) else problem.threshold
+    width = pose_loss_width(inliers, first.R, first.t) if len(inliers) else problem.threshold
+    largest = _MAX_ERROR * problem.threshold
     root = math.sqrt(max(first.num_in_front, 1))
     least = LIKELY_SHARE * first.num_in_front
     result: list[Hypothesis] = []
@@ -120,7 +121,10 @@ def compared(
             # A fit may lead to another of the hypotheses, or to that with t reversed.
             if fitted.num_in_front >= least and not fitted.is_among([*result, *others[number:]]):
                 pose = fitted
-        likelihood = float(_log_likelihoods(problem, pose, scale).sum()) / root
+        error = sampson_distance(problem.points1, problem.points2, pose.E)
+        error = np.where(pose.in_front, np.minimum(error, largest), largest)
+        # Of a Cauchy distribution, cut off, up to a constant.
+        likelihood = float((-np.log1p((error / width) ** 2)).sum()) / root
         agreement = None if map_problem is None else map_agreement(map_problem, pose)
         result.append(replace(pose, likely=likely, likelihood=likelihood, map_agreement=agreement))
     return result
@@ -154,11 +158,3 @@ def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float = 0.0) -
     odds = np.exp(values - values.max())
     possible = np.isfinite(values)
     return (1 - lapse) * odds / odds.sum() + lapse * possible / possible.sum()
-
-
-def _log_likelihoods(problem: TwoViewProblem, pose: Hypothesis, scale: float) -> np.ndarray:
-    """Log-likelihoods (N,) of the matches, up to a constant: of a Cauchy distribution, cut off."""
-    largest = _MAX_ERROR * problem.threshold
-    error = sampson_distance(problem.points1, problem.points2, pose.E)
-    error = np.where(pose.in_front, np.minimum(error, largest), largest)
-    return -np.log1p((error / scale) ** 2)

@@ -58,12 +58,6 @@ class IntrinsicsPrior:
     def __len__(self) -> int:
         return self.basis.shape[1]
 
-    @property
-    def shared_focal(self) -> bool:
-        """Whether both cameras are off by the same factor."""
-        focal = self.basis[FOCALS]
-        return bool((focal[0] == focal[1]).all() and focal.any())
-
     def bends(self, problem: TwoViewProblem) -> bool:
         """Whether a lens is there or unknown, so that A of `normaliser` does not suffice."""
         return any(problem.lenses) or bool(self.basis[[3, 4, SIZE + 3, SIZE + 4]].any())

@@ -17,7 +17,6 @@ from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence, measured
 from dgc_pose.estimation.extent import odd_extent
 from dgc_pose.estimation.focal_check import focal_warnings
-from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -152,7 +151,12 @@ def _judged(
         warnings += model_warnings(evidence.camera_model, stated, known.cameras)
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
     rotation_alone, unusable = status == "rotation_only", status == "panorama"
-    poses = _explaining(found, probability)
+    poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
+    if second := found.second:  # nothing shows whose motion is the camera's
+        poses = [replace(h, share=h.share / 2) for h in poses if not second.is_among([h])]
+        poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
+    if probability is not None:
+        poses = [replace(h, probability=probability * h.share) for h in poses]
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if has_t else ())
     if alternatives and not ambiguous:
@@ -187,16 +191,3 @@ def _judged(
         camera1=known.cameras[0],
         camera2=known.cameras[1],
     )
-
-
-def _explaining(found: Candidates, probability: float | None) -> list[Hypothesis]:
-    """The poses that explain the matches about as well, with their probabilities, the likeliest
-    first. probability: that one of them is right."""
-    explaining = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
-    if second := found.second:  # nothing shows whose motion is the camera's
-        explaining = [replace(h, share=h.share / 2) for h in explaining if not second.is_among([h])]
-        explaining.append(replace(second, share=0.5))
-        explaining.sort(key=lambda h: -h.share)
-    if probability is None:
-        return explaining
-    return [replace(h, probability=probability * h.share) for h in explaining]

@@ -43,7 +43,7 @@ def uncertainty(found: Candidates, matches: Matches, options: EstimationOptions)
         cameras = first, second
     if covariances is None:
         return Uncertainty(cameras, check)
-    covariance, of_cameras = covariances[0] + found.model.pose_spread, covariances[1]
+    covariance, of_cameras = covariances[0] + found.model.pose_covariance, covariances[1]
     focal_std = float(np.sqrt(of_cameras.diagonal()[FOCALS].max()))
     camera_covariance = None
     if found.fitted:

@@ -1,14 +1,13 @@
 """The pose of a photograph from its correspondences with a model of known poses.
 
 Each pair has an epipolar geometry that the pose in the world determines. RANSAC on the generalised
-relative pose, on points of the model, and the hypotheses of the single pairs, whose lines of sight
-meet in the centre, are starts; the best of them are fitted to the matches of all pairs together.
+relative pose, and on points of the model, has the starts; the best of them are fitted to all
+correspondences together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import combinations, product
 
 import cv2
 import numpy as np
@@ -25,7 +24,6 @@ from dgc_pose.estimation.least_squares import (
     loss_width,
 )
 from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, MIN_ITERATIONS, run_seeds
-from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.localization.correspondences import (
     PairCorrespondences,
     PointCorrespondences,
@@ -39,8 +37,6 @@ _SCORED = 100  # matches of a pair that starts are compared by
 _FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alike
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # that are fitted
-_ALIKE_DEG = 15.0  # between the rotations of two pairs that may be of one pose
-_PARALLEL = 5e-5  # half of the angle of two rays, radians, up to which they do not meet
 _STEPS, _CONVERGED = 12, 1e-6
 _MIN_KEPT = 0.95  # of the score, or a fit is rejected
 
@@ -84,7 +80,6 @@ def _starts(
     points: Sequence[PointCorrespondences],
     options: EstimationOptions,
 ) -> list[WorldPose]:
-    starts = [pose for two in combinations(pairs, 2) for pose in _of_two(*two)]
     # PoseLib draws five matches of a pair without end, if no pair has them.
     samples = [sample for sample in map(_explained, pairs) if len(sample) >= _MIN_INLIERS]
     runs: list[WorldPose | None] = []
@@ -101,7 +96,7 @@ def _starts(
         runs.append(
             _found(*poselib.estimate_absolute_pose(seen * FOCAL, world, CAMERA, settings, {}))
         )
-    return [*starts, *(run for run in runs if run is not None)]
+    return [run for run in runs if run is not None]
 
 
 def _of_pairs(
@@ -137,24 +132,6 @@ def _found(pose: poselib.CameraPose, info: dict[str, float]) -> WorldPose | None
     if info["num_inliers"] == 0 or not np.isfinite(pose.Rt).all():
         return None
     return WorldPose(pose.R, -pose.R.T @ pose.t, np.zeros(SIZE))
-
-
-def _of_two(first: PairCorrespondences, second: PairCorrespondences) -> list[WorldPose]:
-    """The poses whose centre is where the lines of sight of two pairs come nearest to each
-    other."""
-    poses = []
-    for one, two in product(first.hypotheses, second.hypotheses):
-        R = one.R @ first.R
-        if rotation_angle_deg(two.R @ second.R @ R.T) > _ALIKE_DEG:
-            continue
-        ray1, ray2 = -(one.R @ first.R).T @ one.t, -(two.R @ second.R).T @ two.t
-        lengths, _, rank, _ = np.linalg.lstsq(
-            np.column_stack([ray1, -ray2]), second.centre - first.centre, rcond=_PARALLEL
-        )
-        if rank == 2 and (lengths > 0).all():
-            end1, end2 = first.centre + lengths[0] * ray1, second.centre + lengths[1] * ray2
-            poses.append(WorldPose(R, (end1 + end2) / 2, np.zeros(SIZE)))
-    return poses
 
 
 def _explained(pair: PairCorrespondences) -> PairCorrespondences:

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation import estimate_pose
 from dgc_pose.estimation.intrinsics_prior import (
     EXACT,
     SIZE,
@@ -45,10 +44,15 @@ STDS = {"focal_std": 0.3, "centre_std": 17.0, "lens_std": 0.1, "aspect_std": 0.2
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_slopes_are_the_differences_of_the_errors(lens):
-    """By a rotation, two coordinates of t, and the cameras, where these deviate already."""
+    """By a rotation, two coordinates of t, and the cameras, where these deviate already: of radial
+    lenses in their coefficients too."""
     scene = two_view_scene("skew", count=50, outliers=0.0)
-    problem, prior = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(BASIS)
-    _, slopes, tangent = error_slopes(problem, scene.R, scene.t, prior, DEVIATIONS)
+    basis, at = BASIS.copy(), DEVIATIONS
+    if lens in RADIAL:
+        basis[OF_LENSES] = np.random.default_rng(4).standard_normal((4, 4)) * 0.02
+        at = DEVIATIONS + 0.03 * np.isin(np.arange(2 * SIZE), OF_LENSES[:3])
+    problem, prior = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(basis)
+    _, slopes, tangent = error_slopes(problem, scene.R, scene.t, prior, at)
     assert slopes.shape == (50, 9)
     np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-12)
     np.testing.assert_allclose(tangent.T @ scene.t, 0, atol=1e-12)
@@ -56,27 +60,12 @@ def test_the_slopes_are_the_differences_of_the_errors(lens):
     def errors(step):
         R = Rotation.from_rotvec(step[:3]).as_matrix() @ scene.R
         t = scene.t + tangent @ step[3:5]
-        parameters = DEVIATIONS + BASIS @ step[5:]
+        parameters = at + basis @ step[5:]
         return error_slopes(problem, R, t / np.linalg.norm(t), prior, parameters)[0]
 
     for k, step in enumerate(1e-5 * np.eye(9)):
         expected = (errors(step) - errors(-step)) / 2e-5
         np.testing.assert_allclose(slopes[:, k], expected, atol=2e-4 if lens in OTHERS else 1e-6)
-
-
-@pytest.mark.parametrize("lens", RADIAL)
-def test_the_slopes_by_the_coefficients_of_a_lens(lens):
-    basis = np.random.default_rng(4).standard_normal((2 * SIZE, 3)) * 0.02
-    parameters = DEVIATIONS + 0.03 * np.isin(np.arange(2 * SIZE), OF_LENSES[:3])
-    scene = two_view_scene("skew", count=50, outliers=0.0)
-    problem, prior = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(basis)
-    _, slopes, _ = error_slopes(problem, scene.R, scene.t, prior, parameters)
-    for k in range(3):
-        ahead, behind = (
-            error_slopes(problem, scene.R, scene.t, prior, parameters + step * basis[:, k])[0]
-            for step in (1e-5, -1e-5)
-        )
-        np.testing.assert_allclose(slopes[:, 5 + k], (ahead - behind) / 2e-5, atol=1e-6)
 
 
 def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
@@ -109,7 +98,6 @@ def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, sa
     shift = 17.0 / camera1.focal
     stds = 2 * [0.3, shift, shift, 0.1, 0.2, 0.2]
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), stds)
-    assert prior.shared_focal == (identity is not None)
 
 
 @pytest.mark.parametrize(
@@ -166,12 +154,3 @@ def test_a_camera_that_deviates_has_the_focal_lengths_and_the_lens_that_it_says(
     assert moved.distortion.model == ("RADIAL" if lens is None else lens.model)
     first, second = (0, 0) if lens is None else lens.radial
     assert moved.distortion.radial == pytest.approx((first + 0.03, second - 0.02))
-
-
-@pytest.mark.parametrize("lens", LENSES)
-def test_a_focal_length_within_its_deviation_is_fitted(lens):
-    cameras, _, matches = through(lens, focal_std=0.05, identity="x")
-    wrong = [with_parameters(camera, np.array([0.05, 0, 0, 0, 0, 0])) for camera in cameras]
-    pose = estimate_pose(matches, *wrong)
-    assert pose.camera1.focal_std < 0.05
-    assert pose.camera1.focal == pytest.approx(cameras[0].focal, rel=3 * pose.camera1.focal_std)
