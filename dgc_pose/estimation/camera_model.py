@@ -199,7 +199,7 @@ def _log_odds(camera: Camera) -> float:
 
 
 def _starts(model: CameraModel, focals: np.ndarray) -> list[np.ndarray]:
-    """Deviations (2 * SIZE,) of the model's cameras that RANSAC is run at. focals: those of ln f
+    """Parameters (2 * SIZE,) of the model's cameras that RANSAC is run at. focals: those of ln f
     (2,) with the assumed cameras."""
     if model.name in _WIDE:
         stds = np.array([camera.focal_std for camera in model.cameras])
