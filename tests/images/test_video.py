@@ -50,11 +50,6 @@ def test_the_sharpest_frame_of_each_part_is_taken(tmp_path: Path, name: str) -> 
     assert load_image(sorted(folder.iterdir())[0]).size == SIZE
 
 
-def test_a_short_video_gives_all_its_frames(tmp_path: Path) -> None:
-    write_video(tmp_path / "a.avi", _frames(5, set()))
-    assert _numbers(frames_folder(tmp_path / "a.avi", 40, tmp_path / "frames")) == [0, 1, 2, 3, 4]
-
-
 def test_frames_are_taken_once_and_anew_of_another_video(tmp_path: Path) -> None:
     video, folder = tmp_path / "a.avi", tmp_path / "frames"
     write_video(video, _frames(8, {1, 5}))
