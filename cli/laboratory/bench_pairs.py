@@ -90,7 +90,7 @@ class PairBenchOptions:
 
 
 @click.command()
-@click.argument("pair_list", metavar="[LIST]", required=False)
+@click.argument("pair_list", metavar="[LIST]", required=False, type=click.Path())
 @dataclass_options(PairBenchOptions, "options")
 @dataclass_options(CameraTrial, "cameras")
 @click.option(

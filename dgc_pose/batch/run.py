@@ -83,7 +83,6 @@ def run_batch(
         "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
-        "refinement": asdict(matcher.refinement),
         "estimation": asdict(estimation),
         "format": "jsonl",  # of the rows
     }

@@ -226,7 +226,7 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
         size=_size(more.get(Base.ExifImageWidth), more.get(Base.ExifImageHeight)),
         pixels_per_mm=_pixels_per_mm(more),
         position=_position(more),
-        orientation=int(turn) if turn in range(2, 9) else 1,
+        orientation=turn if isinstance(turn, int) and 1 <= turn <= 8 else 1,
     )
 
 
