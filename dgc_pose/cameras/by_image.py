@@ -54,7 +54,6 @@ class Calibration:
     # The images have no K. With "shared" one camera took all; with "two" one each.
     auto: Sharing | None = None
     details: KDetails = NO_DETAILS
-    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
     poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
 
     def camera(
@@ -95,7 +94,7 @@ class Calibration:
         Raises InputError if several names have its file name, and other cameras.
         """
         path = PurePath(os.path.abspath(root / name))
-        for start in range(1, len(path.parts)):
+        for start in range(len(path.parts)):
             end = PurePath(*path.parts[start:])
             for stated in (str(end), str(end.with_suffix(""))):
                 if stated in self._by_path:
@@ -108,7 +107,8 @@ class Calibration:
 
     @cached_property
     def _by_path(self) -> dict[str, str]:
-        return {os.path.normpath(name): name for name in self.by_name}
+        paths = {name: PurePath(os.path.normpath(name)).parts for name in self.by_name}
+        return {str(PurePath(*(p for p in paths[n] if p != os.pardir))): n for n in paths}
 
     @cached_property
     def _by_file_name(self) -> dict[str, list[str]]:

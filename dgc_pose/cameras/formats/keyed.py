@@ -139,26 +139,23 @@ def camchain(data: Mapping[str, Any], path: Path) -> Calibration | None:
     """The cameras of a camchain by their names, of one alone as "cam0"; the first is that of images
     that lie below no folder of such a name. None for other files.
 
-    path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
-    Raises InputError as `require_read` does.
+    path: for the identity of the cameras. Raises InputError as `require_read` does, and for a
+    camera of a model that COLMAP does not have.
     """
     listed = {
         str(name): values
         for name, values in {**data, "cam0": data.get("cam0", data)}.items()
         if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
     }
-    if not listed:
-        return None
     cameras: dict[str, Camera] = {}
-    refused: dict[str, str] = {}
     for name, values in listed.items():
         try:
             cameras[name] = _rig_camera(values)
         except InputError as error:
-            refused[name] = f"{name}: {error}"
-    if data is not listed.get("cam0"):
+            raise InputError(f"{name}: {error}") from None
+    if cameras and data is not listed.get("cam0"):
         require_read(data, *listed)
-    return rig(cameras, path, refused)
+    return rig(cameras, path) if cameras else None
 
 
 def _rig_camera(data: Mapping[str, Any]) -> Camera:
@@ -307,8 +304,8 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     return matrix_camera(array, name)
 
 
-def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> Calibration:
+def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
     """The cameras of a rig, each of the images below a folder of its name; the first is that of
-    other images. refused: of the rig's further cameras, why they are not read."""
+    other images."""
     parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return Calibration(parts=parts, common=next(iter(parts.values()), None), refused=refused)
+    return Calibration(parts=parts, common=next(iter(parts.values())))

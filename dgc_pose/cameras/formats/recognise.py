@@ -119,7 +119,7 @@ def _kitti_cameras(text: str, path: Path) -> Calibration:
     for key, values in _PROJECTION.findall(text):
         P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
         parts[f"image_{int(key)}"] = Camera(P[:, :3], sizes.get(key))
-    return keyed.rig(parts, path, {})
+    return keyed.rig(parts, path)
 
 
 def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:

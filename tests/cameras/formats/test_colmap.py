@@ -108,6 +108,7 @@ LEFT_RIGHT = ("left/1.png", "right/2.png")
         (LEFT_RIGHT, "", "3.png", None),
         (("images/1", "./images/2"), "", "/F/images/2.png", 1),
         (("../images/1", "../images/2"), "/F", "1.png", 0),
+        (("../../images/a/1.png", "../../images/b/1.png"), "/F/images", "b/1.png", 1),
         (("1.png", "2.png"), "/F", "any/folder/1.png", 0),
         (("d/2.jpg", "e/2.jpg"), "", "/home/x/photos/e/2.jpg", 1),
         (("2.jpg", "e/2.jpg"), "/F", "e/2.jpg", 1),
