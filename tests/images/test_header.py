@@ -91,8 +91,7 @@ ELEMENT = "<x:xmpmeta><GPano:ProjectionType>{}</GPano:ProjectionType></x:xmpmeta
 @pytest.mark.parametrize(
     ("xmp", "projection"),
     [
-        (ATTRIBUTE.format("equirectangular"), "equirectangular"),
-        (ATTRIBUTE.format("Cylindrical"), "cylindrical"),
+        (ATTRIBUTE.format("Equirectangular"), "equirectangular"),
         (ELEMENT.format("cylindrical"), "cylindrical"),
         (ATTRIBUTE.format("rectilinear"), ""),
         ("<x:xmpmeta>GPano equirectangular</x:xmpmeta>", ""),

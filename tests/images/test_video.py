@@ -82,17 +82,15 @@ def test_what_is_no_video_stays(tmp_path: Path) -> None:
     assert not (tmp_path / "frames").exists()
 
 
-@pytest.mark.parametrize("command", ["batch", "reconstruct"])
-def test_a_video_is_a_source(tmp_path: Path, command: str) -> None:
+def test_a_video_is_a_source(tmp_path: Path) -> None:
     """Its frames are photographs for a resumed batch too."""
     views = [view.pixels for view in render_views(4)]
     write_video(tmp_path / "scene.avi", [frame for view in views for frame in (view, view)])
     options = ["--K", K_text(), "--weights", "sift", "--workers", "1", "--frames", "4"]
-    command_line = (command, tmp_path / "scene.avi", "--out", tmp_path / "out", *options)
+    command_line = ("reconstruct", tmp_path / "scene.avi", "--out", tmp_path / "out", *options)
     done = run(*command_line)
     assert done.exit_code == 0, done.output
-    batch = tmp_path / ("out" if command == "batch" else "out/batch")
-    frames = batch.with_name(f"{batch.name}_4_frames_of_scene.avi")
+    frames = tmp_path / "out" / "batch_4_frames_of_scene.avi"
     assert [load_image(file).size for file in frames.iterdir()] == 4 * [(240, 180)]
     assert_refused(run(*command_line), "--resume")
     again = run(*command_line, "--resume")
