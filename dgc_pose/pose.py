@@ -179,14 +179,14 @@ def _mirrored(
         K[:2, 1:] = [[-K[0, 1], K[0, 2]], [K[1, 1], image2.size[1] - 1 - K[1, 2]]]
     else:
         K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
-    of_flipped = estimate_pose(
+    of_mirror_image = estimate_pose(
         result.matches,
         cameras[0],
         replace(cameras[1], K=K),
         options,
         map_matches=result.map_matches,
     )
-    probability = (of_flipped.probability or 0.0) if of_flipped.success else 0.0
+    probability = (of_mirror_image.probability or 0.0) if of_mirror_image.success else 0.0
     if probability < max(LIKELY, pose.any_probability or 0.0):
         return None
     reason = (
