@@ -95,7 +95,10 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
     if not isinstance(data, Mapping):
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
-    _require_whole(data)
+    roi = data.get("roi") or {}  # of a message of ROS, as is the binning
+    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
+    if any(offsets) or max(int(data.get(key) or 0) for key in ("binning_x", "binning_y")) > 1:
+        raise InputError("binning or roi is set, and K is of the whole sensor's image")
     lens: Distortion | None
     if data.get("model"):
         require_read(data, key, "model", "coefficients")
@@ -124,15 +127,6 @@ def _size(data: Mapping[str, Any]) -> Size | None:
                 raise InputError(f"{' and '.join(keys)}: no width and height")
             return int(sides[0]), int(sides[1])
     return None
-
-
-def _require_whole(data: Mapping[str, Any]) -> None:
-    """Raise InputError if the image of a message of ROS is a part of the sensor's, or binned."""
-    binning = [int(data.get(key) or 0) for key in ("binning_x", "binning_y")]
-    roi = data.get("roi") or {}
-    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
-    if max(binning) > 1 or any(offsets):
-        raise InputError("binning or roi is set, and K is of the whole sensor's image")
 
 
 def camchain(data: Mapping[str, Any], path: Path) -> Calibration | None:
@@ -230,39 +224,26 @@ def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
     read: further keys that are read. Raises InputError for a model that COLMAP does not have, for
     another number of coefficients, and as `require_read` does.
     """
-    model = _model(data)
-    keys, coefficients = _coefficients(data, model)
+    model = "OPENCV"
+    for key in _MODEL_KEYS:
+        word = str(data.get(key) or "").strip()
+        if (named := _MODELS.get(word.lower())) is None:
+            raise InputError(f"the {key} {word!r} has no COLMAP model")
+        model = model if named == "OPENCV" else named
+    keys = [key for key in data if _LIST.fullmatch(str(key)) and any(numbers(data[key]) or ())][:1]
+    coefficients = [number for key in keys for number in numbers(data[key]) or ()]
+    if model == "none":
+        keys = []
+    elif not keys:  # one by one
+        singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
+        keys = [key for key, held in singles.items() if held is not None and len(held) < 2]
+        coefficients = [(singles[k] or [0.0])[0] if k in keys else 0.0 for k in singles]
     require_read(data, *read, *_MODEL_KEYS, *keys)
     if model == "none":
         return None
     if model == "OPENCV":
         return _opencv_lens(coefficients, keys[0])
     return Distortion(model, tuple(coefficients))
-
-
-def _model(data: Mapping[str, Any]) -> str:
-    """The model that a key names, and OpenCV's if none names another."""
-    model = "OPENCV"
-    for key in _MODEL_KEYS:
-        word = str(data.get(key) or "").strip()
-        named = _MODELS.get(word.lower())
-        if named is None:
-            raise InputError(f"the {key} {word!r} has no COLMAP model")
-        if named != "OPENCV":
-            model = named
-    return model
-
-
-def _coefficients(data: Mapping[str, Any], model: str) -> tuple[Sequence[str], list[float]]:
-    """The keys that hold the coefficients of a model, and these."""
-    if model == "none":
-        return (), []
-    for key, value in data.items():
-        if _LIST.fullmatch(str(key)) and any(held := numbers(value) or []):
-            return (key,), held
-    singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
-    read = [key for key, held in singles.items() if held is not None and len(held) < 2]
-    return read, [(singles[key] or [0.0])[0] if key in read else 0.0 for key in singles]
 
 
 def _opencv_lens(coefficients: Sequence[float], key: str) -> Distortion | None:
