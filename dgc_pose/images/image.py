@@ -220,9 +220,9 @@ def _decoded(path: Path) -> tuple[np.ndarray, Header]:
         import pillow_heif
 
         with read_as("HEIC", path, ImageError):
-            array = np.asarray(pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True))
-        grey = array.ndim == 2
-        return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR) if grey else array.copy(), header
+            image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
+            pixels = np.array(image)
+        return cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR) if pixels.ndim == 2 else pixels, header
     try:
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
