@@ -81,11 +81,6 @@ def test_all_outputs_are_written(folder, network):
     assert picture.shape[1] == 2000 and picture.std() > 10
 
 
-def test_a_plot_has_the_width_and_the_resolution_asked_for(folder, network):
-    assert estimate("--plot", "p.png", "--plot-width", 7, "--plot-dpi", 57).exit_code == 0
-    assert cv2.imread("p.png").shape[1] == 7 * 57
-
-
 @pytest.mark.parametrize("metres", [None, 2.5])
 def test_the_points_in_space_are_written_with_their_colours(folder, network, metres):
     """In metres if t has a length."""
@@ -256,8 +251,6 @@ def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
         (("--K", "nosuch.txt"), "nosuch.txt"),
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
-        (("--plot-width", "5.9"), "'--plot-width': 5.9 is not in the range 6<=x<=20"),
-        (("--plot-dpi", "601"), "'--plot-dpi': 601 is not in"),
         (("--matches", "p.json"), "same file"),
         (("--matchability", "1.5"), "'--matchability': 1.5 is not in"),
         (("--device", "cuda"), "cuda"),
