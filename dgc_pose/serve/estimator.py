@@ -50,6 +50,10 @@ class Estimator:
         report("matching and estimating the pose")
         result = solve_pair(image1, image2, cameras, self.matcher)
         report("drawing")
+        F = None  # for pixels, of the pinhole cameras
+        if (E := result.pose.E) is not None:
+            matrix = fundamental_from_essential(E, result.camera1.K, result.camera2.K)
+            F = (matrix / np.abs(matrix).max()).tolist()
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
         return {
@@ -57,7 +61,7 @@ class Estimator:
             "reason": result.pose.reason,
             "names": list(names),
             "sizes": [list(image1.size), list(image2.size)],
-            "F": _fundamental(result),
+            "F": F,
             "matches": _matches(result),
             "scene": None if result.pose.t is None else pose_scene(result),
             "map": None if result.correspondence_map is None else _map(result),
@@ -65,14 +69,6 @@ class Estimator:
             "command": command(names, texts, weights),
             "python": python_text(names, texts, "".join(map(repr, weights[1:]))),
         }
-
-
-def _fundamental(result: PairResult) -> list[list[float]] | None:
-    """F for pixels, of the pinhole cameras; None without a pose."""
-    if result.pose.E is None:
-        return None
-    F = fundamental_from_essential(result.pose.E, result.camera1.K, result.camera2.K)
-    return (F / np.abs(F).max()).tolist()
 
 
 def _matches(result: PairResult) -> dict[str, list[Any]]:
@@ -127,8 +123,6 @@ def _map(result: PairResult) -> dict[str, Any]:
     )
     coloured = cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS)[..., ::-1]
     pictures = {"warp": (warped, alpha), "matchability": (coloured, np.full_like(alpha, 255))}
-    urls = {
-        name: picture_url(np.dstack(channels), "webp", cv2.IMWRITE_WEBP_QUALITY, 85)
-        for name, channels in pictures.items()
-    }
+    webp = ("webp", cv2.IMWRITE_WEBP_QUALITY, 85)
+    urls = {name: picture_url(np.dstack(parts), *webp) for name, parts in pictures.items()}
     return {"covered": covered, **urls}
