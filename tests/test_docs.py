@@ -62,10 +62,10 @@ def test_links_lead_to_files_and_commands_exist(page: Path) -> None:
 
 def test_the_help_of_every_command_is_in_the_reference() -> None:
     """On the page of the command's section, with each of its options."""
-    commands = load("commands")
+    hooks = load("hooks")
     for section, names in SECTIONS.items():
         page = DOCS / f"cli-{section.lower().replace(' ', '-')}.md"
-        markdown = commands.on_page_markdown(page.read_text(encoding="utf-8"))
+        markdown = hooks.on_page_markdown(page.read_text(encoding="utf-8"))
         helps = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", markdown, re.MULTILINE | re.DOTALL))
         assert [*helps] == [*names]
         for name, text in helps.items():
