@@ -48,8 +48,7 @@ SECTIONS = {
     },
     "Benchmarks": {
         "bench-pairs": "Score methods on pairs with known poses.",
-        "bench-hpatches": "Score maps on pairs with homographies.",
-        "bench-synthetic": "Score maps on synthetic pairs.",
+        "bench-maps": "Score maps on photographs of planes or synthetic pairs.",
         "bench-dtu": "Repeat the paper's pose experiment on DTU.",
         "bench-reconstruct": "Score reconstructions on known cameras.",
         "bench-locate": "Score photographs placed in a model.",
