@@ -73,7 +73,7 @@ def estimate(
         loaded = matcher.load()
         seconds = {"load": time.perf_counter() - start}
         result = solve_pair(first, second, (camera1, camera2), loaded, estimation, scale)
-        pose = replace(result.pose, seconds=seconds | result.pose.seconds)
+        pose = replace(result.pose, seconds={**seconds, **result.pose.seconds})
         data = pose.to_json()
         if json_file is not None:
             save_text(stage(json_file), data)

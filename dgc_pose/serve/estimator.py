@@ -122,6 +122,8 @@ def _map(result: PairResult) -> dict[str, Any]:
     )
     coloured = cv2.applyColorMap(shade, cv2.COLORMAP_VIRIDIS)[..., ::-1]
     pictures = {"warp": (warped, alpha), "matchability": (coloured, np.full_like(alpha, 255))}
-    webp = ("webp", cv2.IMWRITE_WEBP_QUALITY, 85)
-    urls = {name: picture_url(np.dstack(parts), *webp) for name, parts in pictures.items()}
+    urls = {
+        name: picture_url(np.dstack(channels), "webp", cv2.IMWRITE_WEBP_QUALITY, 85)
+        for name, channels in pictures.items()
+    }
     return {"covered": covered, **urls}
