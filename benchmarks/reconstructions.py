@@ -18,7 +18,8 @@ from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.metrics import folded, pose_auc
-from dgc_pose.cameras.calibration import Calibration, read_calibration
+from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.colmap.database import colmap_camera

@@ -96,6 +96,9 @@ def estimate(
         say(f"{name} is not stated: the focal length is estimated (--{name} auto)")
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (result.prior1, result.prior2)))
+        for number, image in enumerate((result.image1, result.image2), start=1):
+            if (turn := image.exif.orientation) != 1:
+                click.echo(f"image {number}: EXIF orientation {turn} is applied to it")
     else:
         click.echo(data, nl=False)
         if not pose.success:
@@ -118,7 +121,6 @@ def solved(
     image1 = masked(load_image(path1), masks.mask1, "mask1")
     image2 = masked(load_image(path2), masks.mask2, "mask2")
     camera1, camera2 = cameras.resolve(image1, image2)
-    image1, image2 = image1.oriented(camera1.orientation), image2.oriented(camera2.orientation)
     from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
 
     loaded = matcher.load()
