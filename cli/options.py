@@ -7,7 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dgc_pose.cameras.calibration import KDetails, pair_cameras
+from dgc_pose.cameras.by_image import KDetails
+from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.errors import InputError

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import PIL.Image
+from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
+from dgc_pose.images.header import Exif
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -33,7 +34,6 @@ SIZE_STD = 0.45  # deviation of their logarithm
 LENS_STD, _ACTION_LENS_STD = 0.1, 0.3
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
-_MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
 
 _FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
 _BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
@@ -162,40 +162,6 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
     return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
 
 
-def is_of_upright(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> bool:
-    """Whether K is certainly of the image with its EXIF orientation applied, and not of the pixels
-    as stored: by the size that it is for, or else by its principal point."""
-    return _fits(camera, size, image) == (False, True)
-
-
-def with_orientation(camera: Camera, image: Image | Header) -> Camera:
-    """The camera with a warning if an EXIF orientation is not applied: a K that was given may be
-    for the upright image, unless its size or its principal point excludes that."""
-    of_stored = _fits(camera, None, image) == (True, False)
-    if image.orientation == 1 or camera.focal_source != "given" or of_stored:
-        return camera
-    warning = (
-        f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
-    )
-    return replace(camera, warnings=(*camera.warnings, warning))
-
-
-def _fits(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> tuple[bool, bool]:
-    """Whether K may be of the pixels as stored, and of the upright image. size: (width, height)
-    that K is for, besides that of the camera."""
-    if image.orientation < 5:  # 5 to 8 exchange width and height
-        return True, True
-    size = size or camera.size
-    if size is not None:
-        shape = math.log(size[0] / size[1]) * math.log(image.size[0] / image.size[1])
-        return shape >= 0, shape <= 0
-    stored, upright = (
-        float(np.abs((camera.K[:2, 2] + 0.5) / side - 0.5).max()) < _MAX_CENTRE_OFFSET
-        for side in (image.size, image.size[::-1])
-    )
-    return stored, upright
-
-
 def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
     """None if the image is neither the one that the camera wrote, at any scale, nor a part of it.
 
@@ -268,8 +234,8 @@ def _sensor_width_mm(make: str, model: str) -> float | None:
     # whose lens has 1 mm. Of a photograph it would decode all pixels, prefer the focal length on
     # 35 mm film without its deviation, and not read HEIC.
     exif = PIL.Image.Exif()
-    exif[MAKE], exif[MODEL] = make, model
-    exif.get_ifd(EXIF_DIRECTORY)[FOCAL_LENGTH] = IFDRational(1, 1)
+    exif[Base.Make], exif[Base.Model] = make, model
+    exif.get_ifd(IFD.Exif)[Base.FocalLength] = IFDRational(1, 1)
     with scratch_folder() as folder:
         path = folder / "blank.jpg"
         PIL.Image.new("L", (_BLANK_WIDTH, 8)).save(path, exif=exif)

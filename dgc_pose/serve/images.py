@@ -53,10 +53,10 @@ class ImageStore:
 
     def get(self, identifier: object) -> StoredImage:
         """An image by its identifier. Raises Gone if there is none."""
-        key = str(identifier)
-        if key not in self._images:
+        image = self._images.pop(str(identifier), None)
+        if image is None:
             raise Gone("the image is no longer there: send it again")
-        self._images[key] = image = self._images.pop(key)
+        self._images[str(identifier)] = image
         return image
 
 
@@ -72,7 +72,7 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
                 f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
                 "(--max-megapixels of dgc-pose serve)"
             )
-        image = load_image(path, upright=True)
+        image = load_image(path)
     except DgcPoseError as error:
         # The path is none of the client's business.
         raise ImageError(str(error).replace(str(path), "the file")) from None

@@ -1,0 +1,253 @@
+"""How far two cameras may be from their K and lens: the focal lengths, principal points and radial
+coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose and by these.
+
+The parameters of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
+the focal length of K, what is added to the coefficients (c, d) of its lens (`geometry.radial`),
+which are 0 of a pinhole, and what is added to a = ln(fy / fx). Of two exact pinholes but for K,
+points that K normalised are normalised by A of `normaliser` to what the camera makes of them, so
+that F = A2^T E A1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
+from dgc_pose.geometry.radial import (
+    undistorted,
+    undistorted_slopes,
+    unprojected,
+    unprojected_slopes,
+)
+
+# Derivatives of A by k and by a, times A^-1.
+_BY_LOG_FOCAL, _BY_ASPECT = np.diag([-1.0, -1.0, 0.0]), np.diag([0.5, -0.5, 0.0])
+_SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
+
+
+@dataclass(frozen=True, eq=False)
+class IntrinsicsPrior:
+    """The parameters (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras are `basis` times a
+    standard normal vector (M,)."""
+
+    basis: np.ndarray  # (12, M); no columns: both cameras are exact
+
+    @classmethod
+    def of(cls, camera1: Camera, camera2: Camera) -> IntrinsicsPrior:
+        """The prior of two cameras' standard deviations. One camera that took both images, by its
+        `identity`, has one focal length and lens, and one principal point unless the images' sizes
+        differ.
+        """
+        same = camera1.identity is not None and camera1.identity == camera2.identity
+        one_centre = camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2)))
+        columns = []
+        for axis, sides in enumerate(zip(*map(parameter_stds, (camera1, camera2)), strict=True)):
+            column = np.zeros((2 * SIZE, 2))
+            column[axis, 0], column[SIZE + axis, 1] = sides
+            if same and (axis not in (1, 2) or one_centre):
+                column = column.sum(axis=1, keepdims=True)
+            columns.append(column)
+        basis = np.hstack(columns)
+        return cls(basis[:, basis.any(axis=0)])
+
+    def __len__(self) -> int:
+        return self.basis.shape[1]
+
+    def bends(self, problem: TwoViewProblem) -> bool:
+        """Whether a lens is there or unknown, so that A of `normaliser` does not suffice."""
+        return any(problem.lenses) or bool(self.basis[[3, 4, SIZE + 3, SIZE + 4]].any())
+
+
+SIZE = 6  # parameters of a camera
+FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
+EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
+_AS_NORMALISED = np.zeros(2 * SIZE)
+_PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
+_OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
+_SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
+
+
+def is_of_part(camera: Camera) -> bool:
+    """Whether the image may be a part of a larger one, whose principal point is its own."""
+    most = _OF_PART * max(camera.size or (0,))
+    return camera.focal_source != "given" and camera.centre_std > most
+
+
+def parameter_stds(camera: Camera) -> tuple[float, ...]:
+    """The standard deviations (SIZE,) of a camera's parameters."""
+    centre, lens = camera.centre_std / camera.focal, camera.lens_std
+    return camera.focal_std, centre, centre, lens, _SECOND_LENS_STD * lens, camera.aspect_std
+
+
+def _shrinks(parameters: np.ndarray) -> np.ndarray:
+    """By which x and y (2,) of a point grow if a K with parameters normalises it."""
+    k, a = parameters[0], parameters[5]
+    return np.exp([a / 2 - k, -a / 2 - k])
+
+
+def normaliser(parameters: np.ndarray) -> np.ndarray:
+    """A (3, 3) of the parameters (SIZE,) of a camera without a lens."""
+    (by_x, by_y), (x, y) = _shrinks(parameters), parameters[1:3]
+    return np.array([[by_x, 0, -x * by_x], [0, by_y, -y * by_y], [0, 0, 1]])
+
+
+def _normaliser_slopes(A: np.ndarray) -> list[np.ndarray]:
+    """The derivatives (3, 3) of A by the parameters (SIZE,); 0 by those of the lens."""
+    by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
+    by_x[0, 2], by_y[1, 2] = -A[0, 0], -A[1, 1]
+    return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3)), _BY_ASPECT @ A]
+
+
+def renormalised(points: np.ndarray, lens: Distortion | None, parameters: np.ndarray) -> np.ndarray:
+    """Normalised points (N, 2) as a camera with parameters (SIZE,) from its K and lens normalises
+    them; NaN where its distortion cannot be undone."""
+    lens = lens or _PINHOLE
+    return _undone(_moved(points, lens, parameters), lens, parameters)
+
+
+def renormalised_pair(
+    problem: TwoViewProblem, parameters: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The points (N, 2) of both images as cameras with parameters (2 * SIZE,) normalise them."""
+    return (
+        renormalised(problem.points1, problem.lenses[0], parameters[:SIZE]),
+        renormalised(problem.points2, problem.lenses[1], parameters[SIZE:]),
+    )
+
+
+def renormalised_slopes(
+    points: np.ndarray, lens: Distortion | None, parameters: np.ndarray
+) -> np.ndarray:
+    """The derivatives (N, 2, SIZE) of `renormalised` by the parameters."""
+    lens = lens or _PINHOLE
+    moved = _moved(points, lens, parameters)
+    if lens.projection is not None:
+        coefficients = lens.radial + parameters[3:5]
+        ideal = undistorted(moved, coefficients)
+        by_seen, by_lens = undistorted_slopes(ideal, coefficients)
+        if lens.projection != "plane":
+            by_ideal = unprojected_slopes(ideal, lens.projection)
+            by_seen, by_lens = by_ideal @ by_seen, by_ideal @ by_lens
+    else:
+        ahead, behind = (
+            [_undone(moved + s * a, lens, parameters) for a in np.eye(2)]
+            for s in (_SLOPE_STEP, -_SLOPE_STEP)
+        )
+        by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
+        by_lens = np.zeros((len(points), 2, 2))
+    by_centre = -by_seen * _shrinks(parameters)
+    by_both = [by_seen @ (moved * of_axes)[:, :, None] for of_axes in ((-1, -1), (0.5, -0.5))]
+    return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)
+
+
+def _moved(points: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.ndarray:
+    """Normalised points (N, 2) as the lens shows them, by the K of the parameters."""
+    seen = points if lens is _PINHOLE else lens.apply(points)
+    return (seen - parameters[1:3]) * _shrinks(parameters)
+
+
+def _undone(moved: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.ndarray:
+    if lens.projection is None:
+        return lens.undo(moved)
+    return unprojected(undistorted(moved, lens.radial + parameters[3:5]), lens.projection)
+
+
+def with_parameters(camera: Camera, parameters: np.ndarray) -> Camera:
+    """The camera with parameters (SIZE,) from its K and lens; its standard deviations stay."""
+    if not parameters.any():
+        return camera
+    lens = camera.distortion
+    if parameters[3:5].any():
+        lens = lens or _PINHOLE
+        radial = (lens.radial + parameters[3:5]).tolist()
+        lens = replace(lens, coefficients=(*radial, *lens.coefficients[2:]))
+    K = camera.K.copy()
+    K[0, 2] += parameters[1] * K[0, 0]
+    K[1, 2] += parameters[2] * K[1, 1]
+    K[:2, :2] /= _shrinks(parameters)[:, None]
+    return replace(camera, K=K, distortion=lens)
+
+
+def pair_with_parameters(
+    cameras: tuple[Camera, Camera], parameters: np.ndarray
+) -> tuple[Camera, Camera]:
+    """Two cameras with parameters (2 * SIZE,)."""
+    first, second = cameras
+    return with_parameters(first, parameters[:SIZE]), with_parameters(second, parameters[SIZE:])
+
+
+def error_slopes(
+    problem: TwoViewProblem,
+    R: np.ndarray,
+    t: np.ndarray,
+    prior: IntrinsicsPrior = EXACT,
+    parameters: np.ndarray = _AS_NORMALISED,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Signed Sampson errors (N,), their derivatives (N, 5 + M), and a basis (3, 2).
+
+    The parameters are a rotation vector w, R becoming exp([w]x) R, two coordinates of t along the
+    columns of the basis, which are perpendicular to t, and those of `prior`. parameters: (12,) of
+    the cameras from those that normalised the problem; the errors are in the problem's unit.
+    """
+    if len(prior) and prior.bends(problem):
+        return _lens_slopes(problem, R, t, prior, parameters)
+    tangent = np.linalg.svd(t[None])[2][1:].T
+    E = essential_from_pose(R, t)
+    of_pose = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
+    of_pose += [essential_from_pose(R, axis) for axis in tangent.T]
+    F, changes = E, of_pose
+    if len(prior):
+        A1, A2 = normaliser(parameters[:SIZE]), normaliser(parameters[SIZE:])
+        F, changes = A2.T @ E @ A1, [A2.T @ change @ A1 for change in of_pose]
+        of_cameras = [A2.T @ E @ change for change in _normaliser_slopes(A1)]
+        of_cameras += [change.T @ E @ A1 for change in _normaliser_slopes(A2)]
+        changes += list(np.tensordot(prior.basis.T, of_cameras, axes=1))
+    algebraic, squared1, squared2 = epipolar_terms(problem.points1, problem.points2, F)
+    squared = np.maximum(squared1 + squared2, np.finfo(float).tiny)  # 0 at the epipoles
+    # Points as columns, and all parameters at once: NumPy is slow along short axes.
+    x1, x2 = homogeneous(problem.points1).T, homogeneous(problem.points2).T
+    stacked = np.stack(changes)
+    changed2, changed1 = stacked @ x1, stacked.transpose(0, 2, 1) @ x2  # (5 + M, 3, N)
+    lengthening = ((F.T @ x2)[:2] * changed1[:, :2]).sum(1)
+    lengthening += ((F @ x1)[:2] * changed2[:, :2]).sum(1)
+    slopes = (x2 * changed2).sum(1) - algebraic / squared * lengthening
+    root = np.sqrt(squared)
+    return algebraic / root, (slopes / root).T, tangent
+
+
+def _lens_slopes(
+    problem: TwoViewProblem,
+    R: np.ndarray,
+    t: np.ndarray,
+    prior: IntrinsicsPrior,
+    parameters: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `error_slopes`, of cameras with lenses: parameters move each point in another way."""
+    sides = (
+        (problem.points1, problem.lenses[0], parameters[:SIZE]),
+        (problem.points2, problem.lenses[1], parameters[SIZE:]),
+    )
+    points1, points2 = renormalised_pair(problem, parameters)
+    moved = replace(problem, points1=points1, points2=points2)
+    error, of_pose, tangent = error_slopes(moved, R, t)
+    E = essential_from_pose(R, t)
+    lines2, lines1 = (homogeneous(points1) @ E.T)[:, :2], (homogeneous(points2) @ E)[:, :2]
+    squared = np.maximum((lines1**2).sum(1) + (lines2**2).sum(1), np.finfo(float).tiny)[:, None]
+    root, over = np.sqrt(squared), error[:, None] / squared
+    # By each point: of the algebraic error, and of the length of the line in the other image.
+    by_point1 = lines1 / root - over * (lines2 @ E[:2, :2])
+    by_point2 = lines2 / root - over * (lines1 @ E[:2, :2].T)
+    by_side = [
+        (by_point[:, None] @ renormalised_slopes(*side))[:, 0]
+        for by_point, side in zip((by_point1, by_point2), sides, strict=True)
+    ]
+    of_cameras = np.hstack(by_side)
+    of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth
+    slopes = np.hstack([of_pose, of_cameras @ prior.basis])
+    growth = np.exp(parameters[FOCALS].mean())
+    return np.nan_to_num(error * growth), np.nan_to_num(slopes * growth), tangent

@@ -1,0 +1,156 @@
+"""Sampson errors of deviating cameras, with and without lenses, and their derivatives, against
+cameras that deviate and finite differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation.intrinsics_prior import (
+    EXACT,
+    SIZE,
+    IntrinsicsPrior,
+    error_slopes,
+    normaliser,
+    renormalised,
+    with_parameters,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from two_view import normalised_problem, two_view_scene
+
+BASIS = np.random.default_rng(3).standard_normal((2 * SIZE, 4)) * 0.02
+OF_LENSES = [3, 4, SIZE + 3, SIZE + 4]
+BASIS[OF_LENSES] = 0  # the lenses are known
+DEVIATIONS = np.array([0.1, 0.01, -0.02, 0, 0, 0.05, -0.2, 0.03, 0.01, 0, 0, -0.04])
+# Whose coefficients may deviate, and others.
+RADIAL = [
+    *(None, Distortion("RADIAL", (-0.1, 0.05)), Distortion("CYLINDER")),
+    Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0, 0)),
+]
+OTHERS = [
+    *(Distortion("OPENCV", (-0.28, 0.07, 0.001, -0.001)), Distortion("SIMPLE_FISHEYE")),
+    Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0.002, 0)),
+]
+LENSES = [*RADIAL, *OTHERS]
+SHIFT = np.array([0.04, -0.01, 0.02, 0, 0, 0.03])  # of one camera
+SCENE = two_view_scene(outliers=0.0)
+CAMERA = SCENE.cameras[0]
+STDS = {"focal_std": 0.3, "centre_std": 17.0, "lens_std": 0.1, "aspect_std": 0.2}
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_slopes_are_the_differences_of_the_errors(lens):
+    """By a rotation, two coordinates of t, and the cameras, where these deviate already: of radial
+    lenses in their coefficients too."""
+    scene = two_view_scene("skew", count=50, outliers=0.0)
+    basis, at = BASIS.copy(), DEVIATIONS
+    if lens in RADIAL:
+        basis[OF_LENSES] = np.random.default_rng(4).standard_normal((4, 4)) * 0.02
+        at = DEVIATIONS + 0.03 * np.isin(np.arange(2 * SIZE), OF_LENSES[:3])
+    problem, prior = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(basis)
+    _, slopes, tangent = error_slopes(problem, scene.R, scene.t, prior, at)
+    assert slopes.shape == (50, 9)
+    np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-12)
+    np.testing.assert_allclose(tangent.T @ scene.t, 0, atol=1e-12)
+
+    def errors(step):
+        R = Rotation.from_rotvec(step[:3]).as_matrix() @ scene.R
+        t = scene.t + tangent @ step[3:5]
+        parameters = at + basis @ step[5:]
+        return error_slopes(problem, R, t / np.linalg.norm(t), prior, parameters)[0]
+
+    for k, step in enumerate(1e-5 * np.eye(9)):
+        expected = (errors(step) - errors(-step)) / 2e-5
+        np.testing.assert_allclose(slopes[:, k], expected, atol=2e-4 if lens in OTHERS else 1e-6)
+
+
+def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
+    """Up to the unit, which stays that of the cameras before."""
+    scene = two_view_scene("skew", count=50, outliers=0.0)
+    problem = scene.problem()
+    errors, _, _ = error_slopes(problem, scene.R, scene.t, IntrinsicsPrior(BASIS), DEVIATIONS)
+    A1, A2 = normaliser(DEVIATIONS[:SIZE]), normaliser(DEVIATIONS[SIZE:])
+    F = A2.T @ essential_from_pose(scene.R, scene.t) @ A1
+    expected = sampson_distance(problem.points1, problem.points2, F)
+    np.testing.assert_allclose(np.abs(errors), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("identity", "same_size", "columns"), [("a", True, 6), ("a", False, 8), (None, True, 12)]
+)
+def test_one_camera_has_one_focal_length_and_of_one_size_one_centre(identity, same_size, columns):
+    camera1, camera2 = two_view_scene(same_camera=True).cameras
+    camera1, camera2 = (
+        replace(camera, **STDS, identity=identity)
+        for camera in (camera1, camera2 if same_size else replace(camera2, size=(1200, 1600)))
+    )
+    prior = IntrinsicsPrior.of(camera1, camera2)
+    assert len(prior) == columns
+    covariance = prior.basis @ prior.basis.T
+    np.testing.assert_allclose(covariance[0, SIZE], 0.09 if identity else 0)
+    np.testing.assert_allclose(covariance[3, SIZE + 3], 0.01 if identity else 0)
+    np.testing.assert_allclose(covariance[5, SIZE + 5], 0.04 if identity else 0)
+    np.testing.assert_allclose(covariance[1, SIZE + 1] > 0, identity is not None and same_size)
+    shift = 17.0 / camera1.focal
+    stds = 2 * [0.3, shift, shift, 0.1, 0.2, 0.2]
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), stds)
+
+
+@pytest.mark.parametrize(
+    ("source", "centre_std", "shared"),
+    [("size", 15.0, True), ("size", 17.0, False), ("exif", 17.0, False), ("given", 17.0, True)],
+)
+def test_parts_of_larger_images_share_no_principal_point(source, centre_std, shared):
+    """Whose principal point nobody stated, and is off the middle by over 1 % of 1600 pixels."""
+    camera = replace(CAMERA, centre_std=centre_std, focal_source=source, identity="a")
+    for other in (camera, replace(camera, centre_std=1.0)):
+        for pair in ((camera, other), (other, camera)):
+            prior = IntrinsicsPrior.of(*pair)
+            assert len(prior) == (2 if shared else 4)
+            assert (prior.basis[1] @ prior.basis[SIZE + 1] > 0) == shared
+
+
+def test_a_match_at_both_epipoles_has_no_slope_rather_than_nan():
+    points = np.zeros((1, 2))
+    problem = normalised_problem(points, points)
+    for prior in (EXACT, IntrinsicsPrior(BASIS)):
+        errors, slopes, _ = error_slopes(problem, np.eye(3), np.array([0.0, 0, 1]), prior)
+        assert np.isfinite(errors).all() and np.isfinite(slopes).all()
+
+
+def through(lens: Distortion | None, **changes) -> tuple[list[Camera], TwoViewProblem, object]:
+    """Cameras of short focal lengths with the lens, and the scene's matches as these see them."""
+    cameras, points = [], []
+    for pinhole, pixels in zip(SCENE.cameras, (SCENE.points1, SCENE.points2), strict=True):
+        K = pinhole.K * [[0.6], [0.6], [1]]
+        cameras.append(Camera(K, pinhole.size, lens, **changes))
+        points.append(cameras[-1].project(pinhole.normalise(pixels)))
+    matches = replace(SCENE.matches, points1=points[0], points2=points[1])
+    return cameras, TwoViewProblem.of(matches, *cameras), matches
+
+
+@pytest.mark.parametrize("lens", LENSES)
+def test_points_are_what_the_deviating_camera_makes_of_the_pixels(lens):
+    (camera, _), problem, matches = through(lens)
+    expected = with_parameters(camera, SHIFT).normalise(matches.points1[problem.index])
+    moved = renormalised(problem.points1, lens, SHIFT)
+    np.testing.assert_allclose(moved, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("lens", [lens for lens in RADIAL if lens != Distortion("CYLINDER")])
+def test_a_camera_that_deviates_has_the_focal_lengths_and_the_lens_that_it_says(lens):
+    """Against the definition: ln of the mean and of the ratio of the focal lengths."""
+    camera = replace(CAMERA, distortion=lens)
+    moved = with_parameters(camera, np.array([0.04, -0.01, 0.02, 0.03, -0.02, 0.03]))
+    (fx, fy), (before_x, before_y) = moved.K.diagonal()[:2], camera.K.diagonal()[:2]
+    assert np.log(fx * fy / (before_x * before_y)) / 2 == pytest.approx(0.04)
+    assert np.log(fy / fx) - np.log(before_y / before_x) == pytest.approx(0.03)
+    by_focal = (moved.K[:2, 2] - camera.K[:2, 2]) / (before_x, before_y)
+    np.testing.assert_allclose(by_focal, (-0.01, 0.02))
+    assert moved.distortion.model == ("RADIAL" if lens is None else lens.model)
+    first, second = (0, 0) if lens is None else lens.radial
+    assert moved.distortion.radial == pytest.approx((first + 0.03, second - 0.02))
