@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from camera_scene import camera_scene, pinhole
+from scenes import camera_scene, pinhole
 
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.matches_file import PairMatches, PoseInputs

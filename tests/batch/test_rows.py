@@ -5,7 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
-from ambiguous_pose import INLIERS, PROBABILITIES, ambiguous_pose
+from results import INLIERS, PROBABILITIES, ambiguous_pose
 
 from dgc_pose.batch.rows import (
     BAD_INPUT,

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from colmap_scene import cloud_pairs, true_row
 from multi_view import render_views
+from results import cloud_pairs, true_row
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 

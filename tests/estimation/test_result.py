@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
+from results import ambiguous_pose
+from scenes import SIZE2, SceneKind, two_view_scene
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -15,7 +16,6 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.matches import Matches
-from two_view import SIZE2, SceneKind, two_view_scene
 
 FAST = EstimationOptions(runs=1)
 

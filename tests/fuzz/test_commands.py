@@ -10,7 +10,7 @@ from command_line import assert_refused, contents, run
 from fuzz.readers import make_batch
 from hypothesis import given
 from hypothesis import strategies as st
-from photos import write_photos
+from textures import write_photos
 from world_scene import world_scene, write_colmap
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
@@ -20,7 +20,7 @@ _LONG = "9" * 5000
 NUMBERS = ("nan", "inf", "-inf", "1e400", "-1e3", "x", "", "9" * 30, _LONG, "1;2", "٣x", "\udcff")
 _BOTH = ("", "/dev/null", "fifo", "one.png", "K.txt", "x" * 5000)
 OUTPUTS = (*_BOTH, "dir", "dir/", "junk", "loop", "no/x/y", "-/", "link")
-INPUTS = ("", "nowhere", "dir", "/dev/zero", "/dev/null", "/proc/kmsg", "fifo", "loop", "empty")
+INPUTS = ("", "nowhere", "dir", "/dev/zero", "/dev/null", "fifo", "loop", "empty")
 INPUTS += ("junk", "junk.npy", "junk.pth", "x" * 5000, "\udcff.png")
 _NUMBERED = click.types.IntParamType | click.types.FloatParamType
 

@@ -8,7 +8,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
+from results import ambiguous_pose
 
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matchers import load_matcher

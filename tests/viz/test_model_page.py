@@ -12,8 +12,8 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
 from PIL import Image
+from results import ambiguous_pose
 from world_scene import CAMERA, IMAGE, world_scene
 
 from dgc_pose.cameras.camera import Camera
