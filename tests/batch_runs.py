@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import cv2
 import h5py
@@ -14,15 +15,17 @@ from multi_view import SIZE, K_text, View, render_views, write_views
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.result import Batch
+from dgc_pose.batch.rows import MatchedPair
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import open_source
-from dgc_pose.batch.work import Job, Outcome, Task
-from dgc_pose.batch.workers import RunTasks, local_workers
+from dgc_pose.batch.store import open_store
+from dgc_pose.batch.work import Job
+from dgc_pose.batch.workers import Run, local_workers
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
-Workers = Callable[[Job, int], AbstractContextManager[RunTasks]]
+Workers = Callable[[Job, int], AbstractContextManager[Run]]
 
 
 def view_folder(folder: Path, number: int = 4) -> list[View]:
@@ -78,12 +81,12 @@ def killed_after(tasks_done: int) -> Workers:
     """Workers that end after so many tasks, however often tasks are run."""
 
     @contextmanager
-    def start(job: Job, workers: int) -> Iterator[RunTasks]:
+    def start(job: Job, workers: int) -> Iterator[Run]:
         numbers = count()
         with local_workers(job, workers) as run:
 
-            def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
-                for outcome in run(tasks):
+            def some(*work: Any) -> Iterator[Any]:
+                for outcome in run(*work):
                     if next(numbers) == tasks_done:
                         raise Killed
                     yield outcome
@@ -114,3 +117,11 @@ def assert_same_result(out1: Path, out2: Path) -> None:
     for name, array in arrays1.items():
         assert array.dtype == arrays2[name].dtype
         np.testing.assert_array_equal(array, arrays2[name])
+
+
+def change_result(out: Path, change: Callable[[MatchedPair], MatchedPair]) -> None:
+    """Put other pairs in the place of those of the result of a batch."""
+    with open_store(out) as store, store.change():
+        pairs = [change(pair) for pair in store.pairs("result")]
+        store._database.execute("DELETE FROM result")
+        store.add("result", pairs)

@@ -5,8 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
@@ -48,13 +46,14 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
     """The pairs with a pose or a rotation, the matches that fit it, and the cameras: those of the
     folder, or as the pair fitted them."""
     geometries, final = [], batch.plan.final_cameras
-    for row, matches in batch.matches():
-        if row.status in CONFIGURATIONS:
-            arrays = (matches.points1, matches.points2, matches.scores)
-            inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
+    for pair in batch.pairs():
+        row, pose = pair.row, pair.row.pose
+        if pose is not None and pose.status in CONFIGURATIONS:
+            inliers = pair.matches.subset(pose.inliers)
+            arrays = inliers.points1, inliers.points2, inliers.confidence
             of_folder = final[row.name1], final[row.name2]
-            cameras = matches.fitted.cameras if matches.fitted else of_folder
-            geometries.append(PairGeometry(row, cameras, *inliers))
+            cameras = row.fitted.cameras if row.fitted else of_folder
+            geometries.append(PairGeometry(row, cameras, *arrays))
     return geometries
 
 

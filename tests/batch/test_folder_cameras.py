@@ -4,25 +4,27 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from camera_scene import camera_scene, pinhole
 
 from dgc_pose.batch.folder_cameras import folder_cameras
-from dgc_pose.batch.matches_file import PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan
 from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import Estimate, Job, Matched, Outcome, Task, Worker
+from dgc_pose.batch.rows import MatchedPair, row_of
+from dgc_pose.batch.store import open_store
+from dgc_pose.batch.work import Job, Worker
+from dgc_pose.batch.workers import Task, Work
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import FISHEYE, Distortion
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.header import Exif, Header
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matches import Matches
 
 SIZE, FOCAL, COUNT = (1200, 800), 1100.0, 4
 TURNS = ((8, 15, 12), (-9, 14, -10), (10, -16, 9), (7, 13, -14), (-8, -15, 11), (9, 12, 13))
@@ -44,7 +46,7 @@ def _folder(
     priors = priors or {name: _prior(c) for name, c in zip(names, true, strict=True)}
     pairs = np.array(list(combinations(range(len(true)), 2)))
     worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=3), 2**20))
-    rows, matches = [], []
+    alone = []
     for k, (i, j) in enumerate(pairs):
         scene = camera_scene(
             true[i],
@@ -55,22 +57,19 @@ def _folder(
             centre=CENTRES[k % len(CENTRES)],
         )
         points = (scene.matches.points1, scene.matches.points2, scene.matches.confidence)
-        first, second, scores = (array.astype(np.float32) for array in points)
-        rows.append(PairRow(names[i], names[j], "ok", True, ""))
-        inputs = PoseInputs(0.5, False, None)
-        matches.append(PairMatches(first, second, scores, np.zeros(len(first), bool), inputs))
-    alone = Matched(tuple(range(len(pairs))), rows, matches, {})
-    store = PairStore(out, Plan(out, priors, {}, {}, names, pairs, {}))
-    outcome = worker.do(Estimate(alone, priors, True))
-    assert isinstance(outcome, Matched)
-    store.add(outcome)
+        matches = Matches(*(array.astype(np.float32) for array in points), 0.5)
+        pose = RelativePose("ok", "", np.zeros(len(matches), bool), len(matches))
+        alone.append(MatchedPair(row_of((names[i], names[j]), pose, 0.5, k), matches))
     done: list[Task] = []
 
-    def run(tasks: Sequence[Task]) -> Iterator[Outcome]:
+    def run(work: Work, tasks: Sequence[Task]) -> Iterator[Any]:
         done.extend(tasks)
-        return map(worker.do, tasks)
+        return (work(worker, *task) for task in tasks)
 
-    listed = folder_cameras(Poses(store, run, 1), priors)
+    with open_store(out, create=True) as store:
+        store.begin(Plan(out, priors, {}, {}, names, pairs, {}))
+        store.add("matched", worker.estimate(alone, priors, fit_cameras=True))
+        listed = folder_cameras(Poses(store, run, 1), priors)
     return by_image(listed), listed, done
 
 

@@ -37,12 +37,13 @@ def test_masked_pixels_are_not_matched(batch: Batch) -> None:
         (NAMES[0], NAMES[2]),
         (NAMES[1], NAMES[2]),
     ]
-    for row, matches in batch.matches():
-        assert row.success and len(matches.scores) > 50
-        for name, points in ((row.name1, matches.points1), (row.name2, matches.points2)):
-            if name != NAMES[2]:
-                assert points[:, 0].min() >= MIDDLE
-    unmasked = [m.points2[:, 0].min() for row, m in batch.matches() if row.name2 == NAMES[2]]
+    least = []
+    for pair in batch.pairs():
+        assert pair.row.success and len(pair.matches) > 50
+        points = pair.matches.points1, pair.matches.points2
+        least += [(n, p[:, 0].min()) for n, p in zip(pair.row.names, points, strict=True)]
+    assert all(x >= MIDDLE for name, x in least if name != NAMES[2])
+    unmasked = [x for name, x in least if name == NAMES[2]]
     assert min(unmasked) < MIDDLE - 5
 
 
@@ -56,8 +57,9 @@ def test_pixels_of_alpha_0_are_not_matched(photos: Path, tmp_path: Path) -> None
     write_masks(tmp_path / "masks", NAMES[:1])
     batch = run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
     least = dict.fromkeys(NAMES, np.inf)
-    for row, matches in batch.matches():
-        for name, points in ((row.name1, matches.points1), (row.name2, matches.points2)):
+    for pair in batch.pairs():
+        found = pair.matches.points1, pair.matches.points2
+        for name, points in zip(pair.row.names, found, strict=True):
             least[name] = min(least[name], points[:, 0].min())
     assert least[NAMES[0]] >= MIDDLE
     assert all(0.3 * SIZE[0] - 1 < least[name] < MIDDLE for name in NAMES[1:])

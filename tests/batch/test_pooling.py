@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.pooling import (
     CameraFit,
-    FittedPair,
     by_image,
     centre_moved,
     pool,
@@ -20,6 +18,7 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import RelativePose
 
 PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
 SIZE = (100, 80)
@@ -89,15 +88,21 @@ def _camera(identity: str | None) -> Camera:
     )
 
 
-def _pair(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> FittedPair:
+def _pair(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> PairRow:
     """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
     lens = Distortion("RADIAL", (0.05, -0.1))
     first, second = (
         Camera(np.array([focal, focal, 51.5, 39.5]), SIZE, lens) for focal in (focal1, focal2)
     )
     covariance = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4] * 2)
-    row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
-    return FittedPair(0, row, FittedCameras((first, second), covariance))
+    pose = RelativePose(
+        *("ok", "a pose", np.ones(9, bool), 9),  # type: ignore[arg-type]
+        camera1=first,
+        camera2=second,
+        camera_covariance=covariance,
+        probability=1.0,
+    )
+    return PairRow(name1, name2, "ok", "a pose", pose)
 
 
 def test_each_camera_has_its_pairs() -> None:
@@ -110,7 +115,7 @@ def test_each_camera_has_its_pairs() -> None:
         _pair("a", "c", 121, 99),
         _pair("c", "b", 99, 121),
         _pair("a", "d", 121, 300, std=0.39),
-        replace(_pair("a", "c", 500, 500), fitted=None),
+        replace(_pair("a", "c", 500, 500), pose=None),
     ]
     listed = pool(cameras, pairs)
     pooled = by_image(listed)

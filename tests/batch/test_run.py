@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -54,11 +55,11 @@ def test_poses_are_those_of_the_rendered_cameras(
         first, second = (photos[1][int(name[4])] for name in (row.name1, row.name2))
         R = second.R @ first.R.T
         t = second.t - R @ first.t
-        assert row.R is not None and row.t is not None
-        assert rotation_angle_deg(R.T @ np.reshape(row.R, (3, 3))) < 0.2
-        assert row.t @ t / np.linalg.norm(t) > np.cos(np.radians(2))
-        assert row.rotation_error_90_deg is not None
-        assert row.num_inliers > 50
+        pose = row.pose
+        assert pose is not None and pose.R is not None and pose.t is not None
+        assert rotation_angle_deg(R.T @ pose.R) < 0.2
+        assert pose.t @ t / np.linalg.norm(t) > np.cos(np.radians(2))
+        assert pose.rotation_error_90_deg is not None and pose.num_inliers > 50
 
 
 def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole: Path) -> None:
@@ -73,10 +74,13 @@ def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole: Path) -> None:
 
 def test_matches_lie_in_hlocs_layout(whole: Path) -> None:
     """Of each pair, also of bad ones, whose data sets are empty."""
-    for row, matches in read_batch(whole).matches():
-        assert len(matches.points1) >= row.num_matches >= row.num_inliers
-        assert matches.inliers.sum() == row.num_inliers
-        assert matches.points1.dtype == np.float32
+    with h5py.File(whole / "matches.h5") as file:
+        for pair in read_batch(whole).pairs():
+            row, group = pair.row, file[group_name(*pair.row.names)]
+            assert len(pair.matches) >= row.num_matches >= row.num_inliers
+            assert np.asarray(group["inliers"]).sum() == row.num_inliers
+            np.testing.assert_array_equal(group["keypoints0"], pair.matches.points1)
+            assert group["keypoints1"].dtype == group["scores"].dtype == np.float32
     assert group_name("a/b.jpg", "c.jpg") == "a-b.jpg/c.jpg"
 
 
@@ -96,7 +100,7 @@ def test_an_ambiguous_pair_is_counted_and_has_no_geometry(
     monkeypatch.setattr("dgc_pose.pose.estimate_pose", some_ambiguous)
     batch = run_sift(photos[0], tmp_path / "out")
     (ambiguous,) = (row for row in batch.rows if row.status == "ambiguous")
-    assert len(ambiguous.alternatives) == 2 and ambiguous.R is None
+    assert ambiguous.pose is not None and len(ambiguous.pose.alternatives) == 2
     assert batch.summary["by_status"] == {"ambiguous": 1, "bad_input": 3, "ok": 2}
     assert batch.summary["poses"] == 2
     exported = [pair.names for pair in pair_geometries(batch)]
@@ -130,7 +134,9 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
         ("view0.png", "view1.png"),
         ("view2.png", "view1.png"),
     ]
-    assert by_source[".db"][0] == by_source[".csv"][0]
+    first, second = by_source[".db"][0].pose, by_source[".csv"][0].pose
+    assert first is not None and second is not None
+    np.testing.assert_array_equal(first.cam2_from_cam1, second.cam2_from_cam1)
     assert by_source[".db"][1].name1 == "view1.png"
     assert database.read_bytes() == before
 

@@ -3,16 +3,18 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from batch_runs import assert_same_result, run_sift
 
-from dgc_pose.batch.work import Describe, Job, Outcome, Task
-from dgc_pose.batch.workers import CoreWorker, RunTasks, in_spans, local_workers, ray_workers
+from dgc_pose.batch.source import STORE
+from dgc_pose.batch.work import Job, Worker
+from dgc_pose.batch.workers import CoreWorker, Run, in_spans, local_workers, ray_workers
 from dgc_pose.errors import DgcPoseError, WeightsError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -30,13 +32,13 @@ def test_a_matcher_that_cannot_be_loaded_leaves_nothing(
 
 
 @contextmanager
-def _killing(job: Job, workers: int) -> Iterator[RunTasks]:
+def _killing(job: Job, workers: int) -> Iterator[Run]:
     """Workers of which each is killed after the first outcome."""
     others = set(multiprocessing.active_children())
     with local_workers(job, workers) as run:
 
-        def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
-            for outcome in run(tasks):
+        def some(*work: Any) -> Iterator[Any]:
+            for outcome in run(*work):
                 for process in set(multiprocessing.active_children()) - others:
                     assert process.pid is not None
                     os.kill(process.pid, signal.SIGKILL)
@@ -49,7 +51,7 @@ def test_a_worker_that_is_killed_is_told_by_its_signal(views: Path, tmp_path: Pa
     out = tmp_path / "out"
     with pytest.raises(DgcPoseError, match=r"^a worker process ended \(SIGKILL\): resume goes on"):
         run_sift(views, out, workers=2, start_workers=_killing)
-    assert (out / "matched.jsonl").exists()
+    assert (out / STORE).exists()
 
 
 def test_what_a_worker_raises_is_raised_here(views: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,7 +63,7 @@ def test_what_a_worker_raises_is_raised_here(views: Path, monkeypatch: pytest.Mo
         pytest.raises(WeightsError, match="gone.safetensors"),
         local_workers(job, 2) as run,
     ):
-        list(run([Describe(("view0.png",)), Describe(("view1.png",))]))
+        list(run(Worker.describe, [(["view0.png"],), (["view1.png"],)]))
 
 
 def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run() -> None:
@@ -94,11 +96,11 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
         def __init__(self, job: Job) -> None:
             self.worker, self.done = CoreWorker(job), 0
 
-        def do(self, task: Task) -> Outcome:
+        def do(self, *task: Any) -> Any:
             if self.done:
                 os._exit(1)
             self.done = 1
-            return self.worker.do(task)
+            return self.worker.do(*task)
 
     run_sift(views, tmp_path / "local", workers=2)
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)

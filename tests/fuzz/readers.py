@@ -13,12 +13,10 @@ import pycolmap
 import torch
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.batch.matches_file import FittedCameras, PairMatches, PoseInputs
-from dgc_pose.batch.plan import Plan, read_plan, write_plan
-from dgc_pose.batch.result import read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import BAD_INPUT, HypothesisRow, PairRow
-from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import Matched
+from dgc_pose.batch.plan import Plan
+from dgc_pose.batch.result import read_batch, summary_of, write_files
+from dgc_pose.batch.rows import BAD_INPUT, MatchedPair, PairRow, row_of
+from dgc_pose.batch.store import open_store
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -27,6 +25,8 @@ from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
@@ -183,11 +183,12 @@ def _read_matches(folder: Path, path: Path) -> None:
 
 def make_batch(folder: Path) -> None:
     """A finished batch: a pose of two images, and a pair with a bad image."""
-    plan, store = make_unfinished_batch(folder)
-    rows = write_pairs(folder, store.blocks(), store.byte_count)
-    summary = summary_of(plan, rows, store.bad, []) | {"matched_now": 2, "seconds": 0.5}
-    store.remove()
-    (folder / "summary.json").write_text(json.dumps(summary))
+    plan = make_unfinished_batch(folder)
+    with open_store(folder) as store, store.change():
+        store.add("result", list(store.pairs("matched")))
+        summary = summary_of(plan, store.rows("result"), []) | {"matched_now": 2, "seconds": 0.5}
+        store.finish(plan, summary)
+        write_files(folder, store, plan, summary)
 
 
 def make_photographs(folder: Path) -> None:
@@ -196,8 +197,8 @@ def make_photographs(folder: Path) -> None:
         cv2.imwrite(str(folder / name), _pixels((10, 8)))
 
 
-def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
-    """The pairs of a batch that has matched all and has no result."""
+def make_unfinished_batch(folder: Path) -> Plan:
+    """A batch that has matched all pairs and has no result."""
     names = ("a.png", "b.png", "c.png")
     K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
     cameras = {
@@ -208,29 +209,30 @@ def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
     settings = {"runtime": "auto"}
     indices = np.array([[0, 1], [1, 2]])
     plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
-    write_plan(folder, plan)
-    store = PairStore(folder, plan)
-    values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
-    values |= {"alternatives": (HypothesisRow(values["R"], (0, 0, 1), 7, 0.25),)}
-    values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
-    good = PairRow(*names[:2], "ok", True, "a pose", **values)
-    rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]
-    store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {"c.png": "too small"}))
-    return plan, store
-
-
-def _matches(count: int) -> PairMatches:
-    points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
-    scores, every = np.ones(count, np.float32), np.ones(count, bool)
-    camera = Camera(np.array([9.0, 9.0, 4.5, 3.5]), (10, 8), focal_std=0.1)
-    fitted = FittedCameras((camera, camera), np.eye(12))
-    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0))
-    return PairMatches(points, points + 1, scores, every, again, fitted)
+    t, kept = np.array([1.0, 0, 0]), np.ones(8, bool)
+    pose = RelativePose(
+        *("ok", "a pose", kept, 8, np.eye(3), t),  # type: ignore[arg-type]
+        camera1=cameras["a.png"],
+        camera2=cameras["b.png"],
+        camera_covariance=np.eye(12),
+        alternatives=(Hypothesis(np.eye(3), t[::-1], kept, np.zeros(0, bool), probability=0.25),),
+    )
+    points = np.random.default_rng(8).uniform(0, 7, (8, 2))
+    matches = Matches(points, points + 1, np.ones(8), 0.5)
+    good = MatchedPair(row_of(names[:2], pose, 0.5), matches, matches)
+    bad = {"c.png": "too small"}
+    pairs = [good, MatchedPair(PairRow(*names[1:], BAD_INPUT, "small", bad_images=bad, index=1))]
+    with open_store(folder, create=True) as store:
+        store.begin(plan)
+        with store.change():
+            store.add("matched", pairs)
+    return plan
 
 
 def _read_store(folder: Path, path: Path) -> None:
-    if path.stem == "matched":
-        list(PairStore(folder, read_plan(folder)).blocks())
+    with open_store(folder) as store:
+        assert store.plan is None or store.plan.names
+        list(store.pairs("matched"))
 
 
 READERS: dict[str, tuple[Make, Read]] = {

@@ -41,7 +41,7 @@ def full(folder: Path, size: int, *words: str) -> subprocess.CompletedProcess[st
         (200_000, "x.db: File too large\n", (*EXPORT, "--database", "x.db")),
         (500, "h/features.h5: ", (*EXPORT, "--hloc", "h")),
         (500, "x.ply: ", (*ESTIMATE, "--ply", "x.ply")),
-        (3000, "out/matched.bin: ", BATCH),
+        (20_000, "out/batch.db: ", BATCH),
         (100, "points.ply: 100 of ", ("export", "model", "--to", "nerfstudio", "--out", "x.n")),
         (900, "x.n: File too large\n", ("export", "model", "--to", "nerfstudio", "--out", "x.n")),
         (500, "x.tum: ", ("export", "model", "--to", "tum", "--out", "x.tum")),
@@ -69,5 +69,5 @@ def test_a_full_disk_is_one_line(
     if words == BATCH:
         again = full(tmp_path, 10**8, *words, "--resume")
         assert again.returncode == 0, again.stderr
-        names = {"plan.json", "pairs.jsonl", "matches.h5", "summary.json"}
+        names = {"batch.db", "pairs.jsonl", "matches.h5", "summary.json"}
         assert set(os.listdir(tmp_path / "out")) == names

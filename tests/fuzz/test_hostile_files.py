@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -125,26 +124,6 @@ def test_an_npy_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
         read_arrays(tmp_path / "a.npz")
 
 
-POINTS = "a.png/b.png/keypoints0"
-DAMAGES: dict[str, Callable[[h5py.File, str], object]] = {
-    "link": lambda file, pipe: file.update({POINTS: h5py.ExternalLink(pipe, "/x")}),
-    "not finite": lambda file, _: file.create_dataset(POINTS, data=np.full((8, 2), np.nan, "f4")),
-    "huge": lambda file, _: file.create_dataset(POINTS, (2**40, 2), "f4", chunks=(64, 2)),
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_file_of_matches_leads_nowhere(tmp_path: Path, damage: str) -> None:
-    """HDF5 could follow links to any file: here to a pipe, which would never answer."""
-    make_batch(tmp_path)
-    os.mkfifo(tmp_path / "pipe")
-    with h5py.File(tmp_path / "matches.h5", "r+") as file:
-        del file[POINTS]
-        DAMAGES[damage](file, str(tmp_path / "pipe"))
-    with pytest.raises(InputError, match=r"matches\.h5"):
-        list(read_batch(tmp_path).matches())
-
-
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
 
 
@@ -166,6 +145,16 @@ def test_a_database_that_computes_is_refused(tmp_path: Path, statement: str) -> 
         database.commit()
     with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
         read_database(path)
+
+
+def test_a_store_of_a_batch_that_computes_is_refused(tmp_path: Path) -> None:
+    make_batch(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "batch.db")) as database:
+        database.execute("DROP TABLE result")
+        database.execute(f"CREATE VIEW result AS {ENDLESS}")
+        database.commit()
+    with pytest.raises(InputError, match=r"batch\.db is not the store of a batch"):
+        read_batch(tmp_path)
 
 
 def test_a_name_in_the_pages_command_is_no_option() -> None:
