@@ -23,9 +23,8 @@ from dgc_pose.benchmarks.scoring import MatchedPair, epipolar_errors, pair_seed,
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching import CorrespondenceMap, MatchResult, PairSearch, select_matches
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.matching import Matcher, MatchResult, select_matches
+from dgc_pose.pose import solve_pair
 from dgc_pose.system.processes import process_pools
 
 
@@ -76,61 +75,43 @@ class Evaluation(Generic[Score]):
 
     def _match(self, pair: PosedPair) -> Iterator[MatchedPair[Score]]:
         """The matches of a pair by every method."""
-        searches: dict[MatcherOptions, _Search] = {}
         for method in self.methods:
-            if method.matcher not in searches:
-                matcher = self.matchers[method.matcher]
-                searches[method.matcher] = _Search(matcher.search(pair.image1, pair.image2), {})
-            search, everywhere_px = searches[method.matcher], (np.nan, np.nan)
-            if issubclass(self.pairs.kind, MapScore) and (dense := search.whole_map):
-                everywhere_px = epipolar_errors(pair.truth, dense.map, dense.grid)
-            cameras, options = method.cameras.cameras(pair), method.estimation
+            matcher, cameras = self.matchers[method.matcher], method.cameras.cameras(pair)
+            options, everywhere_px = method.estimation, (np.nan, np.nan)
             if pair.truth.seed:
                 options = replace(options, seed=pair_seed(options.seed, *pair.truth.seed))
-            final, seconds = search.matches(method, cameras, options)
+            start = time.perf_counter()
+            found = _matches(method, matcher, pair, cameras, options)
+            seconds = time.perf_counter() - start
+            dense = found.correspondence_map
+            if issubclass(self.pairs.kind, MapScore) and dense is not None:
+                everywhere_px = epipolar_errors(pair.truth, dense.map, dense.grid)
             yield MatchedPair(
                 kind=self.pairs.kind,
                 method=method.name,
                 truth=pair.truth,
                 cameras=cameras,
-                matches=final.matches,
-                map_matches=None if method.everywhere else final.map_matches,
+                matches=found.matches,
+                map_matches=None if method.everywhere else found.map_matches,
                 everywhere_px=everywhere_px,
                 options=options,
                 match_seconds=seconds,
             )
 
 
-@dataclass(frozen=True)
-class _Search:
-    """The search of a pair by all methods of the same matching."""
-
-    search: PairSearch
-    seconds: dict[str, float]  # of each step, when it was done for the first time
-
-    @property
-    def whole_map(self) -> CorrespondenceMap | None:
-        """The dense map that the step `whole` begins with; None for key points."""
-        return self.search.unrefined.correspondence_map
-
-    def matches(
-        self, method: Method, cameras: tuple[Camera, Camera], options: EstimationOptions
-    ) -> tuple[MatchResult, float]:
-        """The matches that the pose of a method is of, and the seconds of the steps to them."""
-        start = time.perf_counter()
-        if method.everywhere:
-            if (dense := self.whole_map) is None:
-                raise InputError(f"{method.name}: {self.search.matcher.name} makes no map")
-            everywhere = replace(method.matcher.matching, matchability=0.0, cycle_px=None)
-            every = select_matches(dense, everywhere, min_share=0.0)
-            result, steps = MatchResult(every, dense), {"everywhere": time.perf_counter() - start}
-        elif method.matcher.refinement.source == "none":
-            result = self.search.whole()
-            steps = {"match": time.perf_counter() - start}
-        else:
-            pose = pose_of_pair(self.search, *cameras, options)
-            result = self.search.last
-            steps = {step: s for step, s in pose.seconds.items() if step != "estimate"}
-        for step, seconds in steps.items():
-            self.seconds[step] = max(seconds, self.seconds.get(step, 0.0))
-        return result, sum(self.seconds[step] for step in steps)
+def _matches(
+    method: Method,
+    matcher: Matcher,
+    pair: PosedPair,
+    cameras: tuple[Camera, Camera],
+    options: EstimationOptions,
+) -> MatchResult:
+    """The matches that the pose of a method is of."""
+    if not method.everywhere:
+        solved = solve_pair(pair.image1, pair.image2, cameras, matcher, options)
+        return MatchResult(solved.matches, solved.correspondence_map)
+    dense = matcher.match(pair.image1, pair.image2).correspondence_map
+    if dense is None:
+        raise InputError(f"{method.name}: {matcher.name} makes no map")
+    everywhere = replace(method.matcher.matching, matchability=0.0)
+    return MatchResult(select_matches(dense, everywhere, min_share=0.0), dense)

@@ -7,7 +7,6 @@ from typing import Any
 
 from dgc_pose.benchmarks.map_comparison import compare, compare_matcher
 from dgc_pose.benchmarks.map_scores import Comparison, PairScores, score_map
-from dgc_pose.benchmarks.methods import kind_of
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.weights import choose_device, load_network
@@ -46,16 +45,15 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     methods: dict[str, MapMethod] = {}
     for name in names:
         options = MatcherOptions(name)
-        kind = kind_of(options)
         if name in methods:
             raise InputError(f"the method {name} is named twice")
-        if not kind.dense_map:
+        if not options.has_map:
             words = f"{name}: has key points alone and no dense map"
             raise InputError(ArgumentName("methods"), words)
-        if kind.network:
+        if options.is_network:
             methods[name] = partial(compare, load_network(name, chosen))
         else:
-            methods[name] = partial(compare_matcher, kind.load(options, None, None))
+            methods[name] = partial(compare_matcher, options.load())
     return methods
 
 

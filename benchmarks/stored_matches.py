@@ -15,8 +15,9 @@ from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.images.image import Image, read_pixels
 from dgc_pose.matches import Matches
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.flow import scaled_map
-from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 
 Names = tuple[str, str]  # of a pair of images

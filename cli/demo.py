@@ -13,16 +13,16 @@ from click.core import ParameterSource
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, bundled_photographs, rendered_pair
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, traced
+from dgc_pose.cli.estimate import NO_POSE, Outputs, draw, solved
 from dgc_pose.cli.options import CameraChoice
 from dgc_pose.cli.output import pose_text, row_lines
-from dgc_pose.estimation import EstimationOptions, RelativePose, ScaleSource
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.files.outputs import staged
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 if TYPE_CHECKING:
-    from dgc_pose.trace import Trace
+    from dgc_pose.pair_result import PairResult
 
 
 @click.command()
@@ -57,16 +57,16 @@ def _shown(
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
-) -> Trace:
-    """The trace of a pair, printed below a heading and the command that does the same."""
-    trace = traced(*paths, cameras, matcher, estimation, ScaleSource())
+) -> PairResult:
+    """The pose of a pair, printed below a heading and the command that does the same."""
+    result = solved(*paths, cameras, matcher, estimation)
     Ks = {"--K": cameras.k, "--K1": cameras.k1, "--K2": cameras.k2}
     words = [word for flag, K in Ks.items() if K is not None for word in (flag, K)]
     words = ["dgc-pose", "estimate", *map(str, paths), *words]
     click.echo(heading)
     click.echo(shlex.join([*words, *_chosen(click.get_current_context())]) + "\n")
-    click.echo(pose_text(trace.pose, (trace.prior1, trace.prior2)))
-    return trace
+    click.echo(pose_text(result.pose, (result.prior1, result.prior2)))
+    return result
 
 
 def _numbers(camera: Camera) -> str:

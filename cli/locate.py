@@ -23,7 +23,8 @@ from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import image_header
-from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def locate(
         extended = extensible(place.add, model, list(dict.fromkeys(photos)))
     for warning in model.warnings:
         say(f"warning: {warning}")
-    locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)
+    locator = Locator(model, matcher.load(image_cache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))
     json_file = None if place.json == STDOUT else place.json

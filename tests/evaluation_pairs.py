@@ -16,12 +16,9 @@ from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
-from dgc_pose.refinement import RefinementOptions
 
 NAMES = ["net", "net/all", "some"]
-MATCHER = MatcherOptions(
-    matching=MatchingOptions(max_matches=400), refinement=RefinementOptions(source="none")
-)
+MATCHER = MatcherOptions(matching=MatchingOptions(max_matches=400, aligned="none"))
 ESTIMATION = EstimationOptions(runs=2, iterations=100)
 METHODS = parse_methods(NAMES, MATCHER, ESTIMATION)
 

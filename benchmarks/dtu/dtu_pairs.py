@@ -16,7 +16,6 @@ from dgc_pose.benchmarks.scores import DtuScore
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.refinement import RefinementOptions
 
 Protocol = Literal["paper", "native"]
 
@@ -63,9 +62,5 @@ def protocol_options(
     """The user's options with the protocol's settings for matches and refinement."""
     if protocol == "native":
         return matcher, estimation
-    matching = replace(matcher.matching, max_matches=EVERY_MATCH)
-    unrefined = RefinementOptions(source="none")
-    return (
-        replace(matcher, matching=matching, refinement=unrefined),
-        replace(estimation, refine=False),
-    )
+    matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
+    return replace(matcher, matching=matching), replace(estimation, refine=False)

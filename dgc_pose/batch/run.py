@@ -89,7 +89,6 @@ def run_batch(
         "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
-        "refinement": asdict(matcher.refinement),
         "estimation": asdict(estimation),
     }
     with _folder_alone(out):

@@ -13,8 +13,9 @@ from dgc_pose.errors import DgcPoseError, ImageError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.images.store import ImageStore
-from dgc_pose.matchers import MatcherCaches, MatcherOptions
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.cache import image_cache
+from dgc_pose.pose import solve_pair
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
@@ -45,11 +46,8 @@ class Worker:
 
     def __init__(self, job: Job) -> None:
         self.job, self.bad = job, dict(job.bad)
-        self.caches = MatcherCaches()
-        for cache in (self.caches.features, self.caches.native, self.caches.key_points):
-            # A matcher uses two of them, and those of refinement are the larger.
-            cache.limit_bytes = job.memory_bytes * 2 // 3
-        self.matcher = job.matcher.load(self.caches)
+        self.cache = image_cache(job.memory_bytes)
+        self.matcher = job.matcher.load(self.cache)
         self._images = ImageStore(
             job.root,
             job.masks,
@@ -89,13 +87,12 @@ class Worker:
             row = PairRow(*names, BAD_INPUT, reason, bad_images=bad, index=index)
             return MatchedPair(row)
         try:
-            search = self.matcher.search(image1, image2)
-            camera1, camera2 = (cameras[name] for name in names)
-            pose = pose_of_pair(search, camera1, camera2, self.job.estimation)
-            sample = None if camera1.exact and camera2.exact else search.last.map_matches
-            matches = search.last.matches
-            row = row_of(names, pose, matches.error_px, index)
-            return MatchedPair(row, matches, sample)
+            pair = cameras[names[0]], cameras[names[1]]
+            solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
+            dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
+            sample = None if dense is None or exact else dense.sample
+            row = row_of(names, solved.pose, solved.matches.error_px, index)
+            return MatchedPair(row, solved.matches, sample)
         except MemoryError:  # every further pair would meet it too
             raise
         except Exception as error:  # one pair of a million must not end the batch

@@ -10,7 +10,7 @@ from matplotlib.patches import Ellipse
 from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.model import PosedModel
-from dgc_pose.refinement.align import spread
+from dgc_pose.matching.align import spread
 from dgc_pose.viz.figure import WIDTH, new_figure
 from dgc_pose.viz.panels import draw_matches
 from dgc_pose.viz.reconstruction import draw_cameras, frusta

@@ -13,9 +13,9 @@ import numpy as np
 from dgc_pose.errors import printable
 from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.localization.model import PosedModel
+from dgc_pose.pair_result import PairResult
 from dgc_pose.scene import pose_scene, scene_camera, scene_of
 from dgc_pose.system.threads import in_threads
-from dgc_pose.trace import Trace
 from dgc_pose.viz.reconstruction import mean_axes
 
 _FILES = resources.files("dgc_pose")
@@ -45,13 +45,13 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
     return _page(model.root.resolve().name, facts + apart, scene)
 
 
-def pose_page(trace: Trace) -> str:
+def pose_page(result: PairResult) -> str:
     """The same of a pair: both cameras, and the inliers in camera 1's axes. Raises InputError
     without R and t."""
-    scene, images = pose_scene(trace), (trace.image1, trace.image2)
+    scene, images = pose_scene(result), (result.image1, result.image2)
     scene["cameras"] = [*map(_pictured, scene["cameras"], images)]
     names = " and ".join(Path(image.name).name for image in images)
-    return _page(names, f"{trace.pose.num_inliers} inliers", scene)
+    return _page(names, f"{result.pose.num_inliers} inliers", scene)
 
 
 def _pictured(camera: dict[str, Any], image: Image) -> dict[str, Any]:

@@ -13,8 +13,8 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.refinement.align import spread
-from dgc_pose.trace import Trace
+from dgc_pose.matching.align import spread
+from dgc_pose.pair_result import PairResult
 from dgc_pose.viz.figure import WIDTH, Panel, panel_rows, row_height
 from dgc_pose.viz.panels import (
     draw_colour_bar,
@@ -37,7 +37,7 @@ _MAX_HEIGHT = 1.4  # of all rows, as a share of the width
 _NAME = 28  # characters of a file's name
 
 
-def plot_pose(trace: Trace, width: float = WIDTH) -> Figure:
+def plot_pose(result: PairResult, width: float = WIDTH) -> Figure:
     """Draw the inlier matches coloured by their residual, some epipolar lines and, if the matcher
     gives a map, the matchability and image 1 warped onto image 2.
 
@@ -45,24 +45,24 @@ def plot_pose(trace: Trace, width: float = WIDTH) -> Figure:
     is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
     lens with distortion an epipolar line is a curve. width: of the figure, inches.
     """
-    pose = trace.pose
-    chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
-    drawn = _spread(trace, chosen, DRAWN_MATCHES)
-    panels = _panels(trace, f"{len(drawn)} of {len(chosen)}")
+    pose = result.pose
+    chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(result.matches))
+    drawn = _spread(result, chosen, DRAWN_MATCHES)
+    panels = _panels(result, f"{len(drawn)} of {len(chosen)}")
     for ends in _ARRANGEMENTS:
         rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
         if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT * width:
             break
     figure, axes = panel_rows(rows, _headline(pose), width=width)
     matches, points, lines, *map_axes = chain(*axes)
-    _draw_matches(matches, trace, drawn)
-    _draw_epipolar(points, lines, trace, _spread(trace, chosen, DRAWN_LINES))
-    if trace.correspondence_map is not None:
+    _draw_matches(matches, result, drawn)
+    _draw_epipolar(points, lines, result, _spread(result, chosen, DRAWN_LINES))
+    if result.correspondence_map is not None:
         left, right = map_axes
-        places, matchability = trace.correspondence_map.map, trace.correspondence_map.matchability
-        colours = draw_matchability(left, trace.image2.pixels, matchability)
+        places, matchability = result.correspondence_map.map, result.correspondence_map.matchability
+        colours = draw_matchability(left, result.image2.pixels, matchability)
         draw_colour_bar(left, colours, "")
-        draw_warp(right, trace.image1.pixels, places, matchability, trace.image2.size)
+        draw_warp(right, result.image1.pixels, places, matchability, result.image2.size)
     return figure
 
 
@@ -79,14 +79,15 @@ def _headline(pose: RelativePose) -> str:
     )
 
 
-def _panels(trace: Trace, counts: str) -> list[Panel]:
-    aspect1, aspect2 = (width / height for width, height in (trace.image1.size, trace.image2.size))
-    *_, width, height, _ = second_place(trace.image1.pixels, trace.image2.pixels)
-    paths = Path(trace.image1.name), Path(trace.image2.name)
+def _panels(result: PairResult, counts: str) -> list[Panel]:
+    sizes = result.image1.size, result.image2.size
+    aspect1, aspect2 = (width / height for width, height in sizes)
+    *_, width, height, _ = second_place(result.image1.pixels, result.image2.pixels)
+    paths = Path(result.image1.name), Path(result.image2.name)
     same = paths[0].name == paths[1].name
     name1, name2 = (shortened(printable(str(p) if same else p.name), _NAME) for p in paths)
-    kind = "inlier matches" if trace.pose.inliers.any() else "matches, no inliers"
-    lines = "no epipolar lines without a pose" if trace.pose.E is None else "their epipolar lines"
+    kind = "inlier matches" if result.pose.inliers.any() else "matches, no inliers"
+    lines = "no epipolar lines without a pose" if result.pose.E is None else "their epipolar lines"
     panels = [
         Panel(width / height, f"{name1} and {name2}: {counts} {kind}", bar=True),
         Panel(aspect1, f"{name1}: points"),
@@ -94,28 +95,28 @@ def _panels(trace: Trace, counts: str) -> list[Panel]:
         Panel(aspect2, f"{name2}: matchability", bar=True),
         Panel(aspect2, f"{name1} warped onto {name2}, pale if not matchable"),
     ]
-    return panels[: 3 if trace.correspondence_map is None else 5]
+    return panels[: 3 if result.correspondence_map is None else 5]
 
 
-def _draw_matches(axes: Axes, trace: Trace, drawn: np.ndarray) -> None:
-    matches = trace.matches.subset(drawn)
+def _draw_matches(axes: Axes, result: PairResult, drawn: np.ndarray) -> None:
+    matches = result.matches.subset(drawn)
     drawn_points = matches.points1, matches.points2
     values, colours, label = matches.confidence, None, "confidence"
-    if trace.pose.E is not None:
-        values = trace.residuals_px[drawn]
+    if result.pose.E is not None:
+        values = result.residuals_px[drawn]
         colours, label = residual_colours(values), "residual (px)"
-    pixels = trace.image1.pixels, trace.image2.pixels
+    pixels = result.image1.pixels, result.image2.pixels
     colours = draw_matches(axes, *pixels, *drawn_points, values, colours=colours)
     draw_colour_bar(axes, colours, label)
 
 
-def _draw_epipolar(left: Axes, right: Axes, trace: Trace, drawn: np.ndarray) -> None:
-    matches = trace.matches.subset(drawn)
-    draw_image(left, trace.image1.pixels)
-    draw_image(right, trace.image2.pixels)
-    if trace.pose.E is not None:
-        lines = homogeneous(trace.camera1.normalise(matches.points1)) @ trace.pose.E.T
-        draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
+def _draw_epipolar(left: Axes, right: Axes, result: PairResult, drawn: np.ndarray) -> None:
+    matches = result.matches.subset(drawn)
+    draw_image(left, result.image1.pixels)
+    draw_image(right, result.image2.pixels)
+    if result.pose.E is not None:
+        lines = homogeneous(result.camera1.normalise(matches.points1)) @ result.pose.E.T
+        draw_curves(right, [_through_lens(line, result.camera2) for line in lines])
     draw_points(left, matches.points1)
     draw_points(right, matches.points2)
 
@@ -135,11 +136,11 @@ def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
     return np.where(near.all(axis=1, keepdims=True), pixels, np.nan)
 
 
-def _spread(trace: Trace, chosen: np.ndarray, count: int) -> np.ndarray:
+def _spread(result: PairResult, chosen: np.ndarray, count: int) -> np.ndarray:
     """Indices of the most confident of the chosen matches, spread over image 2, with finite
     points."""
-    matches = trace.matches
+    matches = result.matches
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
     points2, confidence = matches.points2[chosen], matches.confidence[chosen]
-    return chosen[spread(points2, confidence, trace.image2.size, count)]
+    return chosen[spread(points2, confidence, result.image2.size, count)]

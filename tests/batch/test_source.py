@@ -32,11 +32,11 @@ def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("plan", "result", "kept"),
     [
-        ("out/batch/plan.json", "out/picture.png", False),
-        ("batch/plan.json", "picture.png", False),  # in the folder of the photographs
-        ("out/plan.json", "out/more/drawn.png", False),
-        ("batch/plan.json", "other.png", True),
-        ("plan.json", "picture.png", True),
+        ("out/batch/batch.db", "out/picture.png", False),
+        ("batch/batch.db", "picture.png", False),  # in the folder of the photographs
+        ("out/batch.db", "out/more/drawn.png", False),
+        ("batch/batch.db", "other.png", True),
+        ("batch.db", "picture.png", True),
         ("out/summary.json", "out/picture.png", True),
     ],
 )
@@ -49,7 +49,7 @@ def test_results_are_no_photographs(tmp_path: Path, plan: str, result: str, *, k
     (tmp_path / plan).write_text("{}")
     source = open_source(tmp_path)
     assert source.names == ("1.png", "2.png") + (result,) * kept
-    assert kept or "results, told by their plan.json" in "; ".join(source.left_out)
+    assert kept or "results, told by their batch.db" in "; ".join(source.left_out)
 
 
 @pytest.mark.parametrize("root", ["photos/other", None])

@@ -15,18 +15,19 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions, load_matcher
-from dgc_pose.pose import estimate_relative_pose
+from dgc_pose.pose import solve_pair
 
 COUNT = 3
 NAMES = tuple(f"view{i}.png" for i in range(COUNT))
 PAIRS = tuple(enumerate(combinations(NAMES, 2)))
 ESTIMATION = EstimationOptions(runs=1, iterations=300)
+CAMERA = Camera(K, SIZE)
 IMAGE_BYTES = 3 * SIZE[0] * SIZE[1] + FEATURE_BYTES
 
 
 def _worker(photos: Path, memory_bytes: int) -> tuple[Worker, list[MatchedPair]]:
     """A worker that has matched all pairs."""
-    cameras = dict.fromkeys(NAMES, Camera(K, SIZE, identity="K1"))
+    cameras = dict.fromkeys(NAMES, CAMERA)
     worker = Worker(Job(photos, cameras, {}, MatcherOptions(), ESTIMATION, memory_bytes))
     return worker, worker.match(PAIRS)
 
@@ -36,22 +37,20 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
 ) -> None:
     """To the bit, with memory for all images and for hardly one, and matches that are searched
     again as of a pose in doubt."""
-    monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: True)
+    monkeypatch.setattr("dgc_pose.schedule.in_doubt", lambda *arguments: True)
     view_folder(tmp_path, COUNT)
     ample, matched = _worker(tmp_path, COUNT * IMAGE_BYTES)
-    assert ample.caches.features.made == COUNT
-    assert ample.caches.native.made == 4 * COUNT  # its texture, and squeezed along either axis
+    # Of the map and of native resolution, its texture, and squeezed along either axis.
+    assert ample.cache.made == 5 * COUNT
     scarce, again = _worker(tmp_path, IMAGE_BYTES)
-    assert scarce.caches.features.made > COUNT
+    assert scarce.cache.made > 5 * COUNT
     assert all(pair.row.success for pair in matched)
     matcher = load_matcher()
     first = matcher.match(*(load_image(tmp_path / name) for name in PAIRS[0][1]))
     assert len(first.matches) < len(matched[0].matches)
     for k, names in PAIRS:
-        paths = (tmp_path / name for name in names)
-        alone = estimate_relative_pose(
-            *paths, Camera(K, SIZE), matcher=matcher, options=ESTIMATION, trace=True
-        )
+        images = (load_image(tmp_path / name) for name in names)
+        alone = solve_pair(*images, (CAMERA, CAMERA), matcher, ESTIMATION)
         row = row_of(names, alone.pose, alone.matches.error_px)
         for pair in (matched[k], again[k]):
             assert pair.row.to_json() == row.to_json()
@@ -61,7 +60,7 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
 def test_a_pose_that_is_estimated_again_has_its_probability(tmp_path: Path) -> None:
     """What is stored of a pair does not state the network that matched it, the job does."""
     view_folder(tmp_path, COUNT)
-    camera = replace(Camera(K, SIZE), focal_std=0.05)
+    camera = replace(CAMERA, focal_std=0.05)
     job = Job(tmp_path, {n: camera for n in NAMES}, {}, MatcherOptions(), ESTIMATION, 2**30)
     worker = Worker(job)
     matched = worker.match(PAIRS[:1])

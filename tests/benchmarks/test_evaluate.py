@@ -6,12 +6,8 @@ import dense_scene
 import numpy as np
 import pytest
 from evaluation_pairs import (
-    ESTIMATION,
-    MATCHER,
     METHODS,
-    Net,
     evaluation,
-    matchers_of,
     posed_pairs,
 )
 
@@ -82,20 +78,6 @@ def test_the_records_are_independent_of_workers_and_of_the_first_pair(tmp_path) 
     whole = _results(_rows(pairs))
     np.testing.assert_equal(_results(_rows(pairs, workers=2)), whole)
     np.testing.assert_equal(_results(_rows(pairs, 3)), whole[3 * len(METHODS) :])
-
-
-def test_methods_of_one_matcher_share_its_search(tmp_path) -> None:
-    calls = []
-
-    class Counting(Net):
-        def _match(self, image1, image2):
-            calls.append(1)
-            return super()._match(image1, image2)
-
-    methods = parse_methods(["net", "net/all", "net:runs=2"], MATCHER, ESTIMATION)
-    loaded = matchers_of(methods, Counting)
-    rows = list(evaluation(posed_pairs(tmp_path, 2), methods, loaded=loaded).run())
-    assert len(calls) == 2 and len(rows[0]) == 3
 
 
 def test_what_cannot_be_used_is_refused(tmp_path) -> None:

@@ -10,13 +10,10 @@ from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import MatchingOptions
-from dgc_pose.refinement import RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
 IMAGE = Image(cv2.resize(BLOTS, (200, 200)))
-UNREFINED = RefinementOptions(source="none")
 
 
 def test_names_stand_for_methods() -> None:
@@ -53,23 +50,20 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
 
 def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
     (method,) = parse_methods(["net:refine=features:max_matches=300:runs=2"])
-    assert method.matcher.matching == MatchingOptions(max_matches=300)
+    assert method.matcher.matching == MatchingOptions(max_matches=300, aligned="features")
     assert method.estimation == EstimationOptions(runs=2)
-    assert method.matcher.refinement.source == "features"
-    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
+    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60"])
     assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
-    assert other.matcher.matching == MatchingOptions(finest=60, cycle_px=3.0)
-    (none,) = parse_methods(
-        ["net:cycle_px=none"], MatcherOptions(matching=MatchingOptions(cycle_px=3.0))
-    )
-    assert none.matcher.matching.cycle_px is None
+    assert other.matcher.matching == MatchingOptions(finest=60)
+    (none,) = parse_methods(["net:threshold_px=none"], None, EstimationOptions(threshold_px=1.0))
+    assert none.estimation.threshold_px is None
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
-    names = ["net", "net:refine=none", "net/all", "dis", "sift", "deepmatching", "raft"]
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "raft"]
     methods = parse_methods(names, stored=["raft"])
-    sources = [method.matcher.refinement.source for method in methods]
-    assert sources == ["auto", "none", "auto", "none", "none", "none", "none"]
+    sources = [method.matcher.matching.aligned for method in methods]
+    assert sources == ["auto", "none", "none", "none", "none", "none"]
 
 
 def test_a_path_may_hold_colons_and_equals_signs() -> None:

@@ -20,9 +20,8 @@ from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching import Matcher, MatchResult
+from dgc_pose.matching import Matcher, MatchingOptions, MatchResult
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.refinement import RefinementOptions
 
 OPTIONS = EstimationOptions(runs=2, iterations=200)
 
@@ -39,9 +38,9 @@ class Backwards(Matcher):
 
 def run(pairs, matchers, options):
     """The records of matchers by name, one by one."""
-    unrefined = RefinementOptions(source="none")
+    unrefined = MatchingOptions(aligned="none")
     methods = [
-        Method(name, MatcherOptions(name, refinement=unrefined), options, CameraTrial())
+        Method(name, MatcherOptions(name, matching=unrefined), options, CameraTrial())
         for name in matchers
     ]
     loaded = {method.matcher: matchers[method.name] for method in methods}

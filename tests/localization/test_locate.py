@@ -9,7 +9,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.localization import locate
 from dgc_pose.localization.model import PosedModel
-from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.matchers import load_matcher
+from dgc_pose.matching.cache import image_cache
 
 
 def test_features_go_with_their_images(tmp_path: Path) -> None:
@@ -20,12 +21,11 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
         for name, view in zip(write_views(tmp_path, views), views, strict=True)
     }
     model = PosedModel(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
-    caches = MatcherCaches()
+    cache = image_cache()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
-    locator = locate.Locator(model, MatcherOptions().load(caches), options)
+    locator = locate.Locator(model, load_matcher(cache=cache), options)
     locator._images.limit_bytes = 1
     location = locator.locate(photo.pixels, K)
-    assert location.success and caches.features.made > 4
-    for cache in (caches.features, caches.native):
-        assert len({key[0].name for key in cache._kept} - {"photo"}) <= 1
-        assert "photo" not in {key[0].name for key in cache._kept}
+    assert location.success and cache.made > 8
+    kept = {key[0].name for key in cache._kept}
+    assert len(kept) <= 1 and "photo" not in kept

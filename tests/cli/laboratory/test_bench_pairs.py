@@ -22,12 +22,12 @@ def folder(tmp_path, monkeypatch):
     maps = {"true": dense_scene.true_map(), "noise": dense_scene.noise_map()}
     maps[DEFAULT_WEIGHTS] = maps["true"]
 
-    def load_dense_matcher(weights, *, options, **others):
+    def load(weights):
         if weights not in maps:
             raise WeightsError(f"{weights}: no such weights")
-        return dense_scene.MapMatcher(maps[weights], options)
+        return maps[weights]
 
-    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
+    dense_scene.replace_network(monkeypatch, load)
     return tmp_path
 
 

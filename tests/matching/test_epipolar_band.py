@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.geometry.epipolar import sampson_distance, skew
+from dgc_pose.matching.epipolar_band import EpipolarBand
 from dgc_pose.matching.view import View
-from dgc_pose.refinement.epipolar_band import EpipolarBand
 from dgc_pose.runtime.engine import NativeFeatures
 
 CAMERA1 = Camera(np.array([[500.0, 0, 318], [0, 500, 242], [0, 0, 1]]))

@@ -18,8 +18,8 @@ import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.images.image import resize_by
-from dgc_pose.refinement.consistency import LocalMatches
-from dgc_pose.refinement.lucas_kanade import Patches, align_patches
+from dgc_pose.matching.consistency import LocalMatches
+from dgc_pose.matching.lucas_kanade import Patches, align_patches
 
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
 PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15

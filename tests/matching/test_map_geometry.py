@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 
 from dgc_pose.matching import CorrespondenceMap
-from dgc_pose.matching.view import View
-from dgc_pose.refinement.map_geometry import (
+from dgc_pose.matching.map_geometry import (
     matchable_points,
     points_in_image1,
     rotation_between,
     scale_between,
     window_shown,
 )
+from dgc_pose.matching.view import View
 
 
 def test_points_between_cells_lie_on_the_surface() -> None:

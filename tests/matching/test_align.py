@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from dgc_pose.images.image import resize
-from dgc_pose.refinement.align import Aligned, align, locate, nearby_corners, spread
-from dgc_pose.refinement.consistency import LocalMatches
+from dgc_pose.matching.align import Aligned, align, locate, nearby_corners, spread
+from dgc_pose.matching.consistency import LocalMatches
 
 
 def _local(points2: np.ndarray, error: np.ndarray) -> LocalMatches:

@@ -1,4 +1,7 @@
-"""The refiner as a whole: as exact as the images allow, and never worse than what it was given."""
+"""The refined matches of a network: as exact as the images allow, and never worse than given."""
+
+from dataclasses import replace
+from typing import Literal
 
 import dense_scene
 import numpy as np
@@ -10,13 +13,10 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching import MatchingOptions, network_matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.refinement import RefinementOptions, Refiner, refiner
-from dgc_pose.refinement.features import FeatureMatches
 from dgc_pose.runtime.torch_engine import TorchEngine
 
 _OPTIONS = MatchingOptions(max_matches=1500)
@@ -34,9 +34,12 @@ def engine() -> TorchEngine:
     return TorchEngine(DGCNet(preset("dgcm-lite0")))
 
 
-def _noisy() -> dense_scene.MapMatcher:
+def _noisy(
+    aligned: Literal["none", "auto", "map", "features"] = "none", engine: TorchEngine | None = None
+) -> dense_scene.MapMatcher:
     """A matcher whose map has an error of half a cell."""
-    return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), _OPTIONS)
+    options = replace(_OPTIONS, aligned=aligned)
+    return dense_scene.MapMatcher(dense_scene.true_map(error_px=0.7), options, engine)
 
 
 def _errors(matches: Matches) -> np.ndarray:
@@ -48,11 +51,11 @@ def test_matches_become_ten_times_as_exact_and_so_does_the_pose(
     images: tuple[Image, Image],
 ) -> None:
     matcher = _noisy()
-    result = Refiner(matcher).match(*images)
+    result = _noisy("map").match(*images)
     given = matcher.match(*images).matches
     assert np.median(_errors(given)) > 0.5
     assert len(result.matches) > 150 and np.median(_errors(result.matches)) < 0.1
-    assert result.correspondence_map is matcher.correspondence_map
+    assert result.correspondence_map is not None
     camera = Camera(dense_scene.K, dense_scene.SIZE)
     errors = []
     for matches in (given, result.matches):
@@ -67,12 +70,14 @@ def test_matches_become_ten_times_as_exact_and_so_does_the_pose(
 def test_a_scene_that_cannot_be_refined_is_no_worse(images: tuple[Image, Image]) -> None:
     """Inconsistent matches are returned as they were; those that are consistent but cannot be
     aligned are returned with the error that they had."""
-    matcher = dense_scene.MapMatcher(dense_scene.noise_map(), _OPTIONS)
-    plain, refined = matcher.match(*images), Refiner(matcher).match(*images)
+    plain, refined = (
+        dense_scene.MapMatcher(dense_scene.noise_map(), options).match(*images)
+        for options in (replace(_OPTIONS, aligned="none"), replace(_OPTIONS, aligned="map"))
+    )
     assert refined.aligned is None and _rows(refined.matches) == _rows(plain.matches)
 
     other = Image(dense_scene.pictures(seed=9)[0])
-    kept = Refiner(_noisy()).match(other, images[1]).matches
+    kept = _noisy("map").match(other, images[1]).matches
     assert kept.error_px == _noisy().match(*images).matches.error_px and len(kept) > 1000
 
 
@@ -81,10 +86,8 @@ def test_auto_takes_the_map_only_if_the_features_give_too_few(
     images: tuple[Image, Image], engine: TorchEngine, count: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     points = _points((60, 260), (40, 200), count, 0)
-    monkeypatch.setattr(FeatureMatches, "at_scale", lambda *arguments: points)
-    matcher = _noisy()
-    matcher.engine = engine
-    by_auto, by_map = (Refiner(matcher, way).match(*images).matches for way in ("auto", "map"))
+    monkeypatch.setattr(network_matcher, "feature_matches", lambda *arguments: points)
+    by_auto, by_map = (_noisy(way, engine).match(*images).matches for way in ("auto", "map"))
     assert np.array_equal(by_auto.points1, by_map.points1) == (count == 0)
     assert by_auto.error_px == 0.5 and len(by_auto) > 150
 
@@ -105,9 +108,9 @@ def parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Features that match first on the left, and then on the right, above and, with a second
     hypothesis, below."""
     left = _points((60, 150), (40, 200), 250, 0)
-    monkeypatch.setattr(FeatureMatches, "at_scale", lambda *arguments: left)
+    monkeypatch.setattr(network_matcher, "feature_matches", lambda *arguments: left)
     monkeypatch.setattr(
-        FeatureMatches, "more", lambda self, a, b, dense, views: _RIGHT[: len(views)]
+        network_matcher, "guided_matches", lambda *arguments: _RIGHT[: len(arguments[-1])]
     )
 
 
@@ -121,20 +124,18 @@ def _rows(matches: Matches) -> set[tuple[float, ...]]:
 
 @pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize("min_aligned", [100, 10_000])
-def test_matches_of_a_search_join_the_first(
+def test_guided_matches_join_the_first(
     images: tuple[Image, Image],
     engine: TorchEngine,
     monkeypatch: pytest.MonkeyPatch,
     min_aligned: int,
 ) -> None:
     """Those that are aligned, if they are enough; else all that agree with their neighbours."""
-    monkeypatch.setattr(refiner, "MIN_ALIGNED", min_aligned)
-    matcher = _noisy()
-    matcher.engine = engine
-    search, other = (Refiner(matcher, "features").search(*images) for _ in range(2))
-    first, _ = search.whole(), other.whole()
-    more = search.more(_HYPOTHESES)
-    assert more is search.last and more.correspondence_map is first.correspondence_map
+    monkeypatch.setattr(network_matcher, "MIN_ALIGNED", min_aligned)
+    matcher = _noisy("features", engine)
+    first = matcher.match(*images)
+    more = matcher.guided(*images, first, _HYPOTHESES)
+    assert more is not None and more.correspondence_map is first.correspondence_map
     assert more.aligned is not None and first.aligned is not None
     x, y = more.matches.points2.T
     assert all(part.sum() > 30 for part in (x < 160, (x > 160) & (y < 120), (x > 160) & (y > 120)))
@@ -146,24 +147,20 @@ def test_matches_of_a_search_join_the_first(
     else:
         assert more.matches.error_px == 1.0 and len(more.matches) > 1.5 * len(first.matches)
         assert more.aligned.error_px == 0.5 and len(more.aligned) < len(more.matches)
-    above = other.more(_HYPOTHESES[:1])
+    above = matcher.guided(*images, first, _HYPOTHESES[:1])
     assert above is not None
     assert len(first.matches) < len(above.matches) < len(more.matches)
 
 
-def test_a_search_without_features_has_no_more_matches(images: tuple[Image, Image]) -> None:
-    for matcher in (_noisy(), Refiner(_noisy()), SiftMatcher()):
-        search = matcher.search(*images)
-        with pytest.raises(ValueError, match="no step"):
-            search.last  # noqa: B018
-        assert search.quick() is None and search.fine() is None
-        whole = search.whole()
-        assert search.more(_HYPOTHESES) is None
-        assert search.last is whole
+def test_without_features_there_is_no_coarse_pass_and_no_more_matches(
+    images: tuple[Image, Image],
+) -> None:
+    for aligned in ("none", "map"):
+        matcher = _noisy(aligned)
+        assert matcher.coarse(*images) is None
+        assert matcher.guided(*images, matcher.match(*images), _HYPOTHESES) is None
 
 
 def test_a_source_that_there_is_not_is_named() -> None:
-    with pytest.raises(InputError, match="source"):
-        RefinementOptions(source="nothing")  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="map: refine=features needs the features of a network"):
-        Refiner(_noisy(), "features")
+    with pytest.raises(InputError, match="aligned"):
+        MatchingOptions(aligned="nothing")  # type: ignore[arg-type]

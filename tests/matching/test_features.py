@@ -13,14 +13,16 @@ from dgc_pose.geometry.pixels import rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
-from dgc_pose.matching.view import View
-from dgc_pose.refinement.epipolar_band import EpipolarBand
-from dgc_pose.refinement.features import (
+from dgc_pose.matching.cache import image_cache
+from dgc_pose.matching.epipolar_band import EpipolarBand
+from dgc_pose.matching.features import (
     MOST_HYPOTHESES,
-    FeatureMatches,
     equal_scales,
+    feature_matches,
+    guided_matches,
     mutual_neighbours,
 )
+from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 
@@ -74,7 +76,7 @@ def _match(
     second: np.ndarray,
     guide: CorrespondenceMap,
 ) -> Matches:
-    return FeatureMatches(engine, 192).at_scale(Image(first), Image(second), guide)
+    return feature_matches(engine, Image(first), Image(second), guide, image_cache(), 192)
 
 
 def _unit(features: np.ndarray) -> np.ndarray:
@@ -145,8 +147,10 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
     )
 
-    features = FeatureMatches(engine)
-    near = features.more(first, second, guide, [true, wrong])[4:]
+    def guided(hypotheses: list[TwoViews]) -> list[Matches]:
+        return guided_matches(engine, first, second, guide, image_cache(), hypotheses)
+
+    near = guided([true, wrong])[4:]
     for matches, views in zip(near, (true, wrong), strict=True):
         points = camera.normalise(matches.points1), camera.normalise(matches.points2)
         off = dense_scene.K[0, 0] * sampson_distance(*points, views.E)
@@ -157,10 +161,10 @@ def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngin
         for matches in near
     ]
     assert (errors[0] < 3).mean() > 2 * (errors[1] < 3).mean()
-    (alone,) = features.more(first, second, guide, [true])[4:]
+    (alone,) = guided([true])[4:]
     np.testing.assert_array_equal(alone.points1, near[0].points1)
-    assert len(features.more(first, second, guide, [])) == 4
-    assert len(features.more(first, second, guide, 9 * [true])) == 4 + MOST_HYPOTHESES
+    assert len(guided([])) == 4
+    assert len(guided(9 * [true])) == 4 + MOST_HYPOTHESES
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -179,7 +183,7 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
     guide.matchability[:] = 0.0
     images = [Image(pixels) for pixels in pictures]
-    every = FeatureMatches(engine).more(*images, guide, [])
+    every = guided_matches(engine, *images, guide, image_cache(), [])
     assert len(every) == 4
     counts = []
     for matches in every:

@@ -9,11 +9,12 @@ import torch
 from pretend_gpu import DEVICE, pretended_gpu
 
 from dgc_pose.images.image import Image
-from dgc_pose.matching import DenseMatcher
+from dgc_pose.matching import MatchingOptions, NetworkMatcher
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
-from dgc_pose.refinement import Refiner
 from dgc_pose.runtime.torch_engine import TorchEngine
+
+OPTIONS = MatchingOptions(aligned="features")
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +32,8 @@ def _there(net: DGCNet) -> TorchEngine:
 
 def test_refinement_by_features_is_that_of_the_cpu(images: list[Image]) -> None:
     net = load_network("dgcm-lite0").eval()
-    on_cpu = Refiner(DenseMatcher(TorchEngine(net)), "features").match(*images).matches
+    on_cpu = NetworkMatcher(TorchEngine(net), OPTIONS).match(*images).matches
     with pretended_gpu():
-        matcher = DenseMatcher(_there(net))
-        on_device = Refiner(matcher, "features").match(*images).matches
+        on_device = NetworkMatcher(_there(net), OPTIONS).match(*images).matches
     assert len(on_device) == len(on_cpu) > 50
     np.testing.assert_allclose(on_device.points1, on_cpu.points1, atol=0.01)

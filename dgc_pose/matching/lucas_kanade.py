@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dgc_pose.geometry.sampling import bilinear_at
-from dgc_pose.refinement.consistency import LocalMatches
+from dgc_pose.matching.consistency import LocalMatches
 from dgc_pose.system.threads import in_threads, slices
 
 _ITERATIONS = 8

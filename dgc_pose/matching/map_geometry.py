@@ -7,7 +7,7 @@ import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.sampling import bilinear
-from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
 
 _MATCHABLE = 0.5  # matchability
 _LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale

@@ -12,45 +12,44 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap, PairSearch
+from dgc_pose.matching import CorrespondenceMap
 from dgc_pose.metrics import epipolar_residuals_px
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
-    """A pose with everything that it was computed from.
+class PairResult:
+    """A pose with everything that it was computed from, by `solve_pair`.
 
     Attributes:
-        image1: Image 1, as it was read.
-        image2: Image 2, likewise.
-        camera1: Camera of image 1 that the pose is of, as in `pose`; without a pose, `prior1`.
-        camera2: Camera of image 2, likewise.
+        image1: Image 1.
+        image2: Image 2.
         prior1: Camera of image 1 before the estimation: of the K stated or of EXIF data.
         prior2: Camera of image 2, likewise.
-        correspondence_map: The dense map; None for a matcher that makes none.
         matches: The N matches that the pose was estimated from.
+        correspondence_map: The dense map; None for a matcher that makes none.
         pose: The pose, or why there is none.
     """
 
     image1: Image
     image2: Image
-    camera1: Camera
-    camera2: Camera
     prior1: Camera
     prior2: Camera
-    correspondence_map: CorrespondenceMap | None
     matches: Matches
+    correspondence_map: CorrespondenceMap | None
     pose: RelativePose
 
-    @classmethod
-    def of(cls, search: PairSearch, prior1: Camera, prior2: Camera, pose: RelativePose) -> Trace:
-        """The trace of a pose by `pose_of_pair`, of the cameras before it."""
-        cameras, last = (pose.camera1 or prior1, pose.camera2 or prior2), search.last
-        images, dense = (search.image1, search.image2), last.correspondence_map
-        return cls(*images, *cameras, prior1, prior2, dense, last.matches, pose)
-
     def __repr__(self) -> str:
-        return f"Trace: {self.image1}, {self.image2}\n{self.matches}\n{self.pose}"
+        return f"PairResult: {self.image1}, {self.image2}\n{self.matches}\n{self.pose}"
+
+    @property
+    def camera1(self) -> Camera:
+        """Camera of image 1 that the pose is of; without a pose, `prior1`."""
+        return self.pose.camera1 or self.prior1
+
+    @property
+    def camera2(self) -> Camera:
+        """Camera of image 2, likewise."""
+        return self.pose.camera2 or self.prior2
 
     @property
     def points3d(self) -> np.ndarray:

@@ -21,20 +21,19 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache, LastImages
-from dgc_pose.matching.matcher import CorrespondenceMap
-from dgc_pose.matching.selection import WEAK
-from dgc_pose.matching.view import View
-from dgc_pose.network.config import STRIDE
-from dgc_pose.refinement.cell_consensus import likely_cells
-from dgc_pose.refinement.epipolar_band import EpipolarBand
-from dgc_pose.refinement.map_geometry import (
+from dgc_pose.matching.cache import ImageCache
+from dgc_pose.matching.cell_consensus import likely_cells
+from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
+from dgc_pose.matching.epipolar_band import EpipolarBand
+from dgc_pose.matching.map_geometry import (
     matchable_points,
     points_in_image1,
     rotation_between,
     scale_between,
     window_shown,
 )
+from dgc_pose.matching.view import View
+from dgc_pose.network.config import STRIDE
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.system.threads import in_threads, slices
 
@@ -55,114 +54,111 @@ _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
 
-class FeatureMatches:
-    """Matches of the features of a frozen network, guided by a map.
+def feature_matches(
+    engine: Engine,
+    image1: Image,
+    image2: Image,
+    dense: CorrespondenceMap,
+    cache: ImageCache,
+    long_side: int = LONG_SIDE,
+) -> Matches:
+    """Mutual nearest neighbours of the features, guided by the map; the confidence is their cosine,
+    at least 0.
 
-    long_side: most pixels of the images that features are computed on. cache: of the features, by
-    view and columns and rows of stride 16; None to keep those of the last three images.
+    Features are invariant neither to scale nor to rotation: the images, or the parts that the map
+    shows to match, are resized to one scale, with long sides of about `long_side` pixels, and image
+    2 is rotated as the map shows. cache: of the features, by image, view, and columns and rows of
+    stride 16.
     """
+    first, second = _views(image1, image2, dense, long_side)
+    return _compared(engine, dense, cache, [(first, second, None)])[0]
 
-    def __init__(
-        self, engine: Engine, long_side: int = LONG_SIDE, cache: ImageCache | None = None
-    ) -> None:
-        self.engine = engine
-        self.long_side = long_side
-        self.cache = cache or LastImages()
 
-    def at_scale(
-        self, image1: Image, image2: Image, correspondence_map: CorrespondenceMap
-    ) -> Matches:
-        """Mutual nearest neighbours of the features; the confidence is their cosine, at least 0.
+def guided_matches(
+    engine: Engine,
+    image1: Image,
+    image2: Image,
+    dense: CorrespondenceMap,
+    cache: ImageCache,
+    hypotheses: Sequence[TwoViews],
+) -> list[Matches]:
+    """As `feature_matches`, further matches by each of several comparisons:
 
-        Features are invariant neither to scale nor to rotation: the images, or the parts that the
-        map shows to match, are resized to one scale, with long sides of about `long_side` pixels,
-        and image 2 is rotated as the map shows.
-        """
-        first, second = _views(image1, image2, correspondence_map, self.long_side)
-        return self._matches(correspondence_map, [(first, second, None)])[0]
+    - with one image narrower or lower than it is: a surface that one camera sees from the side and
+      the other from the front becomes alike;
+    - for each of the first hypotheses of the pose, those near its epipolar lines.
+    """
+    first, second = _views(image1, image2, dense, LONG_SIDE)
+    comparisons: list[_Comparison] = []
+    for axis in (0, 1):
+        comparisons.append((first.squeezed(axis), second, None))
+        comparisons.append((first, second.squeezed(axis), None))
+    comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
+    return _compared(engine, dense, cache, comparisons)
 
-    def more(
-        self,
-        image1: Image,
-        image2: Image,
-        correspondence_map: CorrespondenceMap,
-        hypotheses: Sequence[TwoViews],
-    ) -> list[Matches]:
-        """As `at_scale`, further matches by each of several comparisons:
 
-        - with one image narrower or lower than it is: a surface that one camera sees from the side
-          and the other from the front becomes alike;
-        - for each of the first hypotheses of the pose, those near its epipolar lines.
-        """
-        first, second = _views(image1, image2, correspondence_map, self.long_side)
-        comparisons: list[_Comparison] = []
-        for axis in (0, 1):
-            comparisons.append((first.squeezed(axis), second, None))
-            comparisons.append((first, second.squeezed(axis), None))
-        comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
-        return self._matches(correspondence_map, comparisons)
+def _compared(
+    engine: Engine,
+    dense: CorrespondenceMap,
+    cache: ImageCache,
+    comparisons: Sequence[_Comparison],
+) -> list[Matches]:
+    """The matches of each comparison, in pixels of the images."""
+    views = dict.fromkeys(chain(*((first, second) for first, second, _ in comparisons)))
+    # In turn: one image occupies all processors, and memory for one is enough.
+    features = {view: cache.get(view, partial(view.encoded, engine)) for view in views}
 
-    def _matches(
-        self, correspondence_map: CorrespondenceMap, comparisons: Sequence[_Comparison]
-    ) -> list[Matches]:
-        """The matches of each comparison, in pixels of the images."""
-        views = dict.fromkeys(chain(*((first, second) for first, second, _ in comparisons)))
-        # In turn: one image occupies all processors, and memory for one is enough.
-        features = {
-            view: self.cache.get(view, partial(view.encoded, self.engine)) for view in views
-        }
+    def compare(comparison: _Comparison) -> Matches:
+        first, second, hypothesis = comparison
+        seen = (first, features[first]), (second, features[second])
+        return _neighbours(engine, dense, *seen, hypothesis)
 
-        def compare(comparison: _Comparison) -> Matches:
-            first, second, hypothesis = comparison
-            seen = (first, features[first]), (second, features[second])
-            return self._compared(correspondence_map, *seen, hypothesis)
+    return in_threads(compare, comparisons)
 
-        return in_threads(compare, comparisons)
 
-    def _compared(
-        self,
-        correspondence_map: CorrespondenceMap,
-        first: tuple[_Encoded, NativeFeatures],
-        second: tuple[_Encoded, NativeFeatures],
-        hypothesis: TwoViews | None,
-    ) -> Matches:
-        """Mutual nearest neighbours of two views, with a hypothesis those near its epipolar
-        lines."""
-        (image1, view1, _), source = first
-        (image2, view2, _), target = second
-        guided = _guided_cells(correspondence_map, source, target, view1, view2)
-        coarse, middle = None, None
-        if hypothesis is not None:
-            seen = (source, view1), (target, view2)
-            coarse = EpipolarBand(hypothesis, *seen, children=False).all()
-            middle = EpipolarBand(hypothesis, *seen, children=True)
-        candidates = likely_cells(
-            source,
-            target,
-            guided,
-            self.engine.correlation_scales,
-            similar=SIMILAR_CELLS,
-            likely=LIKELY_CELLS,
-            allowed=coarse,
-        )
-        candidates = np.concatenate([candidates, guided], 1)
-        cells1, cells2, cosine = mutual_neighbours(source, target, candidates, middle)
-        fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
-        points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
-        points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
-        inside = within(points1, image1.size) & within(points2, image2.size)
-        inside &= ~(image1.is_masked(points1) | image2.is_masked(points2))
-        area1, area2 = (  # of a cell of stride 4, pixels of the original
-            math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
-            for features, view in ((source, view1), (target, view2))
-        )
-        return Matches(
-            points1[inside],
-            points2[inside],
-            cosine[inside].clip(0, 1),
-            error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
-            weights=self.engine.fingerprint,
-        )
+def _neighbours(
+    engine: Engine,
+    dense: CorrespondenceMap,
+    first: tuple[_Encoded, NativeFeatures],
+    second: tuple[_Encoded, NativeFeatures],
+    hypothesis: TwoViews | None,
+) -> Matches:
+    """Mutual nearest neighbours of two views, with a hypothesis those near its epipolar lines."""
+    (image1, view1, _), source = first
+    (image2, view2, _), target = second
+    guided = _guided_cells(dense, source, target, view1, view2)
+    coarse, middle = None, None
+    if hypothesis is not None:
+        seen = (source, view1), (target, view2)
+        coarse = EpipolarBand(hypothesis, *seen, children=False).all()
+        middle = EpipolarBand(hypothesis, *seen, children=True)
+    candidates = likely_cells(
+        source,
+        target,
+        guided,
+        engine.correlation_scales,
+        similar=SIMILAR_CELLS,
+        likely=LIKELY_CELLS,
+        allowed=coarse,
+    )
+    candidates = np.concatenate([candidates, guided], 1)
+    cells1, cells2, cosine = mutual_neighbours(source, target, candidates, middle)
+    fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
+    points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
+    points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
+    inside = within(points1, image1.size) & within(points2, image2.size)
+    inside &= ~(image1.is_masked(points1) | image2.is_masked(points2))
+    area1, area2 = (  # of a cell of stride 4, pixels of the original
+        math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
+        for features, view in ((source, view1), (target, view2))
+    )
+    return Matches(
+        points1[inside],
+        points2[inside],
+        cosine[inside].clip(0, 1),
+        error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
+        weights=engine.fingerprint,
+    )
 
 
 class _Encoded(NamedTuple):

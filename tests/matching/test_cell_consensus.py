@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.refinement.cell_consensus import likely_cells, propagate
+from dgc_pose.matching.cell_consensus import likely_cells, propagate
 from dgc_pose.runtime.engine import NativeFeatures
 
 
