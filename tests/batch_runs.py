@@ -96,8 +96,8 @@ def killed_after(tasks_done: int) -> Workers:
     return start
 
 
-def result(out: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """The rows and all data sets of a finished batch."""
+def result(out: Path) -> tuple[list[str], dict[str, np.ndarray]]:
+    """The rows, the cameras and all data sets of a finished batch."""
     arrays: dict[str, np.ndarray] = {}
     with h5py.File(out / "matches.h5") as file:
 
@@ -106,11 +106,12 @@ def result(out: Path) -> tuple[str, dict[str, np.ndarray]]:
                 arrays[name] = np.asarray(item)
 
         file.visititems(add)
-    return (out / "pairs.jsonl").read_text(), arrays
+    texts = [p.read_text() for name in ("pairs.jsonl", "cameras.csv") if (p := out / name).exists()]
+    return texts, arrays
 
 
 def assert_same_result(out1: Path, out2: Path) -> None:
-    """The rows and matches of two batches are the same to the bit."""
+    """The rows, cameras and matches of two batches are the same to the bit."""
     (rows1, arrays1), (rows2, arrays2) = result(out1), result(out2)
     assert rows1 == rows2
     assert arrays1.keys() == arrays2.keys()

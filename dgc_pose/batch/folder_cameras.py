@@ -171,7 +171,7 @@ def _agreement(
         if name in row.names and {*row.names} <= {*names}:
             count += _is_ample(row)
             if (fitted := fit_of(row)) is not None:
-                of_pair = fitted.cameras[row.names.index(name)]
+                of_pair = fitted[row.names.index(name)]
                 agreeing += _same_focal(of_pair, camera, _AGREEING_STDS)
     return agreeing, count
 

@@ -49,10 +49,6 @@ class Plan:
         first, second = self.pairs[index]
         return self.names[first], self.names[second]
 
-    def same_files(self, names: Iterable[str], states: Mapping[str, FileState]) -> bool:
-        """Whether the photographs of these names are in these states."""
-        return all(self.states.get(name) == states.get(name) for name in names)
-
 
 def require_own_groups(plan: Plan) -> None:
     """Raise InputError if two pairs would share a group of the matches file."""
@@ -119,7 +115,7 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
         raise InputError(
             f"{now.root / changed[0]} {what} since that batch:", _RESUME, "needs the same"
         )
-    unchanged = [name for name in now.names if now.same_files([name], before.states)]
+    unchanged = [n for n in now.names if now.states.get(n) == before.states.get(n)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     for what in {**old, **new}:
         if old.get(what) != new.get(what):

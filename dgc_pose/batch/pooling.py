@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.rows import FittedCameras, PairRow
+from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds, is_of_part
 from dgc_pose.files.outputs import write_text
@@ -53,9 +53,9 @@ class CameraFit:
     weight: float = 1.0  # the probability that the pair's pose is right
 
 
-def fit_of(row: PairRow) -> FittedCameras | None:
+def fit_of(row: PairRow) -> tuple[Camera, Camera] | None:
     """The cameras that a pair with a pose fits by the assumed camera model."""
-    return row.fitted if row.success and row.camera_model == "assumed" else None
+    return row.fitted_cameras if row.success and row.camera_model == "assumed" else None
 
 
 def is_known(camera: Camera) -> bool:
@@ -219,12 +219,13 @@ def _fits_of(
 ) -> dict[tuple[str, ...], CameraFit]:
     """The fits of a pair's cameras; one camera of both images once."""
     fits: dict[tuple[str, ...], CameraFit] = {}
-    if (fitted := fit_of(row)) is not None:
+    pose, fitted = row.pose, fit_of(row)
+    if fitted is not None and pose is not None and pose.camera_covariance is not None:
         first, second = (shared.get(name, (name,)) for name in row.names)
         between = first != second and max(len(first), len(second)) > 1
-        weight = 1.0 if row.probability is None else row.probability
-        blocks = fitted.covariance[:SIZE, :SIZE], fitted.covariance[SIZE:, SIZE:]
-        for name, camera, block in zip(row.names, fitted.cameras, blocks, strict=True):
+        weight = 1.0 if pose.probability is None else pose.probability
+        blocks = pose.camera_covariance[:SIZE, :SIZE], pose.camera_covariance[SIZE:, SIZE:]
+        for name, camera, block in zip(row.names, fitted, blocks, strict=True):
             if name in shared and not (between and name in inside):
                 value = _parameters(camera) - _parameters(cameras[name])
                 fits[shared[name]] = CameraFit(value, block, weight)

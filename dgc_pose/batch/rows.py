@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,13 +17,6 @@ from dgc_pose.matches import Matches
 # Statuses of pairs that have no estimate: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
-
-
-class FittedCameras(NamedTuple):
-    """The cameras of a pair as they are fitted to it alone."""
-
-    cameras: tuple[Camera, Camera]
-    covariance: np.ndarray  # (12, 12), see `RelativePose.camera_covariance`
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,14 +58,12 @@ class PairRow:
         return None if self.pose is None else self.pose.probability
 
     @property
-    def fitted(self) -> FittedCameras | None:
+    def fitted_cameras(self) -> tuple[Camera, Camera] | None:
         """The cameras as they are fitted to the pair alone; None if they are not fitted."""
         pose = self.pose
         if pose is None or pose.camera1 is None or pose.camera2 is None:
             return None
-        if pose.camera_covariance is None:
-            return None
-        return FittedCameras((pose.camera1, pose.camera2), pose.camera_covariance)
+        return None if pose.camera_covariance is None else (pose.camera1, pose.camera2)
 
     def to_json(self) -> str:
         """A line of strict JSON: the names, and the pose as `RelativePose.to_dict` has it.

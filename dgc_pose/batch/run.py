@@ -2,12 +2,11 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,14 +16,7 @@ from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_sim
 from dgc_pose.batch.plan import Plan, continued, require_own_groups
 from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses, compared
-from dgc_pose.batch.result import (
-    SUMMARY,
-    Batch,
-    read_batch,
-    stored_plan,
-    summary_of,
-    write_files,
-)
+from dgc_pose.batch.result import SUMMARY, Batch, read_batch, stored_plan, summary_of, write_files
 from dgc_pose.batch.rows import FAILED
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import STORE, Source, survey
@@ -95,15 +87,20 @@ def run_batch(
         before = stored_plan(out)
         if before is not None and not options.resume:
             raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
-        plan, again = _first_plan(source, calibration, choice, settings), set[int]()
+        place = {name: i for i, name in enumerate(source.names)}
+        chosen = [(place[a], place[b]) for a, b in source.pairs or ()]
+        if choice is not None:  # none by the images' features, yet
+            chosen = choice.pairs(len(source.names))
+        pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
+        plan = Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
+        again: set[int] = set()
         if before is not None:
             plan = continued(before, plan, out)
+            changed = {n for n in plan.names if plan.states.get(n) != before.states.get(n)}
+            again = {i for i in range(len(plan.pairs)) if changed.intersection(plan.pair(i))}
             with open_store(out) as store:
-                again = {row.index for row in store.rows("matched") if row.status == FAILED}
+                again |= {row.index for row in store.rows("matched") if row.status == FAILED}
                 is_finished = store.summary is not None
-            for index in range(len(plan.pairs)):
-                if not plan.same_files(plan.pair(index), before.states):
-                    again.add(index)
             if is_finished and not again:
                 return read_batch(out)
         limit = options.worker_bytes
@@ -167,22 +164,6 @@ def _folder_alone(out: Path) -> Iterator[None]:
         with suppress(OSError):  # it holds something
             for path in made:
                 path.rmdir()
-
-
-def _first_plan(
-    source: Source,
-    calibration: Calibration,
-    choice: PairChoice | None,
-    settings: Mapping[str, Any],
-) -> Plan:
-    """The plan; without pairs where they are chosen by the images' features."""
-    if choice is not None:
-        chosen = choice.pairs(len(source.names))
-    else:
-        position = {name: i for i, name in enumerate(source.names)}
-        chosen = [(position[a], position[b]) for a, b in source.pairs or ()]
-    pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
-    return Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
 
 
 def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan:

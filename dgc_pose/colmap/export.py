@@ -52,7 +52,7 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
             inliers = pair.matches.subset(pose.inliers)
             arrays = inliers.points1, inliers.points2, inliers.confidence
             of_folder = final[row.name1], final[row.name2]
-            cameras = row.fitted.cameras if row.fitted else of_folder
+            cameras = row.fitted_cameras or of_folder
             geometries.append(PairGeometry(row, cameras, *arrays))
     return geometries
 

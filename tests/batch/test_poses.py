@@ -11,18 +11,18 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 
 
-def _row(first: str, second: str, status: str = "ok", inliers: int = 9) -> PairRow:
+def _row(first, second, status="ok", inliers=9):
     posed = {"R": np.eye(3), "t": np.array([0.0, 0, 1])} if status == "ok" else {}
     kept = np.arange(10) < inliers
-    pose = RelativePose(status, "", kept, 10, **posed)  # type: ignore[arg-type]
+    pose = RelativePose(status, "", kept, 10, **posed)
     return PairRow(first, second, status, "", pose)
 
 
-def _compared(alone: list[PairRow], rows: list[PairRow]) -> list[PairRow]:
+def _compared(alone, rows):
     return [pair.row for pair in compared(map(MatchedPair, rows), alone)]
 
 
-def test_a_photograph_that_most_pairs_show_as_mirrored_has_no_pose_with_others() -> None:
+def test_a_photograph_that_most_pairs_show_as_mirrored_has_no_pose_with_others():
     """m: mirrored in two pairs of three. The others have more poses."""
     alone = [
         _row("a", "m", "mirrored", 0),
@@ -37,13 +37,13 @@ def test_a_photograph_that_most_pairs_show_as_mirrored_has_no_pose_with_others()
     assert (told.num_matches, told.num_inliers, results[3].num_inliers) == (10, 0, 9)
 
 
-def test_photographs_that_are_all_mirrored_keep_the_poses_between_them() -> None:
+def test_photographs_that_are_all_mirrored_keep_the_poses_between_them():
     rows = [_row("a", "c", "mirrored", 0), _row("a", "d", "mirrored", 0), _row("c", "d")]
     rows += [_row("b", "c", "mirrored", 0), _row("b", "d", "mirrored", 0), _row("a", "b")]
     assert _compared(rows, rows) == rows
 
 
-def test_inliers_that_the_cameras_of_the_folder_lose_are_told() -> None:
+def test_inliers_that_the_cameras_of_the_folder_lose_are_told():
     alone = [_row("a", "b"), _row("b", "c"), _row("c", "d", "improbable")]
     rows = [_row("a", "b", inliers=4), _row("b", "c", inliers=5), _row("c", "d", inliers=1)]
     lost, kept, refused = _compared(alone, rows)
@@ -52,13 +52,13 @@ def test_inliers_that_the_cameras_of_the_folder_lose_are_told() -> None:
     assert kept == rows[1] and refused == rows[2]
 
 
-def test_a_pair_without_a_pose_or_of_another_camera_model_fits_no_camera() -> None:
+def test_a_pair_without_a_pose_or_of_another_camera_model_fits_no_camera():
     rows = [_row("a", "b"), _row("a", "c", "improbable"), _row("b", "c")]
     fitted = {"camera1": Camera(np.eye(3)), "camera2": Camera(np.eye(3))}
     for k, row in enumerate(rows):
-        assert row.pose is not None and row.fitted is None
-        pose = replace(row.pose, camera_covariance=np.eye(12), **fitted)  # type: ignore[arg-type]
+        assert row.pose is not None and row.fitted_cameras is None
+        pose = replace(row.pose, camera_covariance=np.eye(12), **fitted)
         rows[k] = replace(row, pose=pose)
     rows[2] = replace(rows[2], camera_model="squeezed")
-    assert all(row.fitted is not None for row in rows)
+    assert all(row.fitted_cameras is not None for row in rows)
     assert [fit_of(row) is not None for row in rows] == [True, False, False]

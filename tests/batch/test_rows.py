@@ -14,7 +14,7 @@ AMBIGUOUS = row_of(("a.jpg", "c.jpg"), ambiguous_pose(), 0.5, 7)
 
 
 @pytest.mark.parametrize("row", [ROW, AMBIGUOUS], ids=["bad", "ambiguous"])
-def test_a_row_comes_back(row: PairRow) -> None:
+def test_a_row_comes_back(row):
     """An ambiguous one has all its poses."""
     text = row.to_json()
     again = parse_row(text, row.index, "rows")
@@ -32,7 +32,7 @@ def test_a_row_comes_back(row: PairRow) -> None:
 @pytest.mark.parametrize(
     "changed", [{"name1": None}, {"status": "fine"}, {"alternatives": [{}]}, {"warnings": 3}]
 )
-def test_what_is_no_row_is_refused(changed: dict[str, object]) -> None:
+def test_what_is_no_row_is_refused(changed):
     data = json.loads(AMBIGUOUS.to_json()) | changed
     data = {key: value for key, value in data.items() if value is not None}
     with pytest.raises(InputError, match="^rows is not a row of a batch"):

@@ -2,8 +2,6 @@
 
 import sqlite3
 from contextlib import closing
-from pathlib import Path
-from typing import Any
 
 import cv2
 import h5py
@@ -12,22 +10,21 @@ import pycolmap
 import pytest
 from ambiguous_pose import ambiguous_pose
 from batch_runs import run_sift, view_folder
-from multi_view import K, K_text, View, render_views
+from multi_view import K, K_text, render_views
 
 from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.result import read_batch
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation import estimate_pose
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.matches import Matches
 
 BROKEN = "broken.png"
 COUNT = 4  # images, one of them broken
 
 
 @pytest.fixture(scope="module")
-def photos(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
+def photos(tmp_path_factory):
     """Four views and an image that is cut short."""
     folder = tmp_path_factory.mktemp("photos")
     views = view_folder(folder, COUNT - 1)
@@ -37,16 +34,14 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
 
 
 @pytest.fixture(scope="module")
-def whole(photos: tuple[Path, list[View]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(photos, tmp_path_factory):
     """An uninterrupted batch over all pairs."""
     out = tmp_path_factory.mktemp("whole") / "out"
     run_sift(photos[0], out)
     return out
 
 
-def test_poses_are_those_of_the_rendered_cameras(
-    photos: tuple[Path, list[View]], whole: Path
-) -> None:
+def test_poses_are_those_of_the_rendered_cameras(photos, whole):
     batch = read_batch(whole)
     assert len(batch.rows) == COUNT * (COUNT - 1) // 2
     for row in batch.rows:
@@ -62,7 +57,7 @@ def test_poses_are_those_of_the_rendered_cameras(
         assert pose.rotation_error_90_deg is not None and pose.num_inliers > 50
 
 
-def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole: Path) -> None:
+def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole):
     batch = read_batch(whole)
     bad = [row for row in batch.rows if BROKEN in (row.name1, row.name2)]
     assert len(bad) == COUNT - 1
@@ -72,7 +67,7 @@ def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole: Path) -> None:
     assert batch.summary["bad_pairs"] == COUNT - 1
 
 
-def test_matches_lie_in_hlocs_layout(whole: Path) -> None:
+def test_matches_lie_in_hlocs_layout(whole):
     """Of each pair, also of bad ones, whose data sets are empty."""
     with h5py.File(whole / "matches.h5") as file:
         for pair in read_batch(whole).pairs():
@@ -84,13 +79,11 @@ def test_matches_lie_in_hlocs_layout(whole: Path) -> None:
     assert group_name("a/b.jpg", "c.jpg") == "a-b.jpg/c.jpg"
 
 
-def test_an_ambiguous_pair_is_counted_and_has_no_geometry(
-    photos: tuple[Path, list[View]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_ambiguous_pair_is_counted_and_has_no_geometry(photos, tmp_path, monkeypatch):
     """Its poses are in the row."""
     first = True
 
-    def some_ambiguous(matches: Matches, *others: Any, **more: Any) -> RelativePose:
+    def some_ambiguous(matches, *others, **more):
         nonlocal first
         if not first:
             return estimate_pose(matches, *others, **more)
@@ -107,7 +100,7 @@ def test_an_ambiguous_pair_is_counted_and_has_no_geometry(
     assert len(exported) == 2 and (ambiguous.name1, ambiguous.name2) not in exported
 
 
-def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_path: Path) -> None:
+def test_a_list_and_a_database_as_source(photos, tmp_path):
     """The pairs of the database, which is left as it is, with the camera that it holds."""
     listed = tmp_path / "list.csv"
     listed.write_text("view0.png,view1.png\nview2.png,view1.png\n")
@@ -141,7 +134,7 @@ def test_a_list_and_a_database_as_source(photos: tuple[Path, list[View]], tmp_pa
     assert database.read_bytes() == before
 
 
-def test_unusable_input(photos: tuple[Path, list[View]], whole: Path, tmp_path: Path) -> None:
+def test_unusable_input(photos, whole, tmp_path):
     database = tmp_path / "no.db"
     database.write_bytes(b"SQLite format 3\0" + b"\0" * 200)
     for source, out, reason in (
@@ -158,7 +151,7 @@ def test_unusable_input(photos: tuple[Path, list[View]], whole: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("turns", [1, 3])
-def test_the_principal_point_of_a_turned_photograph_is_found(tmp_path: Path, turns: int) -> None:
+def test_the_principal_point_of_a_turned_photograph_is_found(tmp_path, turns):
     """Photographs that are cut on the left, one of them turned in a sense that nothing states."""
     photos, cx, cy = tmp_path / "photos", K[0, 2] - 40, K[1, 2]
     photos.mkdir()

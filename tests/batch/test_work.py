@@ -2,14 +2,13 @@
 
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 from batch_runs import view_folder
 from multi_view import SIZE, K
 
-from dgc_pose.batch.rows import MatchedPair, row_of
+from dgc_pose.batch.rows import row_of
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
@@ -25,16 +24,14 @@ CAMERA = Camera(K, SIZE)
 IMAGE_BYTES = 3 * SIZE[0] * SIZE[1] + FEATURE_BYTES
 
 
-def _worker(photos: Path, memory_bytes: int) -> tuple[Worker, list[MatchedPair]]:
+def _worker(photos, memory_bytes):
     """A worker that has matched all pairs."""
     cameras = dict.fromkeys(NAMES, CAMERA)
     worker = Worker(Job(photos, cameras, {}, MatcherOptions(), ESTIMATION, memory_bytes))
     return worker, worker.match(PAIRS)
 
 
-def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(tmp_path, monkeypatch):
     """To the bit, with memory for all images and for hardly one, and matches that are searched
     again as of a pose in doubt."""
     monkeypatch.setattr("dgc_pose.schedule.in_doubt", lambda *arguments: True)
@@ -57,7 +54,7 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
             np.testing.assert_array_equal(pair.matches.points1, alone.matches.points1)
 
 
-def test_a_pose_that_is_estimated_again_has_its_probability(tmp_path: Path) -> None:
+def test_a_pose_that_is_estimated_again_has_its_probability(tmp_path):
     """What is stored of a pair does not state the network that matched it, the job does."""
     view_folder(tmp_path, COUNT)
     camera = replace(CAMERA, focal_std=0.05)

@@ -38,7 +38,7 @@ def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Pa
     (pair,) = pair_geometries(Batch(tmp_path, plan, [fitted.row], {}))
     focals = [camera.focal for camera in pair.cameras]
     assert fitted.row.pose is not None
-    np.testing.assert_allclose(focals, [c.focal for c in fitted.row.fitted.cameras])
+    np.testing.assert_allclose(focals, [c.focal for c in fitted.row.fitted_cameras])
     assert len(pair.points1) > 0.7 * count
     assert epipolar_error_px(pair.row, pair.cameras, pair.points1, pair.points2).max() < 3
     points = pair.points1, pair.points2
