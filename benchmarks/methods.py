@@ -19,7 +19,6 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import NAMES, MatcherOptions
 from dgc_pose.matching import Matcher, NetworkMatcher
-from dgc_pose.matching.cache import ImageCache, image_cache
 from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
@@ -44,9 +43,6 @@ class Method:
     estimation: EstimationOptions
     cameras: CameraTrial
     everywhere: bool = False  # whether every pixel counts, whatever the matchability
-
-
-Matchers = Mapping[MatcherOptions, Matcher]  # by `Method.matcher`
 
 
 def parse_methods(
@@ -92,28 +88,25 @@ def load_matchers(
     device: str,
     runtime: RuntimeName = "auto",
     stored: Mapping[str, FileMatcher] | None = None,
-    keep_features: bool = False,
-) -> Matchers:
-    """Load what the methods match with, each network once.
+) -> list[Matcher]:
+    """Load what each method matches with; a network is read once.
 
-    stored: matchers of stored matches by name. keep_features: whether what is computed of an image
-    serves later pairs of it, so that times are those of a list of pairs.
+    stored: matchers of stored matches by name. Methods share nothing that is computed of an image,
+    so that the seconds of each are its own.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
-    caches: dict[str, ImageCache] = {}
     engines: dict[str, Engine] = {}
-    matchers: dict[MatcherOptions, Matcher] = {}
-    for options in dict.fromkeys(method.matcher for method in methods):
-        name = options.weights
-        if stored and name in stored:
-            matchers[options] = stored[name].selecting(options.matching)
+    matchers: list[Matcher] = []
+    for options in (method.matcher for method in methods):
+        if stored and options.weights in stored:
+            matchers.append(stored[options.weights].selecting(options.matching))
             continue
-        cache = caches.setdefault(name, image_cache()) if keep_features else None
         used = replace(options, device=device, runtime=runtime)
-        matcher = matchers[options] = used.load(cache, engines.get(name))
+        matcher = used.load(engine=engines.get(options.weights))
         if isinstance(matcher, NetworkMatcher):
-            engines[name] = matcher.engine
+            engines[options.weights] = matcher.engine
+        matchers.append(matcher)
     return matchers
 
 

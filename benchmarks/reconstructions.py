@@ -9,7 +9,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
@@ -18,9 +17,9 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.benchmarks.metrics import folded, pose_auc
-from dgc_pose.cameras.calibration import Calibration, read_calibration
+from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.colmap.database import colmap_camera
@@ -29,8 +28,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, SparseModel, reconstruct, sparse_model
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced, require_no_input, writing
-from dgc_pose.images.image import image_size, load_image, resize_by
+from dgc_pose.images.image import image_size
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -55,24 +53,6 @@ COLUMNS = {  # of the table
     "pooled f off %": "{0.pooled_focal_percent:.3f}",
     "seconds": "{0.seconds:.0f}",
 }
-
-
-def resized(views: PosedModel, scale: float, folder: Path) -> PosedModel:
-    """Copies of the images by area means, as PNG in `folder`, with their cameras.
-
-    Raises InputError if a copy would replace an image; OSError if it cannot be written.
-    """
-    copies = {name: str(Path(name).with_suffix(".png")) for name in views.cameras}
-    images = [views.root / name for name in copies]
-    require_no_input([folder / copy for copy in copies.values()], images)
-    cameras = {}
-    for name, copy in copies.items():
-        small = resize_by(load_image(views.root / name).pixels, scale)
-        (folder / copy).parent.mkdir(parents=True, exist_ok=True)
-        with replaced(folder / copy) as stage, writing(stage):
-            stage.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
-        cameras[copy] = views.cameras[name].resized((small.shape[1], small.shape[0]))
-    return PosedModel(folder, cameras, {copies[name]: views.poses[name] for name in copies})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -278,22 +258,6 @@ def views_of_list(path: Path, folder: Path) -> PosedModel:
         for name, camera in sorted(cameras.items())
     }
     return PosedModel(folder, sized, {name: pose[:3] for name, pose in poses.items()})
-
-
-def views_of_dtu(calibration: Path, folder: Path) -> PosedModel:
-    """The images `rect_NNN_...` of a scene of DTU with the matrices `pos_NNN.txt`; millimetres.
-
-    Raises InputError if there is no such image, or a matrix is missing or malformed.
-    """
-    cameras, poses = {}, {}
-    for path in sorted(folder.glob("rect_[0-9][0-9][0-9]*")):
-        position = path.name.split("_")[1]
-        view = read_projection(calibration / f"pos_{position}.txt")
-        cameras[path.name] = Camera(view.K, image_size(path))
-        poses[path.name] = np.column_stack([view.R, view.t])
-    if len(poses) < 2:
-        raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
-    return PosedModel(folder, cameras, poses)
 
 
 def _relative(path: Path, folder: Path) -> str:

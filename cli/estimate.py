@@ -11,8 +11,8 @@ import click
 import numpy as np
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import STDOUT, OutputFile
-from dgc_pose.cli.options import CameraChoice, MaskChoice
+from dgc_pose.cli.guard import STDOUT
+from dgc_pose.cli.options import CameraChoice, MaskChoice, output_file
 from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
 from dgc_pose.cli.process import say
 from dgc_pose.estimation import EstimationOptions
@@ -29,10 +29,6 @@ if TYPE_CHECKING:
 NO_POSE = 3  # exit code if there is no pose
 
 
-def file_option(help: str, metavar: str, **kind: bool) -> Any:
-    return option(None, help, metavar=metavar, type=OutputFile(**kind))
-
-
 def _number(default: float, help: str, least: float, most: float) -> Any:
     return option(default, help, metavar="N", section="advanced", min=least, max=most)
 
@@ -41,12 +37,12 @@ def _number(default: float, help: str, least: float, most: float) -> Any:
 class Outputs:
     """The files to write."""
 
-    json: str | None = file_option("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
-    matches: str | None = file_option("Write the matches and which are inliers.", "PATH.npz")
-    plot: str | None = file_option("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
+    json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
+    matches: str | None = output_file("Write the matches and which are inliers.", "PATH.npz")
+    plot: str | None = output_file("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
     plot_width: float = _number(10.0, "Width of --plot, inches; text keeps its size.", 6, 20)
     plot_dpi: int = _number(200, "Pixels to an inch of --plot.", 50, 600)
-    ply: str | None = file_option(
+    ply: str | None = output_file(
         "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
         "without a pose.",
         "PATH.ply",
@@ -100,6 +96,9 @@ def estimate(
         say(f"{name} is not stated: the focal length is estimated (--{name} auto)")
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (result.prior1, result.prior2)))
+        for number, image in enumerate((result.image1, result.image2), start=1):
+            if (turn := image.exif.orientation) != 1:
+                click.echo(f"image {number}: EXIF orientation {turn} is applied to it")
     else:
         click.echo(data, nl=False)
         if not pose.success:
@@ -122,7 +121,6 @@ def solved(
     image1 = masked(load_image(path1), masks.mask1, "mask1")
     image2 = masked(load_image(path2), masks.mask2, "mask2")
     camera1, camera2 = cameras.resolve(image1, image2)
-    image1, image2 = image1.oriented(camera1.orientation), image2.oriented(camera2.orientation)
     from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
 
     loaded = matcher.load()

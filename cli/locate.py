@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, file_option
-from dgc_pose.cli.guard import STDOUT, OutputFolder
-from dgc_pose.cli.options import KChoice
-from dgc_pose.cli.output import row_lines
+from dgc_pose.cli.estimate import NO_POSE
+from dgc_pose.cli.guard import STDOUT
+from dgc_pose.cli.options import KChoice, output_file, output_folder
+from dgc_pose.cli.output import closing_lines, row_lines
 from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.errors import ArgumentName, InputError, printable
@@ -47,17 +47,16 @@ class Place:
         "matched.",
         metavar="DIR",
     )
-    json: str | None = file_option(
+    json: str | None = output_file(
         "Write the locations as JSON, by photograph; - for stdout.", "PATH|-", stdout=True
     )
-    plot: str | None = file_option(
+    plot: str | None = output_file(
         "Draw a single photograph's place and matches with references.", "PATH.png", picture=True
     )
-    add: Path | None = option(
-        None,
-        "Write the model with the located photographs, as COLMAP's.",
-        metavar="DIR",
-        type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
+    add: Path | None = output_folder(
+        *("cameras.bin", "images.bin", "points3D.bin"),
+        help="Write the model with the located photographs, as COLMAP's.",
+        default=None,
     )
 
 
@@ -131,9 +130,8 @@ def location_text(photo: str, location: Location) -> str:
         lines.append(f"  t  {row_lines(location.t)[0]}")
         lines.append(f"  centre  {row_lines(location.centre)[0]}")
     if location.direction is not None:
-        lines.append(
-            f"  direction from {location.direction_from}  {row_lines(location.direction)[0]}"
-        )
+        direction = row_lines(location.direction)[0]
+        lines.append(f"  direction from {location.direction_from}  {direction}")
     rotation, position = location.rotation_error_90_deg, location.position_error_90
     if rotation is not None and position is not None:
         lines.append(
@@ -146,6 +144,4 @@ def location_text(photo: str, location: Location) -> str:
         lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
     used = [reference.name for reference in location.references if reference.agrees]
     lines.append(f"references: {len(used)} of {len(location.references)} agree: {', '.join(used)}")
-    lines += [f"warning: {warning}" for warning in location.warnings]
-    lines.append(", ".join(f"{part} {value:.2f} s" for part, value in location.seconds.items()))
-    return "\n".join(map(printable, lines))
+    return "\n".join(map(printable, lines + closing_lines(location.warnings, location.seconds)))

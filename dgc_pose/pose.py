@@ -15,7 +15,7 @@ from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import Image, flipped, load_image
 from dgc_pose.images.mask import masked
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult, NetworkMatcher
@@ -48,12 +48,13 @@ def estimate_relative_pose(
     mask2: MaskSource = None,
     scale: ScaleSource | None = None,
 ) -> RelativePose:
-    """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
+    """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale. It is of
+    the upright images: an EXIF orientation is applied.
 
     image1, image2: paths, arrays (H, W[, 3]) in RGB order, or tensors. K1, K2: 3x3 matrices in
     pixels of those images, (0, 0) the centre of the top-left pixel, or fx, fy, cx, cy; or
     `Camera`s, which may have lens distortion; or texts and files as of --K. Without K2, K1 serves
-    for both. fov: in place of a K, the horizontal field of view of both upright images, degrees.
+    for both. fov: in place of a K, the horizontal field of view of both images, degrees.
     matcher: by default `load_matcher()`, the shipped network with refinement; a name is loaded for
     this pair. scale: what determines the length of t. Without a pose, `success` is False and
     `reason` says why. `solve_pair` returns the map and the matches too.
@@ -77,10 +78,6 @@ def estimate_relative_pose(
     first, second = masked(first, mask1, "mask1"), masked(second, mask2, "mask2")
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     cameras = pair_cameras(K1, K, first, second, ("K1", name), fov=fov)
-    first, second = (
-        first.oriented(cameras[0].orientation),
-        second.oriented(cameras[1].orientation),
-    )
     check_type(matcher, Matcher | str | Path | None, "matcher")
     matcher = DEFAULT_WEIGHTS if matcher is None else matcher
     matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
@@ -108,7 +105,7 @@ def solve_pair(
     scale = ScaleSource() if scale is None else scale
     check_type(options, EstimationOptions, "options")
     check_type(scale, ScaleSource, "scale")
-    depths = scale.maps((image1, image2), cameras)
+    depths = scale.maps((image1, image2))
     pose, found = None, None
     seconds: dict[str, float] = {}
     estimating = 0.0
@@ -172,9 +169,9 @@ def _mirrored(
     The mirror image is flipped left to right, or top to bottom if the pose is upside down.
     """
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
-    flipped = image2.oriented(4 if flips else 2)
-    result = matcher.coarse(image1, flipped)
-    matcher.forget(flipped)  # no other pair has it
+    mirror_image = flipped(image2, 0 if flips else 1)
+    result = matcher.coarse(image1, mirror_image)
+    matcher.forget(mirror_image)  # no other pair has it
     if result is None:
         return None
     K = cameras[1].K.copy()
@@ -182,14 +179,14 @@ def _mirrored(
         K[:2, 1:] = [[-K[0, 1], K[0, 2]], [K[1, 1], image2.size[1] - 1 - K[1, 2]]]
     else:
         K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
-    of_flipped = estimate_pose(
+    of_mirror_image = estimate_pose(
         result.matches,
         cameras[0],
         replace(cameras[1], K=K),
         options,
         map_matches=result.map_matches,
     )
-    probability = (of_flipped.probability or 0.0) if of_flipped.success else 0.0
+    probability = (of_mirror_image.probability or 0.0) if of_mirror_image.success else 0.0
     if probability < max(LIKELY, pose.any_probability or 0.0):
         return None
     reason = (

@@ -12,9 +12,7 @@ from dgc_pose.benchmarks.files import finite_data, split_names, table
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
-    resized,
     run_method,
-    views_of_dtu,
     views_of_list,
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -34,12 +32,12 @@ class ReconstructBenchOptions:
     out: Path = option(
         help="Folder of the results; created if missing.",
         metavar="DIR",
-        type=OutputFolder("summary.json", "images", path_type=Path),
+        type=OutputFolder("summary.json", path_type=Path),
     )
     truth: Path = option(
         help="True cameras: a list of pairs in SuperGlue's format, whose translations have one "
-        "unit, or DTU's folder Calibration/cal18.",
-        metavar="LIST|DIR",
+        "unit, as that of dtu-pairs.",
+        metavar="LIST",
     )
     k: WithheldCameras | None = option(
         None, "Withhold K, as for reconstruct without one.", flag="--K"
@@ -50,9 +48,6 @@ class ReconstructBenchOptions:
         "pipeline over all pairs.",
     )
     pairs: str = option("exhaustive", "As for batch.")
-    scale: float = option(
-        1.0, "Resize the images by this; 0.5 leaves a quarter of the pixels.", above=0, max=1
-    )
 
 
 @click.command()
@@ -75,10 +70,10 @@ def bench_reconstruct(
     mean error of the model's focal lengths, "pooled f off" of those that all pairs give together;
     AUC@5 is of the pairs' poses. All methods map with the same options.
     """
-    out, truth, scale = bench.out, bench.truth, bench.scale
+    out, truth = bench.out, bench.truth
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of images")
-    views = views_of_dtu(truth, folder) if truth.is_dir() else views_of_list(truth, folder)
+    views = views_of_list(truth, folder)
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
     mapping = replace(reconstruction.mapping, mapper_threads=work.worker_count)
@@ -86,8 +81,6 @@ def bench_reconstruct(
     setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k
     out.mkdir(parents=True, exist_ok=True)
     scores = []
-    if scale != 1:
-        views = resized(views, scale, out / "images")  # a later --resume reads them again
     for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)

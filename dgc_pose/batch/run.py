@@ -23,7 +23,7 @@ from dgc_pose.batch.source import STORE, Source, survey
 from dgc_pose.batch.store import BatchStore, open_store
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker
 from dgc_pose.batch.workers import Run, local_workers, ray_workers
-from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes

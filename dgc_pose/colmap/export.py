@@ -1,16 +1,21 @@
 """From a finished batch to a COLMAP database."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from dgc_pose.batch.result import Batch
+from dgc_pose.batch.rows import PairRow
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
+from dgc_pose.geometry.pixels import exif_turn, turn_points
+from dgc_pose.images.image import image_header
 from dgc_pose.images.store import ImageStore
 
 
@@ -60,10 +65,19 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
 def write_shared(
     batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
 ) -> Exported:
-    """Write the database of shared key points, over what is there."""
-    plan = batch.plan
-    rows = {pair.names: pair.row for pair in pairs}
-    write_database(database, plan.names, plan.final_cameras, shared, rows)
+    """Write the database of shared key points, over what is there: of the pixels as stored, which
+    COLMAP reads."""
+    plan, cameras, key_points = batch.plan, dict(batch.plan.final_cameras), dict(shared.key_points)
+    turns = {}
+    for name, camera in plan.final_cameras.items():
+        header = image_header(plan.root / name)
+        turn = turns[name] = exif_turn(header.exif.orientation).T
+        cameras[name] = camera.turned(turn, header.size)
+        if name in key_points:
+            key_points[name] = turn_points(key_points[name], turn, header.size)
+    rows = {pair.names: _as_stored(pair.row, turns) for pair in pairs}
+    stored = SharedMatches(key_points, shared.pairs)
+    write_database(database, plan.names, cameras, stored, rows)
     return Exported(
         images=sum(len(points) > 0 for points in shared.key_points.values()),
         key_points=sum(map(len, shared.key_points.values())),
@@ -71,3 +85,13 @@ def write_shared(
         matches=sum(map(len, shared.pairs.values())),
         tracks_by_length=dict(sorted(Counter(shared.track_lengths().tolist()).items())),
     )
+
+
+def _as_stored(row: PairRow, turns: Mapping[str, np.ndarray]) -> PairRow:
+    """A row whose pose is of the pixels as stored. turns: (2, 2) from the upright images."""
+    turn1, turn2 = (np.pad(turns[name], (0, 1)) for name in row.names)
+    turn1[2, 2] = turn2[2, 2] = 1
+    pose = row.pose
+    assert pose is not None and pose.R is not None  # by its status
+    t = None if pose.t is None else turn2 @ pose.t
+    return replace(row, pose=replace(pose, R=turn2 @ pose.R @ turn1.T, t=t))

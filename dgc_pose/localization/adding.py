@@ -5,13 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.camera import QUARTERS, Camera
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import colmap_camera
 from dgc_pose.colmap.reconstruction import require_model_folder
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced_folder
-from dgc_pose.images.image import image_header, image_size
+from dgc_pose.geometry.pixels import exif_turn
+from dgc_pose.images.image import image_header
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.model import PosedModel
 from dgc_pose.system.colmap_library import pycolmap
@@ -28,16 +29,16 @@ def extensible(out: Path, model: PosedModel, paths: Sequence[str]) -> pycolmap.R
     if model.files is None:
         reconstruction = pycolmap.Reconstruction()
         for name, pose in model.poses.items():
-            _add(reconstruction, name, model.cameras[name], pose)
+            _add(reconstruction, name, model.root / name, model.cameras[name], pose)
     else:
         with read_as("a COLMAP model", model.files):
             reconstruction = pycolmap.Reconstruction(model.files)
     names = {image.name for image in reconstruction.images.values()}
     for path in paths:
-        name, orientation = Path(path).name, image_header(Path(path)).orientation
+        name, orientation = Path(path).name, image_header(Path(path)).exif.orientation
         if name in names:
             raise InputError(ArgumentName("add"), f"has an image {name} already, not {path} too")
-        if orientation not in QUARTERS:
+        if np.linalg.det(exif_turn(orientation)) < 0:
             raise InputError(
                 f"{path}: by EXIF orientation {orientation} its pixels are a mirror image"
             )
@@ -52,19 +53,26 @@ def write_model_with(
     COLMAP's binary files: each with a camera of its own, of its pixels as stored, and without
     points. Raises InputError if COLMAP cannot hold a camera."""
     for path, location in locations.items():
-        upright, camera = location.cam_from_world, location.camera
-        if upright is not None and camera is not None:
-            as_stored, turn = camera.as_stored(image_size(path), camera.orientation)
-            _add(model, Path(path).name, as_stored, turn @ upright)
+        pose, camera = location.cam_from_world, location.camera
+        if pose is not None and camera is not None:
+            _add(model, Path(path).name, Path(path), camera, pose)
     with replaced_folder(out) as folder:
         model.write_binary(folder)
 
 
 def _add(
-    reconstruction: pycolmap.Reconstruction, name: str, camera: Camera, pose: np.ndarray
+    reconstruction: pycolmap.Reconstruction,
+    name: str,
+    path: Path,
+    camera: Camera,
+    pose: np.ndarray,
 ) -> None:
-    """Add an image with a camera of its own."""
-    added = colmap_camera(camera, name)
+    """Add an image with a camera of its own, of its pixels as stored. camera, pose: of the upright
+    image."""
+    header = image_header(path)
+    turn = exif_turn(header.exif.orientation).T
+    pose = np.concatenate([turn @ pose[:2], pose[2:]])
+    added = colmap_camera(camera.turned(turn, header.size), name)
     added.camera_id = max(reconstruction.cameras, default=0) + 1
     reconstruction.add_camera_with_trivial_rig(added)
     image = pycolmap.Image(name=name, camera_id=added.camera_id)

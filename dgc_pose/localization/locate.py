@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.batch.pair_choice import similarity
-from dgc_pose.cameras.calibration import KDetails, image_camera
+from dgc_pose.cameras.by_image import KDetails
+from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -91,7 +92,6 @@ class Locator:
         image = masked(image, mask_file(self.masks, Path(image.name).name))
         names, warnings = self._references(image, left_out)
         camera = image_camera(K, image, "K", details or KDetails())
-        image = image.oriented(camera.orientation)
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
         self.describe()

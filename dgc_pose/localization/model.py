@@ -9,21 +9,22 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import with_orientation
+from dgc_pose.cameras.upright import orientation_of
 from dgc_pose.colmap.database import HALF_PIXEL
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as
+from dgc_pose.geometry.pixels import exif_turn, turn_points
 from dgc_pose.geometry.rotation import is_rotation
-from dgc_pose.images.image import image_header
+from dgc_pose.images.image import image_header, size_in_file
 from dgc_pose.system.colmap_library import pycolmap
 
 
 @dataclass(frozen=True, eq=False)
 class PosedModel:
-    """Images of one folder with their cameras and poses, all in one frame and unit.
+    """Upright images of one folder with their cameras and poses, all in one frame and unit.
 
     Attributes:
         root: Folder of the image names.
@@ -79,7 +80,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
         raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
-    cameras, poses = {}, {}
+    cameras, poses, points, observed = {}, {}, {}, _observations(path)
     for stated, name in names.items():
         pose = file.poses[stated]
         if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
@@ -87,13 +88,18 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
         if name is not None:
             header = image_header(root / name)
             stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
-            camera = replace(calibration, by_name=stated_camera).camera(root, name, header)
-            exact = with_orientation(camera, header).as_exact()
-            cameras[name] = replace(exact, size=header.size)  # the poses are of these
-            poses[name] = pose
-    points = {
-        name: seen for stated, seen in _observations(path).items() if (name := names.get(stated))
-    }
+            of_image = replace(calibration, by_name=stated_camera)
+            camera = of_image.camera(root, name, header)
+            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses are of these
+            # A model of the pixels as stored is turned with them.
+            K = of_image.stated(root, name)
+            turn = exif_turn(1 if K is None else orientation_of(K, header))
+            if np.linalg.det(turn) < 0:
+                raise InputError(f"{root / name}: its pixels as stored are a mirror image, by EXIF")
+            poses[name] = np.concatenate([turn @ pose[:2], pose[2:]])
+            if stated in observed:
+                xyz, xy = observed[stated]
+                points[name] = xyz, turn_points(xy, turn, size_in_file(header))
     warnings = (f"{root} lacks {count} of {path}",) if missing else ()
     return PosedModel(root, cameras, poses, points, warnings, path if path.is_dir() else None)
 

@@ -14,7 +14,7 @@ from dgc_pose.matching.warp import warp_image
 from dgc_pose.pair_result import PairResult
 from dgc_pose.pose import solve_pair
 from dgc_pose.scene import pose_scene
-from dgc_pose.serve.cameras import CameraRequest, command, python_text
+from dgc_pose.serve.cameras import command, python_text, requested_cameras
 from dgc_pose.serve.images import StoredImage, shrunk
 
 SHOWN_MATCHES = 3000  # more would slow the page down
@@ -34,25 +34,23 @@ class Estimator:
         report: Callable[[str], None],
         stored1: StoredImage,
         stored2: StoredImage,
-        request: CameraRequest,
+        camera: object,
     ) -> dict[str, Any]:
         """The pose and what the page shows of it, as values of JSON.
 
-        report: takes what is being done, for people; what it raises ends the work.
+        report: takes what is being done, for people; what it raises ends the work. camera: as of
+        `requested_cameras`.
         """
         report("reading the images")
         image1, image2 = (
-            replace(load_image(stored.path, upright=True), name=stored.name)
-            for stored in (stored1, stored2)
+            replace(load_image(stored.path), name=stored.name) for stored in (stored1, stored2)
         )
-        cameras = request.resolve(image1, image2)
-
+        cameras, texts = requested_cameras(camera, image1, image2)
         report("matching and estimating the pose")
         result = solve_pair(image1, image2, cameras, self.matcher)
         report("drawing")
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
-        texts = request.texts(cameras)
         return {
             "pose": result.pose.to_dict(),
             "reason": result.pose.reason,

@@ -30,14 +30,13 @@ def plot_location(model: PosedModel, photo: str, location: Location) -> Figure:
     both = location.rotation_error_90_deg or 0, location.position_error_90 or 0
     error = "R within {:.2f}°, centre within {:.2g}, nine times in ten if it is right".format(*both)
     figure.suptitle(f"{Path(photo).name}: {error if location.success else location.reason}")
-    image = load_image(photo).oriented(location.camera.orientation if location.camera else 1)
+    image = load_image(photo)
     used = [reference for reference in location.references if reference.agrees]
     best = sorted(used or location.references, key=lambda r: -r.inliers.sum())[:2]
     for row, reference in enumerate(best):
         matches = reference.matches.subset(reference.inliers)
         drawn = matches.subset(spread(matches.points2, matches.confidence, image.size, _DRAWN))
-        orientation = model.cameras[reference.name].orientation
-        pixels = load_image(model.root / reference.name).oriented(orientation).pixels
+        pixels = load_image(model.root / reference.name).pixels
         panel = figure.add_subplot(grid[row, 1])
         draw_matches(panel, pixels, image.pixels, drawn.points1, drawn.points2, drawn.confidence)
         count = f"{len(matches)} of {len(reference.matches)} matches agree"

@@ -35,7 +35,7 @@ def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit:
 
     def shown(name: str) -> dict[str, Any]:
         pose, camera = model.poses[name], model.cameras[name]
-        image = load_image(model.root / name).oriented(camera.orientation)
+        image = load_image(model.root / name)
         turned = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
         return _pictured(scene_camera(Path(name).stem, camera.K, image.size, turned), image)
 

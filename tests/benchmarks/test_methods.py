@@ -40,7 +40,7 @@ def test_names_stand_for_methods() -> None:
         (["dis:runs=many"], [], "runs cannot be 'many'"),
         (["sift:refine=map"], [], "refine=map needs the features of a network"),
         (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
-        (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
+        (["net:matchability=2"], [], "net:matchability=2: matchability must be at"),
     ],
 )
 def test_names_that_stand_for_none(names, stored, reason) -> None:
@@ -84,20 +84,12 @@ def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
     assert methods[1].estimation.runs == 2
 
 
-def test_a_matcher_is_loaded_once() -> None:
-    methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
+def test_a_network_is_read_once_for_all_methods() -> None:
+    names = ["dgcm-lite0", "mine", "dgcm-lite0:finest=60", "dis/all"]
     mine = FileMatcher("mine", {})
-    loaded = load_matchers(methods, device="cpu", stored={"mine": mine})
-    assert [options.weights for options in loaded] == ["dis", "mine"]
-    assert loaded[methods[2].matcher].name == "mine"
+    methods = parse_methods(names, stored=["mine"])
+    network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": mine})
+    assert other.engine is network.engine is not None and other is not network
+    assert (stored.name, dis.name) == ("mine", "dis")
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
         load_matchers(parse_methods(["nowhere"]), device="cpu")
-
-
-def test_a_network_is_read_once_for_all_its_passes() -> None:
-    names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
-    methods = parse_methods(names)
-    loaded = load_matchers(methods, device="cpu", keep_features=True)
-    assert len(loaded) == 3
-    refined, coarse, plain = (loaded[method.matcher] for method in methods)
-    assert coarse.engine is plain.engine is refined.engine is not None

@@ -256,10 +256,10 @@ def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
         (("--K", "nosuch.txt"), "nosuch.txt"),
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
-        (("--plot-width", "5.9"), "--plot-width must lie in [6, 20]"),
-        (("--plot-dpi", "601"), "--plot-dpi must lie in [50, 600]"),
+        (("--plot-width", "5.9"), "'--plot-width': 5.9 is not in the range 6<=x<=20"),
+        (("--plot-dpi", "601"), "'--plot-dpi': 601 is not in"),
         (("--matches", "p.json"), "same file"),
-        (("--matchability", "1.5"), "--matchability must lie in"),
+        (("--matchability", "1.5"), "'--matchability': 1.5 is not in"),
         (("--device", "cuda"), "cuda"),
     ],
 )

@@ -131,18 +131,16 @@ def _make_weights(folder):
 def _make_matches(folder):
     """A folder of each format, as `--matches` takes them."""
     flow = np.random.default_rng(0).normal(size=(30, 40, 2)).astype(np.float32)
-    for name in ("flo", "npy", "flow", "map", "points", "kitti"):
+    for name in ("flo", "npy", "flow", "map", "points"):
         (folder / name).mkdir()
     cv2.writeOpticalFlow(str(folder / "flo/pair.flo"), flow)
     np.save(folder / "npy/pair.npy", flow)
-    np.savez(folder / "flow/pair.npz", flow=flow, certainty=np.ones((30, 40)))
+    np.savez(folder / "flow/pair.npz", flow=flow, matchability=np.ones((30, 40)))
     grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(30.0)), -1)
     maps = {"map": grid + 1, "grid": grid, "matchability": np.ones((30, 40))}
     np.savez_compressed(folder / "map/pair.npz", **maps)
     points = {"points1": grid.reshape(-1, 2), "points2": grid.reshape(-1, 2), "error_px": 1.0}
     np.savez(folder / "points/pair.npz", **points, confidence=np.ones(1200), key_points=True)
-    kitti = np.dstack([np.ones((30, 40)), flow[..., ::-1] * 64 + 2**15]).astype(np.uint16)
-    cv2.imwrite(str(folder / "kitti/pair.png"), kitti)
 
 
 def _read_matches(path):

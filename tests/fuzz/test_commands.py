@@ -27,7 +27,6 @@ _NUMBERED = click.types.IntParamType | click.types.FloatParamType
 K = ("--K", dense_scene.K_TEXT)
 ESTIMATE = ("estimate", "one.png", "two.png", "--weights", "sift", "--runs", "1")
 BATCH = ("--pairs", "sequential:1", *K, "--workers", "1", "--runs", "1", "--weights", "sift")
-BENCH = ("bench-pairs", "pairs.txt", "--methods", "sift", "--limit", "1", "--runs", "1")
 # A command line that would succeed, but for what a case changes.
 BASES = {
     "estimate": (*ESTIMATE[1:], *K),
@@ -83,7 +82,6 @@ def files(tmp_path_factory):
     os.mkfifo(folder / "fifo")
     (folder / "loop").symlink_to("loop")
     (folder / "link").symlink_to("one.png")
-    os.link(folder / "pairs.txt", folder / "hard.json")
     return folder, contents(folder)
 
 
@@ -109,6 +107,7 @@ def test_every_number_option_has_a_range(folder):
             assert_refused(run(*words))
 
 
+MATCH = ("match", "one.png", "two.png")
 RECONSTRUCT = ("reconstruct", "batch", "--out", ".", *K)
 EXPORT = ("export-colmap", "batch", "--overwrite")
 
@@ -119,9 +118,7 @@ EXPORT = ("export-colmap", "batch", "--overwrite")
         ((*ESTIMATE, *K, "--overwrite", "--matches", "one.png"), "would be lost"),
         ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "would be lost"),
         ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
-        ((*BENCH, "--overwrite", "--methods", "junk:runs=1", "--json", "junk"), "would be lost"),
-        ((*BENCH, "--overwrite", "--json", "hard.json"), "would be lost"),
-        ((*BENCH, "--overwrite", "--json", "one.png"), "would be lost"),
+        ((*MATCH, "--overwrite", "--weights", "junk.pth", "--out", "junk.pth"), "would be lost"),
         ((*EXPORT, "--database", "batch/matches.h5"), ""),
         ((*EXPORT, "--database", "views/one.png"), ""),
         ((*EXPORT, "--hloc", "batch"), ""),

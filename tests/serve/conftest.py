@@ -27,7 +27,7 @@ def pictures(tmp_path_factory):
 
 
 @pytest.fixture
-def open_page(browser, pictures, tmp_path):
+def open_page(browser, pictures, tmp_path, monkeypatch):
     """Gives what opens the page of a server with a matcher, which keeps so many images."""
 
     @contextmanager
@@ -39,8 +39,9 @@ def open_page(browser, pictures, tmp_path):
             bound.listen()
             port = bound.getsockname()[1]
             settings = {"token": "t", "hosts": local_hosts(port)}
-            settings["options"] = ServeOptions(images=images)
+            settings["options"] = ServeOptions()
             example = [(Path(path), dense_scene.K_TEXT) for path in pictures]
+            monkeypatch.setattr("dgc_pose.serve.app.IMAGES", images)
             server = Server(Estimator(matcher, None), example, folder, **settings)
             web = uvicorn.Server(uvicorn.Config(server.app, log_level="warning"))
             thread = threading.Thread(target=web.run, kwargs={"sockets": [bound]})

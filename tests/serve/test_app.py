@@ -22,14 +22,14 @@ from dgc_pose.serve import app
 from dgc_pose.serve.app import Server
 from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.guard import TOKEN_HEADER, local_hosts
-from dgc_pose.serve.options import ServeOptions
+from dgc_pose.serve.options import IMAGES, ServeOptions
 
 K_FILE = "\n".join(" ".join(map(str, row)) for row in dense_scene.K.tolist())
 PINHOLE = "PINHOLE,320,240,300,300,160,120"
 TOKEN = "a-token"
 PORT = 8000
 HOST = f"127.0.0.1:{PORT}"
-OPTIONS = ServeOptions(max_megabytes=0.5, max_megapixels=1, decode_seconds=5, images=8)
+OPTIONS = ServeOptions(max_megabytes=0.5, max_megapixels=1)
 
 
 def in_base64(text):
@@ -162,10 +162,8 @@ def test_a_portrait_is_upright(client):
 
 
 def test_only_the_last_images_are_kept(client, folder):
-    first, *_, last = [
-        send(client, encoded(".png")).json()["id"] for _ in range(OPTIONS.images + 1)
-    ]
-    assert len(list(folder.iterdir())) == OPTIONS.images
+    first, *_, last = [send(client, encoded(".png")).json()["id"] for _ in range(IMAGES + 1)]
+    assert len(list(folder.iterdir())) == IMAGES
     body = {"image1": first, "image2": last, "camera": {"kind": "auto"}}
     answer = client.post("/poses", json=body)
     assert answer.status_code == 410  # by which the page sends it again
@@ -206,7 +204,7 @@ def test_hostile_uploads_leave_the_server_as_it_was(client, folder, data):
     assert answer.status_code in (200, 422), answer.text
     if answer.status_code != 200:
         assert answer.text and "\n" not in answer.text and str(folder) not in answer.text
-    assert len(list(folder.iterdir())) <= OPTIONS.images
+    assert len(list(folder.iterdir())) <= IMAGES
     assert send(client, encoded(".png", SMALL)).status_code == 200
 
 

@@ -10,7 +10,6 @@ import pytest
 from PIL import Image
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.serve.cameras import CameraRequest
 from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.images import StoredImage
 
@@ -18,7 +17,7 @@ from dgc_pose.serve.images import StoredImage
 @pytest.fixture(scope="module")
 def result(pictures, map_matcher):
     stored = [StoredImage(path, path) for path in pictures]
-    request = CameraRequest("k", dense_scene.K_TEXT)
+    request = {"kind": "k", "k1": dense_scene.K_TEXT}
     return Estimator(map_matcher, None).estimate(lambda text: None, *stored, request)
 
 
