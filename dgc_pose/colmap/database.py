@@ -12,7 +12,7 @@ from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.colmap.shared import Names, SharedMatches
 from dgc_pose.errors import DgcPoseError, InputError, reason
-from dgc_pose.estimation.camera_spread import is_of_part
+from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.system.colmap_library import pycolmap

@@ -12,15 +12,19 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_model import is_edited
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.localization.correspondences import (
+    PairCorrespondences,
+    PointCorrespondences,
+    WorldPose,
+)
 from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.localization.location import Location, Reference
 from dgc_pose.localization.model import PosedModel
-from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 from dgc_pose.matches import Matches
 
 MAX_REFERENCES = 8
@@ -70,8 +74,8 @@ class ReferenceSearch:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting = camera, list(names)
         self.pairs: list[Pair] = []
-        self.sights: dict[str, Sight] = {}  # of the pairs that have hypotheses
-        self.agreeing: dict[str, Sight] = {}  # with the pose of all
+        self.sights: dict[str, PairCorrespondences] = {}  # of the pairs that have hypotheses
+        self.agreeing: dict[str, PairCorrespondences] = {}  # with the pose of all
         self.pose: WorldPose | None = None
         self.fitted = camera
         self.covariance: np.ndarray | None = None
@@ -91,24 +95,24 @@ class ReferenceSearch:
         self.sights |= {p.name: self._sight(p) for p in useful if p.name not in self.sights}
         sights = list(self.sights.values())
         shown = [self._points(pair) for pair in useful if len(pair.points)]
-        spread = CameraSpread.of(self.model.cameras[name], self.camera)
+        prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = located(sights, shown, spread, self.options, before)
+        self.pose = located(sights, shown, prior, self.options, before)
         if self.pose is None:
             return
         if is_edited(self.stated) and not self.camera.aspect_std:
             centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
-            spread = CameraSpread.of(self.model.cameras[name], self.camera)
-            self.pose = fitted([*sights, *shown], self.pose, spread)
-        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(self.pose)}
-        self.covariance = world_covariance([*sights, *shown], self.pose, spread)
+            prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
+            self.pose = fitted([*sights, *shown], self.pose, prior)
+        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.supports(self.pose)}
+        self.covariance = world_covariance([*sights, *shown], self.pose, prior)
         if self.covariance is None:
             return
         self.covariance *= _ERROR_FACTOR**2
-        self.fitted = deviating(self.camera, self.pose.deviations)
-        if len(spread):
-            of_cameras = spread.basis @ self.covariance[6:, 6:] @ spread.basis.T
+        self.fitted = with_parameters(self.camera, self.pose.parameters)
+        if len(prior):
+            of_cameras = prior.basis @ self.covariance[6:, 6:] @ prior.basis.T
             focal, x, y, lens, _, aspect = np.sqrt(of_cameras.diagonal()[SIZE:]).tolist()
             self.fitted = replace(
                 self.fitted,
@@ -147,16 +151,16 @@ class ReferenceSearch:
             aspect_std=self.camera.aspect_std,
         )
 
-    def _sight(self, pair: Pair) -> Sight:
+    def _sight(self, pair: Pair) -> PairCorrespondences:
         pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]
         problem = TwoViewProblem.of(pair.matches, of_reference, self.camera, self.options)
         hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
-        return Sight(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
+        return PairCorrespondences(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
 
-    def _points(self, pair: Pair) -> PointSight:
+    def _points(self, pair: Pair) -> PointCorrespondences:
         camera, threshold = self.camera, self.sights[pair.name].threshold
         places = camera.normalise(pair.seen)
-        return PointSight(pair.points, places, camera.distortion, threshold)
+        return PointCorrespondences(pair.points, places, camera.distortion, threshold)
 
     def next_reference(self) -> str | None:
         """The reference to match next; None if no more is needed, or hoped for."""
