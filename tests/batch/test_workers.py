@@ -73,30 +73,30 @@ def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run():
     assert dealt == [(0, 0), (1, 5), *((0, task) for task in (1, 2, 3, 4, 9, 8, 7, 6))]
 
 
-class _Ending:
-    """An actor that ends at its second task."""
-
-    def __init__(self, job):
-        self.worker, self.done = CoreWorker(job), 0
-
-    def do(self, *task):
-        if self.done:
-            os._exit(1)
-        self.done = 1
-        return self.worker.do(*task)
-
-
 def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
     views, tmp_path, monkeypatch
 ):
     """The batch resumes after that. A cluster that was there before stays."""
     ray = pytest.importorskip("ray")
+
+    class Ending:
+        """An actor that ends at its second task; pickled with its code."""
+
+        def __init__(self, job):
+            self.worker, self.done = CoreWorker(job), 0
+
+        def do(self, *task):
+            if self.done:
+                os._exit(1)
+            self.done = 1
+            return self.worker.do(*task)
+
     run_sift(views, tmp_path / "local", workers=2)
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         out = tmp_path / "ray"
         with monkeypatch.context() as patch, pytest.raises(DgcPoseError, match="worker of Ray end"):
-            patch.setattr("dgc_pose.batch.workers.CoreWorker", _Ending)
+            patch.setattr("dgc_pose.batch.workers.CoreWorker", Ending)
             run_sift(views, out, workers=2, start_workers=ray_workers)
         batch = run_sift(views, out, workers=2, start_workers=ray_workers, resume=True)
         assert 0 < batch.summary["matched_now"] < 6
