@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.by_image import Calibration, may_be_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import times
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
-from dgc_pose.cameras.upright import may_be_of
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.geometry.pixels import Size, exif_turn
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images

@@ -1,7 +1,7 @@
 """From a finished batch to a COLMAP database."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
-from dgc_pose.geometry.pixels import exif_turn, turn_points
+from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
 from dgc_pose.images.image import Image, image_header, load_image
 from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.matching.cache import BoundedCache
@@ -38,8 +38,8 @@ def share(
     per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[SharedMatches, list[PairGeometry]]:
-    """The shared key points of a batch, and the pairs that they are of. per_image: most corners of
-    an image.
+    """The shared key points of a batch, in the pixels as stored, which other programs read; and the
+    pairs that they are of, of upright images. per_image: most corners of an image.
 
     Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
@@ -54,7 +54,15 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
 
-    return track_corners(pairs, load, per_image, progress), pairs
+    shared = track_corners(pairs, load, per_image, progress)
+    key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
+    return SharedMatches(key_points, shared.pairs), pairs
+
+
+def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
+    """The turn (2, 2) of an upright image to the pixels as stored, and its (width, height)."""
+    header = image_header(path)
+    return exif_turn(header.exif.orientation).T, header.size
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
@@ -74,19 +82,13 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
 def write_shared(
     batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
 ) -> Exported:
-    """Write the database of shared key points, over what is there: of the pixels as stored, which
-    COLMAP reads."""
-    plan, cameras, key_points = batch.plan, dict(batch.plan.final_cameras), dict(shared.key_points)
-    turns = {}
-    for name, camera in plan.final_cameras.items():
-        header = image_header(plan.root / name)
-        turn = turns[name] = exif_turn(header.exif.orientation).T
-        cameras[name] = camera.turned(turn, header.size)
-        if name in key_points:
-            key_points[name] = turn_points(key_points[name], turn, header.size)
-    rows = {pair.names: _as_stored(pair.row, turns) for pair in pairs}
-    stored = SharedMatches(key_points, shared.pairs)
-    write_database(database, plan.names, cameras, stored, rows)
+    """Write the database of shared key points, over what is there: of the pixels as stored, as
+    `shared` is."""
+    plan = batch.plan
+    turns = {name: _to_stored(plan.root / name) for name in plan.final_cameras}
+    cameras = {name: camera.turned(*turns[name]) for name, camera in plan.final_cameras.items()}
+    rows = {pair.names: _as_stored(pair.row, *(turns[n][0] for n in pair.names)) for pair in pairs}
+    write_database(database, plan.names, cameras, shared, rows)
     return Exported(
         images=sum(len(points) > 0 for points in shared.key_points.values()),
         key_points=sum(map(len, shared.key_points.values())),
@@ -96,10 +98,8 @@ def write_shared(
     )
 
 
-def _as_stored(row: PairRow, turns: Mapping[str, np.ndarray]) -> PairRow:
-    """A row whose pose is of the pixels as stored. turns: (2, 2) from the upright images."""
-    turn1, turn2 = (np.pad(turns[name], (0, 1)) for name in row.names)
-    turn1[2, 2] = turn2[2, 2] = 1
-    R = None if row.R is None else turn2 @ np.reshape(row.R, (3, 3)) @ turn1.T
-    t = None if row.t is None else tuple((turn2 @ row.t).tolist())
-    return replace(row, R=None if R is None else tuple(R.ravel().tolist()), t=t)
+def _as_stored(row: PairRow, turn1: np.ndarray, turn2: np.ndarray) -> PairRow:
+    """A row whose pose is of the pixels as stored. turn1, turn2: (2, 2) from the upright images."""
+    turn1, turn2 = (np.block([[t, np.zeros((2, 1))], [0, 0, 1]]) for t in (turn1, turn2))
+    R = None if row.R is None else tuple((turn2 @ np.reshape(row.R, (3, 3)) @ turn1.T).flat)
+    return replace(row, R=R, t=None if row.t is None else tuple(turn2 @ row.t))

@@ -9,10 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.by_image import Calibration, orientation_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.upright import orientation_of
 from dgc_pose.colmap.database import HALF_PIXEL
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as

@@ -18,7 +18,7 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.work import Estimate, Job, Matched, Worker
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
-from dgc_pose.colmap.export import pair_geometries, write_shared
+from dgc_pose.colmap.export import pair_geometries, share, write_shared
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -52,7 +52,9 @@ def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Pa
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
-def test_a_database_is_of_the_pixels_as_stored(tmp_path: Path, orientation: int) -> None:
+def test_a_database_is_of_the_pixels_as_stored(
+    tmp_path: Path, orientation: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Of an upright image that its EXIF orientation has turned: where the points of the world are
     in the file, for its camera and its pose."""
     exif = PIL.Image.Exif()
@@ -74,11 +76,13 @@ def test_a_database_is_of_the_pixels_as_stored(tmp_path: Path, orientation: int)
     row = PairRow(*names, "ok", True, "", R=tuple(np.eye(3).ravel()), t=tuple(t))
     pair = PairGeometry(row, (cameras["a.jpg"], cameras["b.jpg"]), *seen, np.ones(9))
     matches = np.arange(9, dtype=np.uint32).repeat(2).reshape(9, 2)
-    shared = SharedMatches(dict(zip(names, seen, strict=True)), {names: matches})
+    monkeypatch.setattr("dgc_pose.colmap.export.pair_geometries", lambda batch: [pair])
+    upright = SharedMatches(dict(zip(names, seen, strict=True)), {names: matches})
+    monkeypatch.setattr("dgc_pose.colmap.export.track_corners", lambda *_: upright)
     batch: Any = SimpleNamespace(
-        plan=SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path)
+        plan=SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path, settings={})
     )
-    write_shared(batch, shared, [pair], tmp_path / "d.db")
+    write_shared(batch, *share(batch, 100), tmp_path / "d.db")
     with pycolmap.Database.open(tmp_path / "d.db") as database:
         image = database.read_image_with_name("b.jpg")
         camera = database.read_camera(image.camera_id)
