@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.metrics import folded, pose_auc
+from dgc_pose.benchmarks.summary import Columns, Summary
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -35,48 +36,26 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.colmap_library import pycolmap
 
 COLMAP_SIFT = "colmap-sift"
-COLUMNS = {  # of the table
-    "method": "{0.method}",
-    "images": "{0.images}",
-    "registered": "{0.registered}",
-    "R med deg": "{0.rotation_median_deg:.3f}",
-    "position rms": "{0.position_rms:.4g}",
-    "med": "{0.position_median:.4g}",
-    "% of extent": "{0.position_percent:.3f}",
-    "points": "{0.points}",
-    "track length": "{0.mean_track_length:.2f}",
-    "reprojection px": "{0.reprojection_error_px:.3f}",
-    "f off %": "{0.focal_percent:.3f}",
-    "pairs": "{0.pairs}",
-    "poses": "{0.poses}",
-    "AUC@5": "{0.pair_auc5:.1f}",
-    "pooled f off %": "{0.pooled_focal_percent:.3f}",
-    "seconds": "{0.seconds:.0f}",
-}
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructionScore:
-    """A model compared with the truth. NaN where nothing is known, as of the model if too few
-    images are registered."""
-
-    pairs: int = 0  # matched
-    poses: int = 0  # pairs with a pose
+# The figures of a model compared with the truth; NaN where nothing is known, as of a model with too
+# few images.
+COLUMNS: Columns = {
+    "images": ("images", 0),
+    "registered": ("registered", 0),
+    "R med deg": ("rotation_median_deg", 3),  # of the relative rotations of all registered pairs
+    "position rms": ("position_rms", 5),  # after a similarity, the truth's unit
+    "med": ("position_median", 5),
+    "% of extent": ("position_percent", 3),  # rms over the largest distance of two cameras
+    "points": ("points", 0),
+    "track length": ("mean_track_length", 2),
+    "reprojection px": ("reprojection_error_px", 3),
+    "f off %": ("focal_percent", 3),  # mean error of the images' focal lengths
+    "pairs": ("pairs", 0),  # matched
+    "poses": ("poses", 0),  # pairs with a pose
     # Percent; of max(rotation, folded translation), infinite without a pose
-    pair_auc5: float = np.nan
-    pooled_focal_percent: float = np.nan  # mean error of the images' focal lengths
-    method: str
-    images: int
-    registered: int = 0
-    rotation_median_deg: float = np.nan  # of the relative rotations of all registered pairs
-    position_rms: float = np.nan  # after a similarity, the truth's unit
-    position_median: float = np.nan
-    position_percent: float = np.nan  # position_rms over the largest distance of two cameras
-    points: int = 0
-    mean_track_length: float = np.nan
-    reprojection_error_px: float = np.nan
-    focal_percent: float = np.nan  # mean error of the images' focal lengths
-    seconds: float
+    "AUC@5": ("pair_auc5", 1),
+    "pooled f off %": ("pooled_focal_percent", 3),
+    "seconds": ("seconds", 0),
+}
 
 
 def run_method(
@@ -88,15 +67,16 @@ def run_method(
     estimation: EstimationOptions,
     options: BatchOptions,
     withheld: WithheldCameras | None = None,
-) -> ReconstructionScore:
-    """Reconstruct the views by one method: `colmap-sift`, or a matcher by its name.
+) -> Summary:
+    """The figures of COLUMNS of the views' reconstruction by `colmap-sift`, or by a matcher.
 
     Both map with the same options. The folder keeps a matcher's batch, which `resume` goes on with.
     withheld: in place of K, as of --K; bundle adjustment refines the cameras then.
     """
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
-    figures: dict[str, Any] = {}
+    figures: dict[str, Any] = dict.fromkeys((name for name, _ in COLUMNS.values()), np.nan)
+    figures |= {"method": method, "images": len(views.poses), "registered": 0}
     try:
         if method == COLMAP_SIFT:
             database, mapping = out / DATABASE, reconstruction.mapping
@@ -118,14 +98,12 @@ def run_method(
                 estimation=estimation,
                 options=options,
             )
-            figures = pair_figures(batch, views)
+            figures |= pair_figures(batch, views)
             model, _ = reconstruct(batch, out, reconstruction)
         figures |= model_figures(model, views)
     except MappingError:
-        pass  # a score without a model
-    seconds = time.perf_counter() - start
-    images = len(views.poses)
-    return ReconstructionScore(method=method, images=images, seconds=seconds, **figures)
+        pass  # figures without a model
+    return figures | {"seconds": time.perf_counter() - start}
 
 
 def sift_database(
@@ -159,7 +137,7 @@ def sift_database(
 
 
 def pair_figures(batch: Batch, views: PosedModel) -> dict[str, Any]:
-    """The poses and cameras of a batch compared with the true ones, by field of the score."""
+    """The poses and cameras of a batch compared with the true ones, by name."""
     errors = []
     for row in batch.rows:
         error = np.inf
@@ -181,7 +159,7 @@ def pair_figures(batch: Batch, views: PosedModel) -> dict[str, Any]:
 
 
 def model_figures(model: SparseModel, views: PosedModel) -> dict[str, Any]:
-    """A model's cameras compared with the true ones, by field of the score."""
+    """A model's cameras compared with the true ones, by name."""
     names = sorted(model.poses)
     focal_lengths: list[tuple[str, float]] = []
     for camera in model.cameras:

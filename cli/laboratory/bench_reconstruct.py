@@ -1,6 +1,6 @@
 """`dgc-pose bench-reconstruct`: reconstructions compared with true cameras."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import click
@@ -8,13 +8,14 @@ import click
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.files import finite_data, split_names, table
+from dgc_pose.benchmarks.files import finite_data, split_names
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
     run_method,
     views_of_list,
 )
+from dgc_pose.benchmarks.summary import summary_table
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.colmap.options import ReconstructionOptions
@@ -84,6 +85,6 @@ def bench_reconstruct(
     for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)
-        click.echo(f"{method}: {score.registered} of {score.images} images", err=True)
-    write_json(out / "summary.json", finite_data({"methods": [*map(asdict, scores)]}))
-    click.echo(table(COLUMNS, scores))
+        click.echo(f"{method}: {score['registered']} of {score['images']} images", err=True)
+    write_json(out / "summary.json", finite_data({"methods": scores}))
+    click.echo(summary_table(scores, COLUMNS))
