@@ -44,10 +44,6 @@ def test_a_wrong_K_is_wrong_by_what_was_asked_for() -> None:
     assert CAMERA.K[0, 0] == 300
 
 
-def test_a_K_is_refused_or_warned_of_as_a_users() -> None:
-    with pytest.raises(InputError, match="K1 .*field of view"):
-        CameraTrial(k_scale=0.1).cameras(pair())
-    warned = CameraTrial(k_scale=100).cameras(pair())[1]
-    assert [text[:3] for text in warned.warnings] == ["K2 "]
+def test_a_K_that_is_withheld_cannot_be_changed() -> None:
     with pytest.raises(InputError, match="K is auto: it cannot be changed"):
         CameraTrial(k="auto", k_scale=2.0)
