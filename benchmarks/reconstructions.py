@@ -163,12 +163,13 @@ def pair_figures(batch: Batch, views: PosedModel) -> dict[str, Any]:
     errors = []
     for row in batch.rows:
         error = np.inf
-        if row.R is not None and row.t is not None:
+        pose = row.pose
+        if pose is not None and pose.R is not None and pose.t is not None:
             first, second = views.poses[row.name1], views.poses[row.name2]
             R = second[:, :3] @ first[:, :3].T
             t = second[:, 3] - R @ first[:, 3]
-            rotation = rotation_error_deg(np.reshape(row.R, (3, 3)), R)
-            error = max(rotation, folded(translation_error_deg(np.array(row.t), t)))
+            rotation = rotation_error_deg(pose.R, R)
+            error = max(rotation, folded(translation_error_deg(pose.t, t)))
         errors.append(error)
     focal_lengths = [(name, camera.focal) for name, camera in batch.plan.final_cameras.items()]
     return {
