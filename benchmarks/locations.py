@@ -14,8 +14,8 @@ from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.reconstructions import views_of_list
 from dgc_pose.images.image import image_size
 from dgc_pose.localization.locate import Locator
-from dgc_pose.localization.model import PosedModel, load_model
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.model import Model, load_model
 from dgc_pose.training.posed_frames import read_rgbd
 
 Item = TypeVar("Item")
@@ -48,7 +48,7 @@ class LocationScore:
         return self.rotation_deg < rotation_deg and self.position_percent < percent
 
 
-def true_model(path: Path, images: Path | None) -> PosedModel:
+def true_model(path: Path, images: Path | None) -> Model:
     """A model as of `load_model`; of a list of pairs in SuperGlue's format; or of a folder of posed
     RGB-D, see `read_rgbd`.
 
@@ -60,7 +60,7 @@ def true_model(path: Path, images: Path | None) -> PosedModel:
         frames = {frame.image.name: frame for frame in read_rgbd(path)}
         cameras = {n: replace(f.camera, size=image_size(f.image)) for n, f in frames.items()}
         poses = {name: frame.cam_from_world[:3] for name, frame in frames.items()}
-        return PosedModel(path / "images", cameras, poses)
+        return Model(path / "images", cameras, poses)
     return load_model(path, images or path / "images")
 
 

@@ -90,7 +90,7 @@ def estimate(
         if outputs.plot is not None:
             draw(trace, stage(outputs.plot), outputs)
         if outputs.ply is not None and pose.success:
-            from dgc_pose.colmap.points_file import write_points
+            from dgc_pose.model import write_points
 
             points = trace.points3d  # in camera 1's axes
             known = np.isfinite(points).all(axis=1)

@@ -16,18 +16,19 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
 
 if TYPE_CHECKING:
-    from dgc_pose.colmap.export import Exported
+    from dgc_pose.colmap.shared import SharedMatches
 
 HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
 
 
-def described(exported: Exported) -> str:
+def described(shared: SharedMatches) -> str:
     """A line on what was written."""
-    longer = sum(count for views, count in exported.tracks_by_length.items() if views > 2)
-    tracks = sum(exported.tracks_by_length.values())
+    facts = shared.facts()
+    lengths = facts["tracks_by_length"]
+    longer = sum(count for views, count in lengths.items() if views > 2)
     return (
-        f"{exported.images} images, {exported.key_points} key points, {exported.pairs} pairs, "
-        f"{exported.matches} matches, {tracks} tracks, {longer} of 3 and more views"
+        f"{facts['images']} images, {facts['key_points']} key points, {facts['pairs']} pairs, "
+        f"{facts['matches']} matches, {sum(lengths.values())} tracks, {longer} of 3 and more views"
     )
 
 
@@ -51,7 +52,8 @@ def export_colmap(
     """
     from dgc_pose.adapters.hloc import write_hloc
     from dgc_pose.batch.result import read_batch
-    from dgc_pose.colmap.export import share, write_shared
+    from dgc_pose.colmap.database import write_database
+    from dgc_pose.colmap.export import share
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")
@@ -61,9 +63,11 @@ def export_colmap(
     images = [batch.plan.root / name for name in batch.plan.names]
     require_no_input(written, [*folder.iterdir(), *images])
     with progress_bars() as progress:
-        shared, pairs = share(batch, options.per_image, partial(progress, "images"))
+        shared = share(batch, options.per_image, partial(progress, "images"))
     if hloc is not None:
         write_hloc(hloc, shared)
         click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")
     if database is not None:
-        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
+        plan = batch.plan
+        write_database(Path(database), plan.names, plan.final_cameras, shared, batch.rows)
+        click.echo(f"{database}: {described(shared)}")

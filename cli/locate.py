@@ -78,9 +78,9 @@ def locate(
     Prints cam_from_world, x = R X + t, and the centre of the camera, in the frame and unit of the
     model, with their expected errors. Exits with 3 and the reason if a photograph is not located.
     """
-    from dgc_pose.localization.adding import extensible, write_model_with
+    from dgc_pose.localization.adding import require_addable, write_model_with
     from dgc_pose.localization.locate import Locator
-    from dgc_pose.localization.model import load_model
+    from dgc_pose.model import load_model
     from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.location import plot_location
 
@@ -92,7 +92,7 @@ def locate(
         image_header(Path(photo))
     model = load_model(place.model, place.images)
     if place.add is not None:
-        extended = extensible(place.add, model, list(dict.fromkeys(photos)))
+        require_addable(place.add, model, list(dict.fromkeys(photos)))
     for warning in model.warnings:
         say(f"warning: {warning}")
     locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)
@@ -114,7 +114,7 @@ def locate(
     if place.json == STDOUT:
         click.echo(data, nl=False)
     if place.add is not None:  # last: a model of COLMAP holds not every camera
-        write_model_with(place.add, extended, locations)
+        write_model_with(place.add, model, locations)
     return 0 if all(location.success for location in locations.values()) else NO_POSE
 
 

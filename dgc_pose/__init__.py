@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from dgc_pose.localization.locate import Locator as Locator
     from dgc_pose.localization.locate import locate as locate
     from dgc_pose.localization.location import Location as Location
-    from dgc_pose.localization.model import PosedModel as PosedModel
-    from dgc_pose.localization.model import load_model as load_model
     from dgc_pose.matchers import MatcherCaches as MatcherCaches
     from dgc_pose.matchers import MatcherOptions as MatcherOptions
     from dgc_pose.matchers import load_matcher as load_matcher
@@ -38,6 +36,8 @@ if TYPE_CHECKING:
     from dgc_pose.matching import MatchResult as MatchResult
     from dgc_pose.matching import PairSearch as PairSearch
     from dgc_pose.matching import load_dense_matcher as load_dense_matcher
+    from dgc_pose.model import Model as Model
+    from dgc_pose.model import load_model as load_model
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
     from dgc_pose.refinement import RefinementOptions as RefinementOptions
     from dgc_pose.refinement import Refiner as Refiner
@@ -58,7 +58,7 @@ _PUBLIC = {
     "images.image": ("Image", "load_image"),
     "localization.locate": ("Locator", "locate"),
     "localization.location": ("Location",),
-    "localization.model": ("PosedModel", "load_model"),
+    "model": ("Model", "load_model"),
     "matchers": ("MatcherCaches", "MatcherOptions", "load_matcher"),
     "matches": ("Matches",),
     "matching": (

@@ -20,28 +20,28 @@ def pose_scene(trace: Trace) -> dict[str, Any]:
     if trace.pose.R is None or trace.pose.t is None:
         raise InputError(ArgumentName("trace"), f"has no R and t: {trace.pose.reason}")
     pose = np.column_stack([trace.pose.R, trace.pose.t * (trace.pose.length or 1.0)])
-    first = scene_camera("1", trace.camera1.K, trace.image1.size, np.eye(3, 4))
-    second = scene_camera("2", trace.camera2.K, trace.image2.size, pose)
-    return scene_of([first, second], trace.points3d, trace.colours, _MOST)
+    first = frustum(trace.camera1.K, trace.image1.size, np.eye(3, 4))
+    second = frustum(trace.camera2.K, trace.image2.size, pose)
+    return scene_of("12", np.stack([first, second]), trace.points3d, trace.colours, _MOST)
 
 
-def scene_camera(
-    label: str, K: np.ndarray, size: tuple[int, int], pose: np.ndarray
-) -> dict[str, Any]:
-    """A camera: its centre and, at a depth of 1, the corners of its view from the top left on."""
+def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarray:
+    """The centre of a camera and, at a depth of 1, the corners of its view from the top left on
+    (5, 3), world. K: (3, 3). size: (width, height). pose: cam_from_world (3, 4)."""
     width, height = size
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
     rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
-    corners = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
-    return {"label": label, "corners": corners}
+    corners: np.ndarray = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
+    return corners
 
 
 def scene_of(
-    cameras: Sequence[dict[str, Any]], points: np.ndarray, colours: np.ndarray, most: int
+    labels: Sequence[str], frusta: np.ndarray, points: np.ndarray, colours: np.ndarray, most: int
 ) -> dict[str, Any]:
-    """The cameras, as deep as their distances allow, and points in a random order."""
-    centres = np.stack([camera["corners"][0] for camera in cameras])
-    depth = float(np.median(nearest(centres, 2)[0][:, 1])) or 1.0
+    """Cameras of some frusta (N, 5, 3), as deep as their distances allow, and at most so many of
+    the points (M, 3), of colours (M, 3) uint8, in a random order."""
+    centres = frusta[:, :1]
+    depth = float(np.median(nearest(centres[:, 0], 2)[0][:, 1])) or 1.0
     away = np.linalg.norm(points - centres.mean(0), axis=1)
     chosen = np.flatnonzero(np.isfinite(away))
     if len(chosen):
@@ -49,8 +49,7 @@ def scene_of(
         chosen = chosen[away[chosen] <= np.quantile(away[chosen], _NEAR)]
     chosen = np.random.default_rng(0).permutation(chosen)[:most]
     digits = 4 - int(np.floor(np.log10(depth)))
-    for camera, centre in zip(cameras, centres, strict=True):
-        corners = centre + depth * (camera["corners"] - centre)
-        camera["corners"] = corners.round(digits).tolist()
+    corners = (centres + depth * (frusta - centres)).round(digits).tolist()
+    cameras = [{"label": label, "corners": c} for label, c in zip(labels, corners, strict=True)]
     xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
     return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}

@@ -1,6 +1,6 @@
 """`dgc-pose bench-reconstruct`: reconstructions compared with true cameras."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import click
@@ -12,7 +12,6 @@ from dgc_pose.benchmarks.files import finite_data, split_names, table
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
-    resized,
     run_method,
     views_of_dtu,
     views_of_list,
@@ -26,6 +25,8 @@ from dgc_pose.files.json_files import write_json
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
 
+_SHARED = ("per_image", "mapper", "refine_intrinsics")  # with reconstruct
+
 
 @dataclass(frozen=True)
 class ReconstructBenchOptions:
@@ -34,7 +35,7 @@ class ReconstructBenchOptions:
     out: Path = option(
         help="Folder of the results; created if missing.",
         metavar="DIR",
-        type=OutputFolder("summary.json", "images", path_type=Path),
+        type=OutputFolder("summary.json", path_type=Path),
     )
     truth: Path = option(
         help="True cameras: a list of pairs in SuperGlue's format, whose translations have one "
@@ -50,15 +51,14 @@ class ReconstructBenchOptions:
         "pipeline over all pairs.",
     )
     pairs: str = option("exhaustive", "As for batch.")
-    scale: float = option(
-        1.0, "Resize the images by this; 0.5 leaves a quarter of the pixels.", above=0, max=1
-    )
 
 
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @dataclass_options(ReconstructBenchOptions, "bench")
-@dataclass_options(ReconstructionOptions, "reconstruction", only=("per_image", "mapping"))
+@dataclass_options(
+    ReconstructionOptions, "reconstruction", only=("per_image", "mapper", "refine_intrinsics")
+)
 @dataclass_options(BatchOptions, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(
@@ -75,19 +75,15 @@ def bench_reconstruct(
     mean error of the model's focal lengths, "pooled f off" of those that all pairs give together;
     AUC@5 is of the pairs' poses. All methods map with the same options.
     """
-    out, truth, scale = bench.out, bench.truth, bench.scale
+    out, truth = bench.out, bench.truth
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of images")
     views = views_of_dtu(truth, folder) if truth.is_dir() else views_of_list(truth, folder)
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
-    mapping = replace(reconstruction.mapping, mapper_threads=work.worker_count)
-    reconstruction = replace(reconstruction, mapping=mapping)
     setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k
     out.mkdir(parents=True, exist_ok=True)
     scores = []
-    if scale != 1:
-        views = resized(views, scale, out / "images")  # a later --resume reads them again
     for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)

@@ -1,14 +1,10 @@
-"""From a finished batch to a COLMAP database."""
+"""From a finished batch to key points that its pairs share."""
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 
 from dgc_pose.batch.result import Batch
-from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
@@ -20,24 +16,12 @@ from dgc_pose.matching.cache import BoundedCache
 _IMAGE_BYTES = 2**29  # of images in memory
 
 
-@dataclass(frozen=True)
-class Exported:
-    """The counts of what was written."""
-
-    images: int  # with key points
-    key_points: int
-    pairs: int
-    matches: int
-    tracks_by_length: dict[int, int]  # tracks by number of views
-
-
 def share(
     batch: Batch,
     per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[SharedMatches, list[PairGeometry]]:
-    """The shared key points of a batch, and the pairs that they are of. per_image: most corners of
-    an image.
+) -> SharedMatches:
+    """The shared key points of a batch. per_image: most corners of an image.
 
     Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
@@ -52,7 +36,7 @@ def share(
     def load(name: str) -> Image:
         return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
 
-    return track_corners(pairs, load, per_image, progress), pairs
+    return track_corners(pairs, load, per_image, progress)
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
@@ -67,19 +51,3 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
             cameras = matches.fitted.cameras if matches.fitted else of_folder
             geometries.append(PairGeometry(row, cameras, *inliers))
     return geometries
-
-
-def write_shared(
-    batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
-) -> Exported:
-    """Write the database of shared key points, over what is there."""
-    plan = batch.plan
-    rows = {pair.names: pair.row for pair in pairs}
-    write_database(database, plan.names, plan.final_cameras, shared, rows)
-    return Exported(
-        images=sum(len(points) > 0 for points in shared.key_points.values()),
-        key_points=sum(map(len, shared.key_points.values())),
-        pairs=len(shared.pairs),
-        matches=sum(map(len, shared.pairs.values())),
-        tracks_by_length=dict(sorted(Counter(shared.track_lengths().tolist()).items())),
-    )

@@ -4,8 +4,10 @@ Matches of a dense matcher lie at fresh places in each pair. A reconstruction ne
 that are seen in three views and more, so the pairs of an image must share key points.
 """
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -44,8 +46,18 @@ class SharedMatches:
     # (M, 2) uint32, indices of key points, by pair; a pair that shares none is absent
     pairs: Mapping[Names, np.ndarray]
 
-    def track_lengths(self) -> np.ndarray:
-        """The number of images (T,) of each track: of key points connected by matches."""
+    def facts(self) -> dict[str, Any]:
+        """The numbers of images with key points, key points, pairs and matches; and of tracks, of
+        key points connected by matches, by their number of images."""
+        return {
+            "images": sum(len(points) > 0 for points in self.key_points.values()),
+            "key_points": sum(map(len, self.key_points.values())),
+            "pairs": len(self.pairs),
+            "matches": sum(map(len, self.pairs.values())),
+            "tracks_by_length": self._tracks_by_length(),
+        }
+
+    def _tracks_by_length(self) -> dict[int, int]:
         counts = [len(points) for points in self.key_points.values()]
         image = np.repeat(np.arange(len(counts)), counts)  # of each key point
         first = dict(zip(self.key_points, np.cumsum([0, *counts]).tolist(), strict=False))
@@ -57,7 +69,7 @@ class SharedMatches:
         track = _connected(len(image), ends)
         images_of_tracks = np.unique(np.column_stack([track, image]), axis=0)
         lengths = np.bincount(images_of_tracks[:, 0])
-        return lengths[lengths > 1]
+        return dict(sorted(Counter(lengths[lengths > 1].tolist()).items()))
 
 
 def _connected(count: int, ends: np.ndarray) -> np.ndarray:

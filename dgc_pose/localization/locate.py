@@ -19,12 +19,12 @@ from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.localization.location import Location
-from dgc_pose.localization.model import PosedModel
 from dgc_pose.localization.search import ReferenceSearch
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.model import Model
 from dgc_pose.pose import pose_of_pair
 from dgc_pose.system.options import check_type
 
@@ -36,7 +36,7 @@ _IMAGE_BYTES = 2**29  # of references in memory
 
 def locate(
     photo: ImageSource,
-    model: PosedModel,
+    model: Model,
     K: CameraSource = None,
     *,
     matcher: Matcher | None = None,
@@ -60,12 +60,12 @@ class Locator:
 
     def __init__(
         self,
-        model: PosedModel,
+        model: Model,
         matcher: Matcher | None = None,
         options: EstimationOptions | None = None,
         masks: Path | None = None,
     ) -> None:
-        check_type(model, PosedModel, "model")
+        check_type(model, Model, "model")
         self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
@@ -141,11 +141,11 @@ class Locator:
         self, name: str, image: Image, pose: RelativePose, matches: Matches
     ) -> tuple[np.ndarray, np.ndarray]:
         """Points of the model (N, 3) that a reference shows, and where the photograph does."""
-        if name not in self.model.points or not pose.success:
+        if name not in self.model.seen or not pose.success:
             return np.zeros((0, 3)), np.zeros((0, 2))
-        points, pixels = self.model.points[name]
+        points, pixels = self.model.seen[name]
         which, seen = points_in(image, self._image(name), matches.subset(pose.inliers), pixels)
-        return points[which], seen
+        return self.model.points[points[which]], seen
 
     def _image(self, name: str) -> Image:
         path, mask = self.model.root / name, mask_file(self.masks, name)

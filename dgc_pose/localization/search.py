@@ -19,9 +19,9 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.localization.location import Location, Reference
-from dgc_pose.localization.model import PosedModel
 from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 from dgc_pose.matches import Matches
+from dgc_pose.model import Model
 
 MAX_REFERENCES = 8
 _HOPELESS = 5  # references without a likely pose, after which no more are matched
@@ -65,7 +65,7 @@ class ReferenceSearch:
     """
 
     def __init__(
-        self, model: PosedModel, camera: Camera, options: EstimationOptions, names: Sequence[str]
+        self, model: Model, camera: Camera, options: EstimationOptions, names: Sequence[str]
     ) -> None:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting = camera, list(names)

@@ -1,5 +1,6 @@
 """The place of a photograph in a model: the cameras from above, and matches with references."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib.patches import Ellipse
 
 from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import Location
-from dgc_pose.localization.model import PosedModel
+from dgc_pose.model import Model
 from dgc_pose.refinement.align import spread
 from dgc_pose.viz.figure import WIDTH, new_figure
 from dgc_pose.viz.panels import draw_matches
@@ -20,17 +21,17 @@ _QUANTILE_90 = 2.146  # deviations of a normal point in the plane, nine times in
 _LEAST = 0.015  # of the extent: a smaller ellipse would not be seen
 
 
-def plot_location(model: PosedModel, photo: str, location: Location) -> Figure:
+def plot_location(model: Model, photo: str, location: Location) -> Figure:
     """Draw cameras and points from above, in the mean camera's axes: the references filled, and the
     photograph with its error, nine times in ten; and matches with the two references of most
     inliers."""
     figure = new_figure(WIDTH, WIDTH / 2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
-    _draw_place(figure.add_subplot(grid[:, 0]), model, location)
+    image = load_image(photo).oriented(location.camera.orientation if location.camera else 1)
+    _draw_place(figure.add_subplot(grid[:, 0]), model, location, image.size)
     both = location.rotation_error_90_deg or 0, location.position_error_90 or 0
     error = "R within {:.2f}°, centre within {:.2g}, nine times in ten if it is right".format(*both)
     figure.suptitle(f"{Path(photo).name}: {error if location.success else location.reason}")
-    image = load_image(photo).oriented(location.camera.orientation if location.camera else 1)
     used = [reference for reference in location.references if reference.agrees]
     best = sorted(used or location.references, key=lambda r: -r.inliers.sum())[:2]
     for row, reference in enumerate(best):
@@ -45,15 +46,15 @@ def plot_location(model: PosedModel, photo: str, location: Location) -> Figure:
     return figure
 
 
-def _draw_place(panel: Axes, model: PosedModel, location: Location) -> None:
+def _draw_place(panel: Axes, model: Model, location: Location, size: tuple[int, int]) -> None:
     pose, covariance = location.cam_from_world, location.covariance
-    poses, views = [*model.poses.values()], [model.cameras[name] for name in model.poses]
+    views = [(model.cameras[name], pose) for name, pose in model.poses.items()]
     if pose is not None and location.camera is not None:
-        poses, views = [*poses, pose], [*views, location.camera]
-    cameras, axes = frusta(poses, [2 * view.K[:2, 2] / view.focal for view in views])
-    seen = np.concatenate([np.empty((0, 3)), *(xyz for xyz, _ in model.points.values())]) @ axes.T
+        views.append((replace(location.camera, size=size), pose))
+    cameras, axes = frusta(views)
+    seen = model.points @ axes.T
     names, shades = [*model.poses], np.full((len(seen), 3), 0.7)
-    colours = ["gray"] * len(names) + ["tab:blue"] * (len(poses) - len(names))
+    colours = ["gray"] * len(names) + ["tab:blue"] * (len(views) - len(names))
     centres = draw_cameras(panel, seen[:, (0, 2)], shades, cameras[..., (0, 2)], colours)[:, 0]
     filled = centres[[names.index(r.name) for r in location.references if r.agrees]]
     panel.plot(*filled.T, "o", color="black", markersize=4, label="references")

@@ -13,9 +13,11 @@ from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
-from dgc_pose.colmap.reconstruction import SparseModel
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import printable, shortened
 from dgc_pose.geometry.rotation import aligning_rotation
+from dgc_pose.model import Model
+from dgc_pose.scene import frustum
 from dgc_pose.viz.figure import Panel, panel_rows
 from dgc_pose.viz.panels import line_colours
 
@@ -28,11 +30,11 @@ _BACKGROUND, _DARKEST = "0.08", 0.2  # black points stand out too
 _HALO = [withStroke(linewidth=1.5, foreground=_BACKGROUND)]  # of names, before points
 
 
-def plot_reconstruction(model: SparseModel) -> Figure:
+def plot_reconstruction(model: Model, unit: str = "") -> Figure:
     """Cameras and points, orthographic, in the mean camera's axes. The colours of the cameras are
-    in the order of their names; a model in metres has a scale bar."""
+    in the order of their names; a model in metres, "m", has a scale bar."""
     names = sorted(model.poses)
-    cameras, axes = frusta(*([of[name] for name in names] for of in (model.poses, model.shapes)))
+    cameras, axes = frusta([(model.cameras[name], model.poses[name]) for name in names])
     chosen = np.linspace(0, len(model.points) - 1, min(_MOST, len(model.points))).astype(int)
     dots, shades = model.points[chosen] @ axes.T, model.colours[chosen] / 255
     titles = f"from above: {len(names)} cameras, {len(model.points)} points", "from the front"
@@ -43,7 +45,7 @@ def plot_reconstruction(model: SparseModel) -> Figure:
         drawn = draw_cameras(panel, *view, cameras[..., (0, up)], [*line_colours(len(names))])
         _draw_names(panel, names, drawn)
         panel.set(facecolor=_BACKGROUND, xticks=[], yticks=[])
-        if model.metric.get("unit") == "m":
+        if unit == "m":
             most = np.ptp(panel.get_xlim()) / 4
             length = max(s for n in range(-6, 7) for k in (1, 2, 5) if (s := k * 10.0**n) <= most)
             bar = length, f"{length:g} m", "lower left"
@@ -51,18 +53,15 @@ def plot_reconstruction(model: SparseModel) -> Figure:
     return figure
 
 
-def frusta(
-    poses: Sequence[np.ndarray], shapes: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """The centres and the corners of the images (N, 5, 3) of cam_from_world poses (3, 4), the edges
-    1 long, and the axes (3, 3) that they are in, in rows: to the right, up and ahead of the mean
-    camera. shapes: (2,) as of `SparseModel`."""
-    R, t = np.split(np.stack(poses), [3], axis=2)
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.stack(shapes)[:, None] / 2
-    rays = np.insert(corners, 2, 1, axis=2)
-    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
-    centres, axes = -t.transpose(0, 2, 1) @ R, mean_axes(poses) * np.array([[1], [-1], [1]])
-    return np.concatenate([centres, centres + rays @ R], axis=1) @ axes.T, axes
+def frusta(views: Sequence[tuple[Camera, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+    """The centres and the corners of the images (N, 5, 3) of cameras with a size and their poses
+    cam_from_world (3, 4), the edges 1 long, and the axes (3, 3) that they are in, in rows: to the
+    right, up and ahead of the mean camera."""
+    axes = mean_axes([pose for _, pose in views]) * np.array([[1], [-1], [1]])
+    cameras = np.stack([frustum(c.K, c.size or (0, 0), pose) for c, pose in views]) @ axes.T
+    edges = cameras[:, 1:] - cameras[:, :1]
+    cameras[:, 1:] = cameras[:, :1] + edges / np.linalg.norm(edges, axis=2, keepdims=True)
+    return cameras, axes
 
 
 def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:

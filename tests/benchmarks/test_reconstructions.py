@@ -17,15 +17,13 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.benchmarks.reconstructions import (
     model_figures,
     pair_figures,
-    resized,
     views_of_dtu,
     views_of_list,
 )
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
-from dgc_pose.colmap.reconstruction import ModelCamera, SparseModel
 from dgc_pose.errors import InputError
-from dgc_pose.localization.model import PosedModel
+from dgc_pose.model import Model
 
 
 @pytest.fixture(scope="module")
@@ -68,16 +66,6 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
         views_of_list(path, folder / "other")
 
 
-def test_smaller_copies_have_their_own_cameras(
-    scene: tuple[Path, Path, list[View]], tmp_path: Path
-) -> None:
-    views = resized(views_of_list(scene[1], scene[0]), 0.5, tmp_path)
-    camera = views.cameras["view0.png"]
-    assert camera.size == (SIZE[0] // 2, SIZE[1] // 2)
-    assert cv2.imread(str(tmp_path / "view0.png")).shape[1::-1] == camera.size
-    np.testing.assert_allclose(camera.K[:2, 2], (K[:2, 2] + 0.5) / 2 - 0.5)
-
-
 def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:
     calibration = tmp_path / "cal18"
     calibration.mkdir()
@@ -91,7 +79,7 @@ def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:
         views_of_dtu(calibration, calibration)
 
 
-def _model(views: PosedModel, error: float) -> SparseModel:
+def _model(views: Model, error: float) -> Model:
     """The true model in other axes and units, with one camera moved by `error` true units."""
     turn = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
     poses = {}
@@ -99,14 +87,10 @@ def _model(views: PosedModel, error: float) -> SparseModel:
         centre = 0.2 * turn @ (views.centre(name) + np.array([0, error if i == 1 else 0, 0])) + 5
         R = pose[:, :3] @ turn.T
         poses[name] = np.column_stack([R, -R @ centre])
-    # Three images of a camera that is exact, and one of a camera that is 2 % off
-    names = sorted(views.poses)
-    cameras = tuple(
-        ModelCamera("PINHOLE", *SIZE, (), focal * (K[0, 0] + K[1, 1]) / 2, images, name)
-        for focal, images, name in ((1, 3, names[0]), (0.98, 1, names[3]))
-    )
-    points = np.zeros((7, 3)), np.zeros((7, 3), np.uint8)
-    return SparseModel(poses, *points, 4.0, 0.5, cameras, shapes={})
+    cameras = dict(views.cameras)  # one is 2 % off
+    *_, last = cameras
+    cameras[last] = cameras[last].with_focal(0.98 * cameras[last].focal)
+    return Model(views.root, cameras, poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8))
 
 
 def test_figures_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[View]]) -> None:

@@ -17,16 +17,11 @@ from multi_view import K, K_text, View, render_views, write_views
 
 from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.colmap.mapping import MappingError
-from dgc_pose.colmap.options import MapperName, MappingOptions, ReconstructionOptions
-from dgc_pose.colmap.reconstruction import (
-    SparseModel,
-    reconstruct,
-    require_model_folder,
-    sparse_model,
-)
+from dgc_pose.colmap.options import MapperName, ReconstructionOptions
+from dgc_pose.colmap.reconstruction import reconstruct
 from dgc_pose.errors import InputError
-from dgc_pose.localization.model import load_model
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.model import Model, load_model, require_model_folder
 
 COUNT = 5
 SIFT = ["--weights", "sift", "--runs", "1", "--iterations", "300"]
@@ -44,7 +39,7 @@ def batch(views: tuple[Path, list[View]]) -> Batch:
     return run_sift(views[0], views[0].parent / "batch")
 
 
-def _assert_true(model: SparseModel, views: list[View], max_deg: float, max_share: float) -> None:
+def _assert_true(model: Model, views: list[View], max_deg: float, max_share: float) -> None:
     """All cameras, after a similarity, are where they were rendered; max_share of the extent."""
     names = sorted(model.poses)
     assert names == [f"view{i}.png" for i in range(COUNT)]
@@ -63,12 +58,13 @@ def _assert_true(model: SparseModel, views: list[View], max_deg: float, max_shar
 def test_cameras_are_those_that_rendered_the_views(
     views: tuple[Path, list[View]], batch: Batch, tmp_path: Path, mapper: MapperName
 ) -> None:
-    options = ReconstructionOptions(mapping=MappingOptions(mapper))
-    model, exported = reconstruct(batch, tmp_path, options)
+    (model,), shared, _ = reconstruct(batch, tmp_path, ReconstructionOptions(mapper=mapper))
     _assert_true(model, views[1], 0.05, 0.01)
-    assert model.reprojection_error_px < 0.3
-    assert model.mean_track_length > 3
-    assert sum(n for length, n in exported.tracks_by_length.items() if length > 2) > 200
+    assert model.colmap is not None
+    assert model.colmap.compute_mean_reprojection_error() < 0.3
+    assert model.colmap.compute_mean_track_length() > 3
+    tracks = shared.facts()["tracks_by_length"]
+    assert sum(n for length, n in tracks.items() if length > 2) > 200
     assert pycolmap.Reconstruction(tmp_path / "sparse").num_reg_images() == COUNT
     assert (tmp_path / "points.ply").read_bytes().startswith(b"ply")
 
@@ -114,7 +110,7 @@ def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -
         == pytest.approx(K.diagonal()[:2].mean(), rel=0.02)
     )
     assert f"RADIAL, f = {camera['focal_px']:.1f} px after bundle" in result.output
-    model = sparse_model(pycolmap.Reconstruction(out / "sparse"))
+    model = Model.of_colmap(pycolmap.Reconstruction(out / "sparse"), views[0])
     _assert_true(model, views[1], 0.3, 0.02)
 
 
@@ -240,14 +236,14 @@ def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(batch: Batch, tmp_p
         if j - i not in (1, COUNT - 1):
             lines[index] = lines[index].replace('"ok"', '"no_model"')
     rows.write_text("".join(lines))
-    model, exported = reconstruct(read_batch(folder), tmp_path)
-    assert len(model.poses) == COUNT and exported.pairs == COUNT - 1
+    (model,), shared, _ = reconstruct(read_batch(folder), tmp_path)
+    assert len(model.poses) == COUNT and len(shared.pairs) == COUNT - 1
     with pycolmap.Database.open(tmp_path / "database.db") as database:
-        assert database.num_verified_image_pairs() == exported.pairs
+        assert database.num_verified_image_pairs() == len(shared.pairs)
 
 
 def test_the_same_photographs_give_the_same_model_to_the_bit(batch: Batch, tmp_path: Path) -> None:
-    first, second = (reconstruct(batch, tmp_path / name)[0] for name in "ab")
+    first, second = (reconstruct(batch, tmp_path / name)[0][0] for name in "ab")
     assert first.poses.keys() == second.poses.keys()
     for name, pose in first.poses.items():
         np.testing.assert_array_equal(pose, second.poses[name])

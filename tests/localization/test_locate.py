@@ -9,8 +9,8 @@ from multi_view import SIZE, K, render_views, write_views
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.localization import locate
-from dgc_pose.localization.model import PosedModel
 from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.model import Model
 
 
 def test_features_go_with_their_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,7 +21,7 @@ def test_features_go_with_their_images(tmp_path: Path, monkeypatch: pytest.Monke
         for name, view in zip(write_views(tmp_path, views), views, strict=True)
     }
     monkeypatch.setattr(locate, "_IMAGE_BYTES", 1)
-    model = PosedModel(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
+    model = Model(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
     caches = MatcherCaches()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
     locator = locate.Locator(model, MatcherOptions().load(caches), options)

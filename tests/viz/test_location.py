@@ -19,7 +19,7 @@ def test_a_location_is_drawn_with_its_error(tmp_path: Path) -> None:
     for name in (*scene.names, "new.png"):
         picture = np.random.default_rng(0).integers(0, 256, (*IMAGE[::-1], 3), np.uint8)
         cv2.imwrite(str(tmp_path / name), picture)
-    model = replace(scene.model(), root=tmp_path, points={"r0.jpg": (scene.points, scene.points)})
+    model = replace(scene.model(), root=tmp_path, points=scene.points)
     references = tuple(
         Reference(name, scene.matches(i), np.arange(300) % 2 == 0, 0.9, agrees=i != 1)
         for i, name in enumerate(scene.names)

@@ -10,20 +10,21 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from multi_view import SIZE, K
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.colmap.reconstruction import SparseModel
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.model import Model
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.reconstruction import frusta, plot_reconstruction
 
 
-def a_model(views: int, points: int, name: str = "{}.jpg") -> SparseModel:
+def a_model(views: int, points: int, name: str = "{}.jpg") -> Model:
     """Cameras on a quarter of a circle of radius 4 around the points."""
     poses = {}
     for i, angle in enumerate(np.linspace(-45, 45, views)):
         R = Rotation.from_euler("yx", (angle, 10), degrees=True).as_matrix()
         poses[name.format(i)] = np.c_[R, (0, 0, 4) - R @ (0, 0, 4)]
     cloud = np.random.default_rng(0).normal((0, 0, 4), 1, (points, 3))
-    shapes = dict.fromkeys(poses, np.array(SIZE) / K[0, 0])
-    return SparseModel(poses, cloud, np.zeros((points, 3), np.uint8), 4.0, 0.5, (), shapes)
+    cameras = dict.fromkeys(poses, Camera(K, SIZE))
+    return Model(Path(), cameras, poses, cloud, np.zeros((points, 3), np.uint8))
 
 
 @pytest.mark.parametrize("count", [0, 500])
@@ -50,15 +51,15 @@ def test_cameras_and_points_from_above_and_from_the_front(count: int) -> None:
 def test_a_frustum_has_the_centre_and_the_rays_of_the_corners() -> None:
     """Its corners are projected into the corners of the image, in whichever axes it is."""
     model = a_model(3, 0)
-    cameras, axes = frusta([*model.poses.values()], [*model.shapes.values()])
+    cameras, axes = frusta([(model.cameras[name], pose) for name, pose in model.poses.items()])
     assert np.allclose(axes @ axes.T, np.eye(3)) and np.linalg.det(axes) == pytest.approx(-1)
     for camera, pose in zip(cameras @ axes, model.poses.values(), strict=True):
         assert np.allclose(pose[:, :3] @ camera[0] + pose[:, 3], 0, atol=1e-9)
         rays = camera[1:] @ pose[:, :3].T + pose[:, 3]
         assert np.allclose(np.linalg.norm(rays, axis=1), 1)
-        pixels = K[0, 0] * rays[:, :2] / rays[:, 2:]
-        half = np.array(SIZE) / 2
-        assert np.allclose(pixels, half * [(-1, -1), (1, -1), (1, 1), (-1, 1)])
+        pixels = rays @ K.T / rays[:, 2:]
+        corners = np.multiply(SIZE, [(0, 0), (1, 0), (1, 1), (0, 1)]) - 0.5
+        assert np.allclose(pixels[:, :2], corners)
 
 
 def test_many_cameras_have_few_names() -> None:
@@ -73,7 +74,7 @@ def test_a_model_in_metres_has_a_scale_bar(size: float, tmp_path: Path) -> None:
     model = a_model(3, 500)
     scaled = {name: np.c_[pose[:, :3], size * pose[:, 3]] for name, pose in model.poses.items()}
     model = replace(model, poses=scaled, points=size * model.points)
-    metric = plot_reconstruction(replace(model, metric={"unit": "m"}))
+    metric = plot_reconstruction(model, "m")
     for axes in metric.axes:
         (bar,) = (part for part in axes.artists if isinstance(part, AnchoredSizeBar))
         (text,) = bar.txt_label.get_children()
