@@ -15,15 +15,14 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
-from dgc_pose.images.image import Image, load_image, resize
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.images.image import Image
+from dgc_pose.images.store import ImageStore
 
 if TYPE_CHECKING:
     from dgc_pose.training.room_pairs import RoomPairs
 
 Ids = Mapping[str, str | int | float]
 RENDERED_SIZE = 1024  # pixels a side of a rendered view
-_IMAGE_BYTES = 2**29
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +82,7 @@ class FilePairs(PairSet[Score]):
         self.pairs = pairs
         self._seeds = seeds
         self._size = size
-        self._images: BoundedCache[Path, Image] = BoundedCache(
-            lambda _, image: image.pixels.nbytes, _IMAGE_BYTES
-        )
+        self._images = ImageStore(Path(), size=size)
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         return (self.pair(number) for number in range(first, len(self.pairs)))
@@ -100,18 +97,12 @@ class FilePairs(PairSet[Score]):
         return PosedPair(truth, image1, image2)
 
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
-        image = self._images.get(path, lambda: self._read(path))
+        image = self._images.get(str(path))
         stored = image.stored_size or image.size
         checked_camera(camera, stored, f"K of {image.name}")
         if self._size is not None:
             camera = replace(camera, size=stored).resized(self._size)
         return image, camera
-
-    def _read(self, path: Path) -> Image:
-        image = load_image(path)
-        if self._size is None:
-            return image
-        return replace(image, pixels=resize(image.pixels, self._size), stored_size=image.size)
 
 
 class ListedPairs(FilePairs[PairScore]):

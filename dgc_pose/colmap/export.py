@@ -9,11 +9,7 @@ from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
-from dgc_pose.images.image import Image, load_image
-from dgc_pose.images.mask import mask_file, masked
-from dgc_pose.matching.cache import BoundedCache
-
-_IMAGE_BYTES = 2**29  # of images in memory
+from dgc_pose.images.store import ImageStore
 
 
 def share(
@@ -28,15 +24,8 @@ def share(
     pairs = pair_geometries(batch)
     if not pairs:
         raise InputError(f"{batch.folder}: no pair of this batch has a pose")
-    images: BoundedCache[str, Image] = BoundedCache(
-        lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
-    )
-    root, masks = batch.plan.root, batch.plan.settings.get("masks")
-
-    def load(name: str) -> Image:
-        return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
-
-    return track_corners(pairs, load, per_image, progress)
+    images = ImageStore(batch.plan.root, batch.plan.settings.get("masks"))
+    return track_corners(pairs, images.get, per_image, progress)
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:

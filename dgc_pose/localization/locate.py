@@ -18,20 +18,18 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
+from dgc_pose.images.store import ImageStore
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import ReferenceSearch
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
-from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.model import Model
 from dgc_pose.pose import pose_of_pair
 from dgc_pose.system.options import check_type
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource
-
-_IMAGE_BYTES = 2**29  # of references in memory
 
 
 def locate(
@@ -69,15 +67,13 @@ class Locator:
         self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
-        self._images: BoundedCache[str, Image] = BoundedCache(
-            lambda name, image: image.pixels.nbytes, _IMAGE_BYTES, self.matcher.forget
-        )
+        self._images = ImageStore(model.root, masks, dropped=self.matcher.forget)
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Compute the coarsest features of the model's images, which choose references."""
         for done, name in enumerate(self.model.poses, start=1):
             if name not in self._features:
-                self._features[name] = self.matcher.coarse_features(self._image(name))
+                self._features[name] = self.matcher.coarse_features(self._images.get(name))
             progress(done, len(self.model.poses))
 
     def locate(
@@ -109,7 +105,7 @@ class Locator:
         seconds |= {"match": 0.0, "estimate": 0.0}
         while (name := search.next_reference()) is not None:
             start = time.perf_counter()
-            pair = self.matcher.search(self._image(name), image)
+            pair = self.matcher.search(self._images.get(name), image)
             cameras = self.model.cameras[name], search.pair_camera
             # The pose of a further pair is hardly in doubt where the location is known.
             effort = "fast" if search.is_placed else self.options.effort
@@ -143,13 +139,10 @@ class Locator:
         """Points of the model (N, 3) that a reference shows, and where the photograph does."""
         if name not in self.model.seen or not pose.success:
             return np.zeros((0, 3)), np.zeros((0, 2))
-        points, pixels = self.model.seen[name]
-        which, seen = points_in(image, self._image(name), matches.subset(pose.inliers), pixels)
-        return self.model.points[points[which]], seen
-
-    def _image(self, name: str) -> Image:
-        path, mask = self.model.root / name, mask_file(self.masks, name)
-        return self._images.get(name, lambda: masked(load_image(path), mask))
+        which, pixels = self.model.seen[name]
+        shown = self._images.get(name)
+        kept, seen = points_in(image, shown, matches.subset(pose.inliers), pixels)
+        return self.model.points[which[kept]], seen
 
 
 def _same_file(first: Path, second: Path) -> bool:

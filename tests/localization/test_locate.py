@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pytest
 from multi_view import SIZE, K, render_views, write_views
 
 from dgc_pose.cameras.camera import Camera
@@ -13,18 +12,18 @@ from dgc_pose.matchers import MatcherCaches, MatcherOptions
 from dgc_pose.model import Model
 
 
-def test_features_go_with_their_images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_features_go_with_their_images(tmp_path: Path) -> None:
     """Neither the photograph's nor those of references that left the memory are kept."""
     photo, *views = render_views(4, step=0.5)
     poses = {
         name: np.column_stack([view.R, view.t])
         for name, view in zip(write_views(tmp_path, views), views, strict=True)
     }
-    monkeypatch.setattr(locate, "_IMAGE_BYTES", 1)
     model = Model(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
     caches = MatcherCaches()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
     locator = locate.Locator(model, MatcherOptions().load(caches), options)
+    locator._images.limit_bytes = 1
     location = locator.locate(photo.pixels, K)
     assert location.success and caches.features.made > 4
     for cache in (caches.features, caches.native):
