@@ -74,12 +74,12 @@ def test_a_location_is_written_though_no_model_of_COLMAP_holds_its_camera(
     assert data["status"] == "located" and not (tmp_path / "model").exists()
 
 
-def test_a_photograph_of_the_model_is_told_and_no_reference(
+def test_an_image_of_the_model_is_told_and_not_matched(
     scene: tuple[Path, list[View]],
 ) -> None:
     result = locate(scene[0], "--K", K_text(), "--json", "-", photo="images/view2.png")
     (data,) = json.loads(result.stdout).values()
-    assert "is in the model as view2.png, and is no reference" in data["warnings"][0]
+    assert "is in the model as view2.png, which is not matched" in data["warnings"][0]
     assert "view2.png" not in {reference["name"] for reference in data["references"]}
 
 
@@ -90,7 +90,7 @@ def test_another_place_is_nowhere(scene: tuple[Path, list[View]]) -> None:
     cv2.imwrite(str(folder / "other.png"), other)
     result = locate(folder, "--K", K_text(), photo="other.png")
     assert result.exit_code == 3
-    assert "nowhere, none of 5 references has a pose that is likely" in result.stdout
+    assert "nowhere, none of 5 database images has a pose that is likely" in result.stdout
 
 
 def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
@@ -116,5 +116,5 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
     copy.unlink()
     copy.parent.rmdir()
     several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
-    assert_refused(several, "--plot", "draws a single photograph, not 2")
+    assert_refused(several, "--plot", "draws a single query, not 2")
     assert contents(tmp_path) == {} and contents(folder) == before

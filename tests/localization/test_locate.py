@@ -13,7 +13,7 @@ from dgc_pose.model import Model
 
 
 def test_features_go_with_their_images(tmp_path: Path) -> None:
-    """Neither the photograph's nor those of references that left the memory are kept."""
+    """Neither the query's nor those of images that left the memory are kept."""
     photo, *views = render_views(4, step=0.5)
     poses = {
         name: np.column_stack([view.R, view.t])
@@ -27,5 +27,5 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
     location = locator.locate(photo.pixels, K)
     assert location.success and caches.features.made > 4
     for cache in (caches.features, caches.native):
-        assert len({key[0].name for key in cache._kept} - {"photo"}) <= 1
-        assert "photo" not in {key[0].name for key in cache._kept}
+        assert len({key[0].name for key in cache._kept} - {"query"}) <= 1
+        assert "query" not in {key[0].name for key in cache._kept}
