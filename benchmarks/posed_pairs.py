@@ -15,6 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
+from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image
 from dgc_pose.images.store import ImageStore
 
@@ -90,19 +91,26 @@ class FilePairs(PairSet[Score]):
     def pair(self, number: int) -> PosedPair:
         """A pair by its number. Raises as `read` does."""
         pair = self.pairs[number]
-        image1, camera1 = self._shown(pair.path1, pair.camera1)
-        image2, camera2 = self._shown(pair.path2, pair.camera2)
+        image1, camera1, turn1 = self._shown(pair.path1, pair.camera1)
+        image2, camera2, turn2 = self._shown(pair.path2, pair.camera2)
         seed = () if self._seeds is None else self._seeds[number]
-        truth = Truth(self.ids[number], camera1, camera2, pair.R, pair.t, seed)
+        R, t = turn2 @ pair.R @ turn1.T, turn2 @ pair.t
+        truth = Truth(self.ids[number], camera1, camera2, R, t, seed)
         return PosedPair(truth, image1, image2)
 
-    def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera]:
-        image = self._images.get(str(path))
-        stored = image.stored_size or image.size
+    def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
+        """An upright image and its camera, and the turn (3, 3) to its axes from those of a list,
+        which is of the pixels as stored."""
+        image, turn = self._images.get(str(path)), np.eye(3)
+        full = image.stored_size or image.size
+        turn[:2, :2] = exif_turn(image.exif.orientation)
+        stored = full if turn[0, 0] else full[::-1]
         checked_camera(camera, stored, f"K of {image.name}")
+        if image.exif.orientation != 1:
+            camera = camera.turned(turn[:2, :2], stored)
         if self._size is not None:
-            camera = replace(camera, size=stored).resized(self._size)
-        return image, camera
+            camera = replace(camera, size=full).resized(self._size)
+        return image, camera, turn
 
 
 class ListedPairs(FilePairs[PairScore]):

@@ -100,6 +100,9 @@ def estimate(
         say(f"{name} is not stated: the focal length is estimated (--{name} auto)")
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
+        for number, image in enumerate((trace.image1, trace.image2), start=1):
+            if (turn := image.exif.orientation) != 1:
+                click.echo(f"image {number}: EXIF orientation {turn} is applied to it")
     else:
         click.echo(data, nl=False)
         if not pose.success:
@@ -122,8 +125,7 @@ def traced(
     image1 = masked(load_image(path1), masks.mask1, "mask1")
     image2 = masked(load_image(path2), masks.mask2, "mask2")
     camera1, camera2 = cameras.resolve(image1, image2)
-    image1, image2 = image1.oriented(camera1.orientation), image2.oriented(camera2.orientation)
-    maps = scale.maps((image1, image2), (camera1, camera2))
+    maps = scale.maps((image1, image2))
     read_seconds = time.perf_counter() - start
     from dgc_pose.pose import pose_of_pair  # heavy; unusable input is refused without it
     from dgc_pose.trace import Trace

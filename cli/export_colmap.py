@@ -52,8 +52,7 @@ def export_colmap(
     """
     from dgc_pose.adapters.hloc import write_hloc
     from dgc_pose.batch.result import read_batch
-    from dgc_pose.colmap.database import write_database
-    from dgc_pose.colmap.export import share
+    from dgc_pose.colmap.export import share, write_shared
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")
@@ -68,6 +67,5 @@ def export_colmap(
         write_hloc(hloc, shared)
         click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")
     if database is not None:
-        plan = batch.plan
-        write_database(Path(database), plan.names, plan.final_cameras, shared, batch.rows)
+        write_shared(batch, shared, Path(database))
         click.echo(f"{database}: {described(shared)}")

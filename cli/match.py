@@ -32,7 +32,7 @@ def match(image1: str, image2: str, out: str, masks: MaskChoice, matcher: Matche
     The file holds `map` (H, W, 2), for each cell of a grid over image 2 its point in image 1;
     `grid` (H, W, 2), the centres of the cells in image 2; `matchability` (H, W); and `points1`,
     `points2` (N, 2) and `confidence` (N), the matches, refined as --refine says. All points are in
-    pixels of the original images.
+    pixels of the upright original images.
     """
     with staged(out) as stage:
         first = masked(load_image(image1), masks.mask1, "mask1")
@@ -44,7 +44,8 @@ def match(image1: str, image2: str, out: str, masks: MaskChoice, matcher: Matche
         arrays = {"map": dense.map, "grid": dense.grid, "matchability": dense.matchability}
         write_npz(stage(out), arrays | matches_arrays(result.matches))
     for image in (first, second):
-        if (turned := image.orientation) != 1:
-            why = "the points refer to the pixels as stored"
-            say(f"warning: {image.name}: EXIF orientation {turned} is not applied: {why}")
+        if (turn := image.exif.orientation) != 1:
+            say(
+                f"{image.name}: EXIF orientation {turn} is applied: points are of the upright image"
+            )
     click.echo(f"{out}: {len(result.matches)} matches of {dense.matchability.size} cells")

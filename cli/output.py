@@ -21,11 +21,6 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
         lines += _pose_lines(pose.R, pose.t, pose.length_text)
-    lines += [
-        f"image {n}: EXIF orientation {prior.orientation} is applied, and the pose is of that image"
-        for n, prior in enumerate(priors or (), start=1)
-        if prior.orientation != 1
-    ]
     lines += [*_camera_lines(pose, priors), *_check_lines(pose)]
     inliers = "are inliers" if pose.success else "are inliers of the best essential matrix"
     share = f"{100 * pose.inlier_ratio:.1f} %"

@@ -17,12 +17,13 @@ from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import with_orientation
+from dgc_pose.cameras.upright import orientation_of
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced_folder
+from dgc_pose.geometry.pixels import exif_turn, turn_points
 from dgc_pose.geometry.rotation import is_rotation
-from dgc_pose.images.image import image_header
+from dgc_pose.images.image import image_header, size_in_file
 from dgc_pose.system.colmap_library import pycolmap
 
 HALF_PIXEL = 0.5  # that COLMAP's pixels are more
@@ -33,7 +34,7 @@ _NO_POINTS = np.zeros((0, 3))
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Images of one folder with their cameras and poses, all in one frame and unit.
+    """Upright images of one folder with their cameras and poses, all in one frame and unit.
 
     Attributes:
         root: Folder of the image names.
@@ -44,8 +45,8 @@ class Model:
         seen: By image name which points the image shows, indices (M,), and where, (M, 2) pixels;
             absent for an image that shows none.
         warnings: Sentences about what is missing, for people.
-        colmap: COLMAP's own form, with the tracks and all images; None of another kind or without
-            points.
+        colmap: COLMAP's own form, of the pixels as stored, with the tracks and all images; None of
+            another kind or without points.
     """
 
     root: Path
@@ -59,8 +60,8 @@ class Model:
 
     @classmethod
     def of_colmap(cls, colmap: pycolmap.Reconstruction, root: Path) -> Model:
-        """COLMAP's model of images of a folder. Raises InputError for a camera without a focal
-        length."""
+        """COLMAP's model of images of a folder, all without an EXIF orientation: the files are not
+        read. Raises InputError for a camera without a focal length."""
         points = [*colmap.points3D.values()]
         index = {key: number for number, key in enumerate(colmap.points3D)}
         images = [image for image in colmap.images.values() if image.has_pose]
@@ -98,21 +99,24 @@ class Model:
             i.name for i in (self.colmap.images.values() if self.colmap else ())
         }
 
-    def write(self, folder: Path, added: Mapping[str, tuple[Camera, np.ndarray]]) -> None:
-        """Write COLMAP's binary files, over what is there: with all that COLMAP's own form has, or
-        else the cameras and poses; and with further images, each with a camera of its own, its
-        cam_from_world (3, 4) and no points.
+    def write(self, folder: Path, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> None:
+        """Write COLMAP's binary files, of the pixels as stored, over what is there: with all that
+        COLMAP's own form has, or else the cameras and poses; and with further upright images by
+        their files, each with a camera of its own, its cam_from_world (3, 4) and no points.
 
         Raises InputError if COLMAP cannot hold a camera; OSError.
         """
-        images = dict(added)
+        images = [(path.name, path, *view) for path, view in added.items()]
         if self.colmap is not None:
             written = pycolmap.Reconstruction(self.colmap)
         else:
-            written = pycolmap.Reconstruction()
-            images |= {name: (self.cameras[name], pose) for name, pose in self.poses.items()}
-        for name, (camera, pose) in images.items():
-            theirs = colmap_camera(camera, name)
+            written, poses = pycolmap.Reconstruction(), self.poses
+            images = [(n, self.root / n, self.cameras[n], poses[n]) for n in poses] + images
+        for name, path, camera, pose in images:
+            header = image_header(path)
+            turn = exif_turn(header.exif.orientation).T
+            pose = np.concatenate([turn @ pose[:2], pose[2:]])
+            theirs = colmap_camera(camera.turned(turn, header.size), name)
             theirs.camera_id = max(written.cameras, default=0) + 1
             written.add_camera_with_trivial_rig(theirs)
             image = pycolmap.Image(name=name, camera_id=theirs.camera_id)
@@ -147,7 +151,10 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
         raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
-    cameras, poses = {}, {}
+    with read_as("a COLMAP model", path):
+        has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
+        whole = Model.of_colmap(pycolmap.Reconstruction(path), root) if has_points else None
+    cameras, poses, seen = {}, {}, {}
     for stated, name in names.items():
         pose = file.poses[stated]
         if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
@@ -155,20 +162,21 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
         if name is not None:
             header = image_header(root / name)
             stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
-            camera = replace(calibration, by_name=stated_camera).camera(root, name, header)
-            exact = with_orientation(camera, header).as_exact()
-            cameras[name] = replace(exact, size=header.size)  # the poses are of these
-            poses[name] = pose
+            of_image = replace(calibration, by_name=stated_camera)
+            camera = of_image.camera(root, name, header)
+            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses are of these
+            # A model of the pixels as stored is turned with them.
+            K = of_image.stated(root, name)
+            turn = exif_turn(1 if K is None else orientation_of(K, header))
+            if np.linalg.det(turn) < 0:
+                raise InputError(f"{root / name}: its pixels as stored are a mirror image, by EXIF")
+            poses[name] = np.concatenate([turn @ pose[:2], pose[2:]])
+            if whole is not None and stated in whole.seen:
+                which, pixels = whole.seen[stated]
+                seen[name] = which, turn_points(pixels, turn, size_in_file(header))
     warnings = (f"{root} lacks {count} of {path}",) if missing else ()
-    model = Model(root, cameras, poses, warnings=warnings)
-    if not any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt")):
-        return model
-    with read_as("a COLMAP model", path):
-        whole = Model.of_colmap(pycolmap.Reconstruction(path), root)
-    seen = {
-        name: whole.seen[stated] for stated, name in names.items() if name and stated in whole.seen
-    }
-    return replace(whole, cameras=cameras, poses=poses, seen=seen, warnings=warnings)
+    model = whole or Model(root, cameras, poses)
+    return replace(model, cameras=cameras, poses=poses, seen=seen, warnings=warnings)
 
 
 def read_colmap(source: Path) -> pycolmap.Reconstruction:

@@ -19,7 +19,7 @@ from dgc_pose.estimation.focal_check import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import Image, flipped, load_image
 from dgc_pose.images.mask import masked
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult, PairSearch
@@ -108,12 +108,13 @@ def estimate_relative_pose(
     scale: ScaleSource | None = None,
     trace: bool = False,
 ) -> RelativePose | Trace:
-    """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale.
+    """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale. It is of
+    the upright images: an EXIF orientation is applied.
 
     image1, image2: paths, arrays (H, W[, 3]) in RGB order, or tensors. K1, K2: 3x3 matrices in
     pixels of those images, (0, 0) the centre of the top-left pixel, or fx, fy, cx, cy; or
     `Camera`s, which may have lens distortion; or texts and files as of --K. Without K2, K1 serves
-    for both. fov: in place of a K, the horizontal field of view of both upright images, degrees.
+    for both. fov: in place of a K, the horizontal field of view of both images, degrees.
     matcher: by default `load_matcher()`, the shipped network with refinement; a name is loaded for
     this pair. trace: whether to return a `Trace`, which has images, map and matches too. scale:
     what determines the length of t. Without a pose, `success` is False and `reason` says why.
@@ -137,7 +138,6 @@ def estimate_relative_pose(
     first, second = masked(first, mask1, "mask1"), masked(second, mask2, "mask2")
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     prior1, prior2 = pair_cameras(K1, K, first, second, ("K1", name), fov=fov)
-    first, second = first.oriented(prior1.orientation), second.oriented(prior2.orientation)
     options = EstimationOptions() if options is None else options
     check_type(options, EstimationOptions, "options")
     check_type(matcher, Matcher | str | Path | None, "matcher")
@@ -145,7 +145,7 @@ def estimate_relative_pose(
     matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
     scale = ScaleSource() if scale is None else scale
     check_type(scale, ScaleSource, "scale")
-    maps = scale.maps((first, second), (prior1, prior2))
+    maps = scale.maps((first, second))
     load_seconds = time.perf_counter() - start
 
     search = matcher.search(first, second)
@@ -220,7 +220,7 @@ def _mirror_image_probability(
     """The probability of the pose of image 1 and image 2 flipped left to right, or top to bottom if
     its pose is upside down, by a quick pass; 0 without one."""
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
-    image2 = search.image2.oriented(4 if flips else 2)
+    image2 = flipped(search.image2, 0 if flips else 1)
     result = search.matcher.search(search.image1, image2).quick()
     search.matcher.forget(image2)  # no other pair has it
     if result is None:

@@ -28,7 +28,7 @@ class CameraScene:
 
     def auto(self, exif: Exif = NO_EXIF) -> tuple[Camera, Camera]:
         """The cameras of photographs of these sizes without a K."""
-        first, second = (Header("JPEG", camera.size, 1, exif) for camera in self.cameras)
+        first, second = (Header("JPEG", camera.size, exif) for camera in self.cameras)
         return auto_cameras(first, second)
 
     def estimate(self, *cameras: Camera, seed: int = 0) -> RelativePose:

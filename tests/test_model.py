@@ -160,13 +160,13 @@ def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
     stored = PIL.Image.fromarray(np.arange(120 * 160, dtype=np.int32).reshape(120, 160))
     exif = PIL.Image.Exif()
     exif[0x112] = orientation
-    photo = tmp_path / "new.jpg"
+    photo = images / "new.jpg"
     PIL.Image.new("L", stored.size).save(photo, exif=exif)
     turn = {3: 3, 6: 4, 8: 2}.get(orientation)  # PIL.Image.Transpose
     upright = np.asarray(stored if turn is None else stored.transpose(PIL.Image.Transpose(turn)))
     lens = Distortion("OPENCV", (0.05, -0.02, 0.01, -0.02))
     matrix = np.array([[100.0, 0, 70], [0, 110, 65], [0, 0, 1]])
-    camera = Camera(matrix, upright.shape[::-1], lens, orientation=orientation)
+    camera = Camera(matrix, upright.shape[::-1], lens)
     location = Location("located", "", (), SCENE.R, SCENE.centre, camera=camera)
     source = load_model(write_colmap(SCENE, tmp_path / "m"), images)
     require_addable(tmp_path / "out", source, [str(photo)])
@@ -189,6 +189,10 @@ def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
         if 0 <= column < upright.shape[1] and 0 <= line < upright.shape[0]:
             y, x = divmod(int(upright[line, column]), 160)
             assert np.abs(in_file - (x, y)).max() <= 0.5 + 1e-6
+    again = load_model(tmp_path / "out", images)
+    pose = np.column_stack([SCENE.R, -SCENE.R @ SCENE.centre])
+    np.testing.assert_allclose(again.poses["new.jpg"], pose, atol=1e-9)
+    np.testing.assert_allclose(again.cameras["new.jpg"].K, matrix)
 
 
 def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path) -> None:

@@ -112,7 +112,7 @@ def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
     damaged: list[ImageError] = []  # one in thousands is no reason to stop
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         try:
-            pixels = load_image(path, upright=True).pixels
+            pixels = load_image(path).pixels
         except ImageError as error:
             damaged.append(error)
             continue

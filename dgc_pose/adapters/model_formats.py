@@ -10,7 +10,7 @@ import cv2
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import require_room, save_text
-from dgc_pose.images.image import image_header, read_pixels
+from dgc_pose.images.image import image_header, read_pixels, size_in_file
 from dgc_pose.model import Model, write_points
 from dgc_pose.system.colmap_library import pycolmap
 
@@ -59,7 +59,7 @@ def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: 
     for image in model.images.values():  # pycolmap ends the process for another size, a full disk
         if os.path.isabs(image.name) or ".." in Path(image.name).parts:
             raise InputError(ArgumentName("images"), f"does not hold the model's {image.name}")
-        width, height = image_header(images / image.name).size
+        width, height = size_in_file(image_header(images / image.name))
         if (width, height) != (image.camera.width, image.camera.height):
             raise InputError(f"{images / image.name}: {width} x {height} is not its camera's size")
         pixels += width * height
@@ -77,9 +77,9 @@ def openmvs(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: 
             raise InputError(f"{images / image.name}: pycolmap does not read this photograph")
         header = image_header(path)
         # The turn goes and the pixels stay, which the camera is of.
-        if header.orientation != 1 and header.format == "JPEG":
+        if header.exif.orientation != 1 and header.format == "JPEG":
             path.write_bytes(_ORIENTATION.sub(b"\\1\x01", path.read_bytes(), count=1))
-        elif header.orientation != 1:  # a PNG
+        elif header.exif.orientation != 1:  # a PNG
             cv2.imwrite(str(path), read_pixels(path))
 
 

@@ -6,17 +6,19 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from dgc_pose.cameras.calibration import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import times
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
-from dgc_pose.cameras.prior import is_of_upright, with_orientation
+from dgc_pose.cameras.upright import may_be_of
 from dgc_pose.errors import ArgumentName, ImageError, InputError
-from dgc_pose.geometry.pixels import Size
+from dgc_pose.geometry.pixels import Size, exif_turn
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.header import Header
-from dgc_pose.images.image import image_header, upright_header
+from dgc_pose.images.image import image_header, size_in_file
 from dgc_pose.images.mask import mask_file
 
 PLAN = "plan.json"  # in the folder of a batch
@@ -106,11 +108,11 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
 def survey(
     source: Source, calibration: Calibration
 ) -> tuple[dict[str, Camera], dict[str, str], dict[str, FileState]]:
-    """By image name: cameras with the sizes in the headers; the reasons of images that cannot be
-    used; and the states of the files, absent for a file without one.
+    """By image name: cameras of the upright images, with their sizes; the reasons of images that
+    cannot be used; and the states of the files, absent for a file without one.
 
     Raises InputError if an image has no camera or one for another size, or if one K is given for
-    images of several sizes, unless these are turned by 90 degrees, see `Camera.turned`.
+    images of several sizes, unless these are turned by 90 degrees, see `Camera.turned_either_way`.
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
@@ -122,9 +124,14 @@ def survey(
             files = [file.stat() for file in (path, mask_file(source.masks, name)) if file]
             states[name] = tuple(n for s in files for n in (s.st_size, s.st_mtime_ns))
         try:
-            headers[name] = image_header(path)
+            header = image_header(path)
         except ImageError as error:
             bad[name] = str(error)
+            continue
+        if np.linalg.det(exif_turn(header.exif.orientation)) < 0:  # which no model can hold
+            bad[name] = f"{path}: its pixels as stored are a mirror image, by EXIF"
+        else:
+            headers[name] = header
     common = {n: h for n, h in headers.items() if calibration.named(source.root, n) is None}
     size = _size_of_common(calibration, common.values())
     for name, header in headers.items():
@@ -134,23 +141,26 @@ def survey(
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
         of_K = size if size is not None and name in common else header.size
-        camera = of_image.camera(source.root, name, replace(header, size=of_K))
-        if of_K != header.size:
-            camera = camera.turned(header.size, header.orientation)
-        cameras[name] = replace(with_orientation(camera, header), size=header.size)
+        if of_K in (header.size, size_in_file(header)):
+            camera = of_image.camera(source.root, name, header)
+        else:  # stored turned, without an EXIF orientation that does it
+            unturned = replace(header, size=of_K, exif=replace(header.exif, orientation=1))
+            camera = of_image.camera(source.root, name, unturned).turned_either_way(of_K)
+        cameras[name] = replace(camera, size=header.size)
     return cameras, bad, states
 
 
 def _size_of_common(calibration: Calibration, headers: Collection[Header]) -> Size | None:
-    """The size of the images that the K of all is for, of those turned by 90 degrees; None without
-    such a K. Raises InputError for images of several other sizes."""
+    """The size of the images, as stored or upright, that the K of all is for; None without such a
+    K. Raises InputError for images of several sizes that are not turned by 90 degrees."""
     if calibration.common is None or not headers:
         return None
-    sizes = sorted({header.size for header in headers})
+    sizes = sorted({size_in_file(header) for header in headers})
     K, stated = calibration.common, calibration.details.size
-    upright = {upright_header(header).size for header in headers}
     known = [
-        size for size in {*sizes, *upright} if is_of_upright(K, stated, Header("", size[::-1], 6))
+        size
+        for size in {*sizes, *(header.size for header in headers)}
+        if may_be_of(K, size, stated) and not may_be_of(K, size[::-1], stated)
     ]
     if len({tuple(sorted(size)) for size in sizes}) > 1 or (len(sizes) > 1 and not known):
         raise InputError(

@@ -28,11 +28,10 @@ from dgc_pose.cameras.prior import (
     Sharing,
     auto_camera,
     auto_cameras,
-    is_of_upright,
-    with_orientation,
 )
+from dgc_pose.cameras.upright import orientation_of, upright_camera
 from dgc_pose.errors import ArgumentName, InputError, shortened
-from dgc_pose.images.image import Image, upright_header
+from dgc_pose.images.image import Image, size_in_file
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -70,7 +69,8 @@ class Calibration:
     def camera(
         self, root: Path, name: str, image: Image | Header, part: str | None = None
     ) -> Camera:
-        """The camera of an image or its header, checked against its size.
+        """The camera of an upright image or its header, checked against its size; a K of the pixels
+        as stored is turned with them, see `upright_camera`.
 
         root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
 
@@ -79,7 +79,7 @@ class Calibration:
         camera = self.stated(root, name, part)
         if camera is not None:
             label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
-            return _fitted(camera, self.details, image.size, label)
+            return _fitted(camera, self.details, image, label)
         if self.auto is not None:
             return auto_camera(image, self.auto)
         if self.parts or self.by_name:
@@ -161,12 +161,14 @@ class Calibration:
         return replace(self.common, warnings=(*self.common.warnings, warning))
 
 
-def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str) -> Camera:
-    """The camera of an image of `size`: checked, scaled from the size of `details`, and with its
-    deviations.
+def _fitted(camera: Camera, details: KDetails, upright: Image | Header, name: str) -> Camera:
+    """The camera of an upright image: checked, scaled from the size of `details`, turned, and with
+    its deviations.
 
     Raises InputError if K states another size, if the image is a crop, and as `checked_camera`.
     """
+    is_turned = orientation_of(camera, upright, details.size) != 1
+    size = size_in_file(upright) if is_turned else upright.size
     of_K = details.size or size
     if details.size is not None:
         if camera.size not in (None, of_K):
@@ -182,6 +184,7 @@ def _fitted(camera: Camera, details: KDetails, size: tuple[int, int], name: str)
     camera = checked_camera(camera, of_K, name, image, details.other)
     if details.size is not None:
         camera = replace(camera, size=of_K).resized(size)
+    camera = upright_camera(camera, upright)
     return replace(
         camera,
         focal_std=details.focal_std or camera.focal_std,
@@ -200,34 +203,32 @@ def pair_cameras(
     fov: float | None = None,
 ) -> tuple[Camera, Camera]:
     """The cameras of two images, each from a Camera, an array (3, 3), fx, fy, cx, cy, or a text or
-    path as of --K; or both by the horizontal field of view of the upright image, degrees.
-
-    An EXIF orientation is to be applied to an image without a K, and to one whose K fits the
-    upright image alone: the camera has it as its `orientation`, and is that of the upright image.
+    path as of --K; or both by the horizontal field of view, degrees.
 
     None is "auto"; if both are, by `auto_cameras`. A value without an identity gets that of its
     argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable,
     does not fit the image, or is stated beside `fov`.
     """
-    headers = upright_header(image1), upright_header(image2)
     values = ["auto" if value is None else value for value in (K1, K2)]
     sharings = [_SHARING.get(value) if isinstance(value, str) else None for value in values]
     if fov is not None:
         if K1 is not None or K2 is not None:
             raise InputError(ArgumentName("fov"), f"and {names[K1 is None]} are both stated")
-        first, second = (_fitted(view_camera(fov, h.size), details, h.size, "fov") for h in headers)
-    elif sharings[0] is not None and sharings[1] is not None:
+        cameras = (view_camera(fov, image.size) for image in (image1, image2))
+        first, second = (
+            _fitted(camera, details, image, "fov")
+            for camera, image in zip(cameras, (image1, image2), strict=True)
+        )
+        return first, second
+    if sharings[0] is not None and sharings[1] is not None:
         if sharings[0] != sharings[1]:
             raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
         _require_K(details, names[0])
-        first, second = auto_cameras(*headers, sharings[0])
-    else:
-        of1 = replace(details, image="image 1", other=headers[1].size)
-        of2 = replace(details, image="image 2", other=headers[0].size)
-        first = image_camera(values[0], image1, names[0], of1, "K1")
-        return first, image_camera(values[1], image2, names[1], of2, "K2")
-    first = replace(first, orientation=image1.orientation)
-    return first, replace(second, orientation=image2.orientation)
+        return auto_cameras(image1, image2, sharings[0])
+    of1 = replace(details, image="image 1", other=image2.size)
+    of2 = replace(details, image="image 2", other=image1.size)
+    first = image_camera(values[0], image1, names[0], of1, "K1")
+    return first, image_camera(values[1], image2, names[1], of2, "K2")
 
 
 def image_camera(
@@ -249,11 +250,7 @@ def image_camera(
         camera = value if isinstance(value, Camera) else matrix_camera(value, name)
         camera = replace(camera, identity=camera.identity or name)
         calibration = Calibration(name, common=camera, details=details)
-    stated = calibration.stated(Path(), image.name, part)
-    if stated is None or is_of_upright(stated, details.size, image):
-        camera = calibration.camera(Path(), image.name, upright_header(image), part)
-        return replace(camera, orientation=image.orientation)
-    return with_orientation(calibration.camera(Path(), image.name, image, part), image)
+    return calibration.camera(Path(), image.name, image, part)
 
 
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
@@ -351,7 +348,6 @@ def camera_data(camera: Camera) -> dict[str, Any]:
         "centre_std_px": camera.centre_std,
         "lens_std": camera.lens_std,
         "aspect_std": camera.aspect_std,
-        "orientation": camera.orientation,
         "focal_source": camera.focal_source,
         "identity": camera.identity,
         "projection": camera.projection,
@@ -362,6 +358,9 @@ def parse_camera_data(data: Mapping[str, Any]) -> Camera:
     """The camera of `camera_data`. Raises KeyError, TypeError or ValueError for other data."""
     if data["focal_source"] not in get_args(FocalSource):
         raise ValueError("a focal_source that is none")
-    kept = {name: data[name] for name in ("focal_source", "orientation")}
-    kept["projection"] = data.get("projection", "")  # files of 0.2.0 have none
-    return replace(keyed_camera(data), warnings=tuple(data["warnings"]), **kept)
+    return replace(
+        keyed_camera(data),
+        warnings=tuple(data["warnings"]),
+        focal_source=data["focal_source"],
+        projection=data.get("projection", ""),  # files of 0.2.0 have none
+    )

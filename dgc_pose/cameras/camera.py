@@ -16,12 +16,10 @@ from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.pixels import Size, exif_turn, rescale, turn_points
 from dgc_pose.system.options import check_type
 
 FocalSource = Literal["given", "exif", "size", "matches"]
-# By EXIF orientation, of those that mirror nothing, the turns by 90 degrees that it applies.
-QUARTERS = {1: 0, 3: 2, 6: 1, 8: 3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +39,6 @@ class Camera:
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
         lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
             distortion; 0: the lens is known. The estimation fits it like the focal lengths.
-        orientation: EXIF orientation, 1 to 8, of the pixels as stored, if K is of the upright
-            image; else 1.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
             image, or the matches.
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
@@ -58,7 +54,6 @@ class Camera:
     focal_std: float = 0.0
     centre_std: float = 0.0
     lens_std: float = 0.0
-    orientation: int = 1
     focal_source: FocalSource = "given"
     identity: str | None = None
     projection: str = ""
@@ -130,39 +125,37 @@ class Camera:
         centre_std = self.centre_std * float(scale[:2].mean())
         return replace(self, K=K, size=(int(size[0]), int(size[1])), centre_std=centre_std)
 
-    def as_stored(self, size: tuple[int, int], orientation: int) -> tuple[Camera, np.ndarray]:
-        """The camera of pixels as stored, of `size` (width, height), by that of the image that an
-        EXIF orientation of `QUARTERS` makes of them; and the turn (3, 3) to its axes.
+    def turned(self, turn: np.ndarray, size: Size) -> Camera:
+        """The camera of an image of `size` (width, height) after a turn (2, 2) of its axes, by
+        `exif_turn`.
 
         Raises InputError if K has a skew or the lens an axis of its own, and there is a turn.
         """
-        turn, middle, lens = np.eye(3), (np.array(size) - 1) / 2, self.distortion
-        turn[:2, :2] = np.linalg.matrix_power([[0, 1], [-1, 0]], QUARTERS[orientation])
+        lens = self.distortion
         of_axis = lens is not None and ("PRISM" in lens.model or lens.projection == "cylinder")
-        if orientation != 1 and (self.K[0, 1] or of_axis):
+        if (self.K[0, 1] or of_axis) and not np.array_equal(turn, np.eye(2)):
             raise InputError(
                 "K has a skew, a prism or a cylinder, which are not turned: give the photographs "
                 "that are turned a K of their own"
             )
-        K = turn @ self.K @ turn.T
-        K[:2, 2] += middle - turn[:2, :2] @ np.abs(turn[:2, :2]) @ middle
+        K = self.K.copy()
+        K[:2, :2] = turn @ K[:2, :2] @ turn.T
+        K[:2, 2] = turn_points(self.K[:2, 2], turn, size)
         if lens is not None and lens.model in ("OPENCV", "FULL_OPENCV"):
             k1, k2, p1, p2, *rest = lens.coefficients
-            p2, p1 = (turn[:2, :2] @ (p2, p1)).tolist()
+            p2, p1 = (turn @ (p2, p1)).tolist()
             lens = replace(lens, coefficients=(k1, k2, p1, p2, *rest))
-        return replace(self, K=K, size=size, distortion=lens, orientation=1), turn
+        width, height = size if turn[0, 0] else size[::-1]
+        return replace(self, K=K, size=(width, height), distortion=lens)
 
-    def turned(self, size: tuple[int, int], orientation: int) -> Camera:
-        """The camera of photographs that are stored turned by 90 degrees, with this `size` (width,
-        height); EXIF orientation 6 or 8 undoes it. With any other it is not known in which sense:
-        then the principal point is the middle, with a deviation, and the camera is of its image
-        alone. Raises InputError as `as_stored`, and if the sense changes the lens."""
-        if orientation in (6, 8):
-            return self.as_stored(size, orientation)[0]
-        camera, _ = self.as_stored(size, 6)
+    def turned_either_way(self, size: Size) -> Camera:
+        """The camera of an image of `size` (width, height) after a turn by 90 degrees, in which
+        sense is not known: the principal point is the middle, with a deviation, and the camera is
+        of its image alone. Raises InputError as `turned`, and if the sense changes the lens."""
+        camera = self.turned(exif_turn(6), size)
         if camera.distortion != self.distortion:
             raise InputError("K has another lens in turned photographs: give a K for each image")
-        K, middle = camera.K.copy(), (np.array(size) - 1) / 2
+        K, middle = camera.K.copy(), (np.array(size[::-1]) - 1) / 2
         std = math.hypot(self.centre_std, *(K[:2, 2] - middle))
         K[:2, 2] = middle
         return replace(camera, K=K, centre_std=std, identity=None)

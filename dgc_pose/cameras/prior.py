@@ -33,7 +33,6 @@ SIZE_STD = 0.45  # deviation of their logarithm
 LENS_STD, _ACTION_LENS_STD = 0.1, 0.3
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
-_MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
 
 _FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
 _BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
@@ -160,40 +159,6 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
     K, focals = camera.K.copy(), other.K.diagonal()[:2]
     K[[0, 1], [0, 1]] = focals if camera.size == other.size else focals[::-1]
     return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
-
-
-def is_of_upright(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> bool:
-    """Whether K is certainly of the image with its EXIF orientation applied, and not of the pixels
-    as stored: by the size that it is for, or else by its principal point."""
-    return _fits(camera, size, image) == (False, True)
-
-
-def with_orientation(camera: Camera, image: Image | Header) -> Camera:
-    """The camera with a warning if an EXIF orientation is not applied: a K that was given may be
-    for the upright image, unless its size or its principal point excludes that."""
-    of_stored = _fits(camera, None, image) == (True, False)
-    if image.orientation == 1 or camera.focal_source != "given" or of_stored:
-        return camera
-    warning = (
-        f"EXIF orientation {image.orientation} is not applied: K must refer to the pixels as stored"
-    )
-    return replace(camera, warnings=(*camera.warnings, warning))
-
-
-def _fits(camera: Camera, size: tuple[int, int] | None, image: Image | Header) -> tuple[bool, bool]:
-    """Whether K may be of the pixels as stored, and of the upright image. size: (width, height)
-    that K is for, besides that of the camera."""
-    if image.orientation < 5:  # 5 to 8 exchange width and height
-        return True, True
-    size = size or camera.size
-    if size is not None:
-        shape = math.log(size[0] / size[1]) * math.log(image.size[0] / image.size[1])
-        return shape >= 0, shape <= 0
-    stored, upright = (
-        float(np.abs((camera.K[:2, 2] + 0.5) / side - 0.5).max()) < _MAX_CENTRE_OFFSET
-        for side in (image.size, image.size[::-1])
-    )
-    return stored, upright
 
 
 def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.batch.result import Batch
-from dgc_pose.colmap.database import write_database
-from dgc_pose.colmap.export import share
+from dgc_pose.colmap.export import share, write_shared
 from dgc_pose.colmap.mapping import MappingError, map_database, refine_centres
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
@@ -18,7 +17,7 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.camera_spread import is_of_part
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
-from dgc_pose.model import Model, require_model_folder, write_points
+from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
@@ -51,9 +50,8 @@ def reconstruct(
     with only_writer(out):
         try:
             shared = share(batch, options.per_image, progress)
-            database = out / DATABASE
-            write_database(database, plan.names, plan.final_cameras, shared, batch.rows)
-            found = map_database(database, plan.root, mapping)
+            write_shared(batch, shared, out / DATABASE)
+            found = map_database(out / DATABASE, plan.root, mapping)
         except (InputError, MappingError) as error:
             raise type(error)(*error.args, *_what_stays(batch)) from error
         cut = [name for name, camera in plan.final_cameras.items() if is_of_part(camera)]
@@ -68,7 +66,7 @@ def reconstruct(
             for number, model in enumerate(found):
                 (folder / str(number or "")).mkdir(exist_ok=True)
                 model.write_binary(folder / str(number or ""))
-        models = [Model.of_colmap(model, plan.root) for model in found]
+        models = [load_model(out / MODEL / str(n or ""), plan.root) for n in range(len(found))]
         with replaced(out / POINTS) as temporary:
             write_points(temporary, models[0].points, models[0].colours, out / POINTS)
     return models, shared, metric

@@ -72,11 +72,13 @@ class ScaleSource:
                 form = f"must be {_FORMS[name]}, METRES and STD above 0"
                 raise InputError(ArgumentName(name), f"{form}, not {value!r}")
 
-    def maps(self, images: Sequence[Image], cameras: Sequence[Camera]) -> list[np.ndarray | None]:
-        """By `read_depth`, of two images that have the orientations of their cameras applied."""
-        sources = (self.depth1, "depth1"), (self.depth2, "depth2")
-        seen = zip(sources, images, cameras, strict=True)
-        return [read_depth(*of, image.size, camera.orientation) for of, image, camera in seen]
+    def maps(self, images: Sequence[Image]) -> list[np.ndarray | None]:
+        """By `read_depth`, of two images."""
+        sources = zip((self.depth1, self.depth2), ("depth1", "depth2"), images, strict=True)
+        return [
+            read_depth(source, name, image.size, image.exif.orientation)
+            for source, name, image in sources
+        ]
 
 
 def with_length(

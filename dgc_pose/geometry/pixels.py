@@ -4,6 +4,22 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 Size = tuple[int, int]  # (width, height)
+EXCHANGING = range(5, 9)  # EXIF orientations that exchange width and height
+
+
+def exif_turn(orientation: int) -> np.ndarray:
+    """The axes (2, 2) of the upright image by those of the pixels as stored: x' = turn @ x but for
+    the origin, by an EXIF orientation, 1 to 8. The transpose undoes it."""
+    # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
+    signs = np.array(
+        [-1 if orientation in (2, 3, 6, 7) else 1, -1 if orientation in (3, 4, 7, 8) else 1]
+    )
+    return np.diag(signs)[:, :: -1 if orientation in EXCHANGING else 1].astype(np.float64)
+
+
+def turn_points(points: np.ndarray, turn: np.ndarray, size: Size) -> np.ndarray:
+    """Points (..., 2) of an image of `size`, in the image with these axes, see `exif_turn`."""
+    return points @ turn.T + (np.abs(turn) - turn) @ (np.array(size) - 1) / 2
 
 
 def rescale(points: np.ndarray, size: ArrayLike, other: ArrayLike) -> np.ndarray:

@@ -15,7 +15,7 @@ from dgc_pose.errors import ImageError
 from dgc_pose.files.inputs import read_start
 from dgc_pose.geometry.pixels import same_shape
 from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_format
-from dgc_pose.images.image import image_header, load_image, resize, upright_header
+from dgc_pose.images.image import image_size, load_image, resize
 
 _PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
 _SAME_PICTURE = 0.002  # of thumbnails: the mean square difference over the variance
@@ -86,10 +86,10 @@ def _is_copy(path: Path, of: Path) -> bool:
     if filecmp.cmp(path, of, shallow=False):
         return path > of
     try:
-        size, larger = (upright_header(image_header(file)).size for file in (path, of))
+        size, larger = (image_size(file) for file in (path, of))
         if size[0] >= larger[0] or not same_shape(size, larger):
             return False
-        small, large = (load_image(file, upright=True).pixels for file in (path, of))
+        small, large = (load_image(file).pixels for file in (path, of))
     except ImageError:
         return False
     images = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small, resize(large, size)))

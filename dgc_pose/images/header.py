@@ -16,6 +16,7 @@ from typing import Any
 import PIL.Image
 
 from dgc_pose.errors import is_installed
+from dgc_pose.geometry.pixels import EXCHANGING, Size
 
 START_BYTES = 4096  # of a file, which its format is recognised by
 _RAW = "RAW"
@@ -43,7 +44,6 @@ FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 37386, 40962, 40963
 _FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
 _DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL = 41988, 41989, 42036
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
-EXCHANGING = range(5, 9)  # orientations that exchange width and height
 _MAX_ZOOM = 200.0
 _MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
 _MAX_TEXT = 80  # characters of a name
@@ -70,17 +70,17 @@ class Exif:
     size: tuple[int, int] | None = None  # (width, height) of the image that the camera wrote
     pixels_per_mm: float | None = None  # of that image, on the sensor
     position: tuple[float, float, float] | None = None  # latitude, longitude, degrees; altitude, m
+    orientation: int = 1  # 1 to 8, of the pixels as stored, which a loaded image has had applied
 
 
 @dataclass(frozen=True)
 class Header:
-    """What the header of an encoded image says."""
+    """What the header of an encoded image says of the upright image."""
 
     format: str  # a key of `_FORMATS`
-    size: tuple[int, int]  # (width, height) as it is decoded
-    orientation: int = 1  # by EXIF, 1 to 8; 1 is upright. HEIF's own rotation is part of decoding
+    size: Size  # (width, height)
     exif: Exif = Exif()
-    pixel_aspect: float = 1.0  # width of a pixel as it is decoded over its height; 1 if not stated
+    pixel_aspect: float = 1.0  # width of a pixel over its height; 1 if not stated
     projection: str = ""  # "equirectangular" or "cylindrical", of a panorama by XMP; else ""
 
 
@@ -122,8 +122,9 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
                 raise UnreadableFormatError(f"a TIFF of {samples} samples a pixel, not 1, 3 or 4")
             if not complete and {EXIF_DIRECTORY, _GPS_DIRECTORY, MAKE, MODEL}.intersection(tags):
                 raise ValueError("the EXIF data may lie behind the start")
-            size, orientation = (int(tags[_WIDTH]), int(tags[_HEIGHT])), tags.get(_ORIENTATION, 1)
-            return Header(name, size, _known(orientation), *read_exif(data)[1:], projection)
+            return _upright(
+                name, (int(tags[_WIDTH]), int(tags[_HEIGHT])), *read_exif(data), projection
+            )
         return replace(_pillow_header(data, name, complete), projection=projection)
 
 
@@ -163,8 +164,8 @@ def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
         from PIL.JpegImagePlugin import JpegImageFile as factory
     image: PIL.Image.Image = factory(io.BytesIO(data), "")
     block = _png_exif(data, image.info) if name == "PNG" else image.info.get("exif", b"")
-    orientation, exif, aspect = read_exif(block)
-    header = Header(name, image.size, orientation, exif, _density_aspect(image.info, aspect))
+    exif, aspect = read_exif(block)
+    header = _upright(name, image.size, exif, _density_aspect(image.info, aspect))
     if complete:
         image.verify()
     return header
@@ -199,20 +200,25 @@ def _aspect(width: Any, height: Any) -> float:
 
 
 def _heif_header(data: bytes) -> Header:
-    """The EXIF orientation, which repeats the rotation that decoding applies, does not count."""
+    """The EXIF orientation repeats HEIF's own rotation, which is part of decoding."""
     import pillow_heif
 
     image = pillow_heif.open_heif(data)  # decodes nothing
-    _, exif, _ = read_exif(image.info.get("exif") or b"")
-    return Header("HEIF", image.size, exif=exif)
+    exif, _ = read_exif(image.info.get("exif") or b"")
+    return Header("HEIF", image.size, replace(exif, orientation=1))
 
 
-def _known(orientation: Any) -> int:
-    return int(orientation) if orientation in range(2, 9) else 1
+def _upright(
+    name: str, size: Size, exif: Exif, pixel_aspect: float, projection: str = ""
+) -> Header:
+    """The header of an image by the size and the aspect of a pixel as stored."""
+    if exif.orientation in EXCHANGING:
+        size, pixel_aspect = size[::-1], 1 / pixel_aspect
+    return Header(name, size, exif, pixel_aspect, projection)
 
 
-def read_exif(block: bytes) -> tuple[int, Exif, float]:
-    """The orientation, the camera, and the aspect of a pixel of an EXIF block, with or without
+def read_exif(block: bytes) -> tuple[Exif, float]:
+    """The camera, and the aspect of a pixel as stored, of an EXIF block, with or without
     `Exif\\0\\0` before it; of a damaged one as of an empty one."""
     try:
         block = block.removeprefix(b"Exif\0\0")
@@ -220,9 +226,9 @@ def read_exif(block: bytes) -> tuple[int, Exif, float]:
         directories = [tags[tag] for tag in (EXIF_DIRECTORY, _GPS_DIRECTORY) if tag in tags]
         more = {k: v for offset in directories for k, v in _tiff_tags(block, offset).items()}
         aspect = _aspect(tags.get(_Y_RESOLUTION), tags.get(_X_RESOLUTION))
-        return _known(tags.get(_ORIENTATION, 1)), _camera_tags(tags, more), aspect
+        return _camera_tags(tags, more), aspect
     except Exception:  # a damaged block raises almost anything
-        return 1, Exif(), 1.0
+        return Exif(), 1.0
 
 
 def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
@@ -242,6 +248,7 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
         _size(more.get(_EXIF_WIDTH), more.get(_EXIF_HEIGHT)),
         _pixels_per_mm(*plane),
         _position(more),
+        int(first[_ORIENTATION]) if first.get(_ORIENTATION) in range(2, 9) else 1,
     )
 
 

@@ -1,4 +1,4 @@
-"""Reading an image, from a file or from memory, as 8-bit RGB with the pixels as stored."""
+"""Reading an image, from a file or from memory, as 8-bit RGB upright."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ import numpy as np
 from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
 from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.files.inputs import open_regular, read_as, read_bytes
-from dgc_pose.geometry.pixels import within
-from dgc_pose.images.header import EXCHANGING, Exif, Header, UnreadableFormatError, read_header
+from dgc_pose.geometry.pixels import EXCHANGING, Size, within
+from dgc_pose.images.header import Exif, Header, UnreadableFormatError, read_header
 
 if TYPE_CHECKING:
     import torch
@@ -36,10 +36,9 @@ class Image:
     Attributes:
         pixels: Colours (H, W, 3) uint8, RGB, contiguous.
         name: The path, or the argument's name.
-        stored_size: Size (width, height) as stored, if `pixels` were resized after reading; None if
-            they were not.
-        exif: The camera by the file's EXIF data.
-        orientation: Orientation by EXIF, 1 to 8, that is still to be applied to `pixels`; 1: none.
+        stored_size: Size (width, height) before `pixels` were resized after reading; None if they
+            were not.
+        exif: The camera by the file's EXIF data, whose orientation `pixels` have had applied.
         mask: (H, W) bool, False for pixels that are not matched; None: all are.
         pixel_aspect: Width of a pixel of `pixels` over its height; 1 if the file does not state it.
         projection: That of a panorama, by the file's XMP; "" if it states none.
@@ -49,7 +48,6 @@ class Image:
     name: str = "image"
     stored_size: tuple[int, int] | None = None
     exif: Exif = Exif()
-    orientation: int = 1
     mask: np.ndarray | None = None
     pixel_aspect: float = 1.0
     projection: str = ""
@@ -80,14 +78,16 @@ class Image:
         x, y = np.moveaxis(np.floor(np.where(inside[..., None], points, 0) + 0.5), -1, 0)
         return inside & ~self.mask[y.astype(np.intp), x.astype(np.intp)]
 
-    def oriented(self, orientation: int) -> Image:
-        """The image with an EXIF orientation, 1 to 8, applied."""
-        if orientation == 1:
-            return self
-        pixels = np.ascontiguousarray(turned(self.pixels, orientation))
-        mask = None if self.mask is None else np.ascontiguousarray(turned(self.mask, orientation))
-        aspect = self.pixel_aspect ** (-1 if orientation in EXCHANGING else 1)
-        return replace(self, pixels=pixels, mask=mask, orientation=1, pixel_aspect=aspect)
+
+def size_in_file(image: Image | Header) -> Size:
+    """(width, height) of the pixels as the image's file has them, before its EXIF orientation."""
+    return image.size[::-1] if image.exif.orientation in EXCHANGING else image.size
+
+
+def flipped(image: Image, axis: int) -> Image:
+    """The mirror image, top to bottom (axis 0) or left to right (1)."""
+    mask = None if image.mask is None else np.ascontiguousarray(np.flip(image.mask, axis))
+    return replace(image, pixels=np.ascontiguousarray(np.flip(image.pixels, axis)), mask=mask)
 
 
 def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
@@ -102,10 +102,8 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
 def load_image(
     source: str | os.PathLike[str] | np.ndarray | torch.Tensor | Image,
     name: str = "image",
-    *,
-    upright: bool = False,
 ) -> Image:
-    """An image as 8-bit RGB.
+    """An upright image as 8-bit RGB.
 
     `source` is a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or
     4, grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
@@ -116,8 +114,7 @@ def load_image(
     16, other floats) are rescaled, over all colours together, from the least and greatest to 0 and
     255; few that lie far from the others are saturated.
 
-    Files give their pixels as stored; `upright` applies an EXIF orientation. HEIC has a rotation of
-    its own, which is part of decoding.
+    An EXIF orientation of a file is applied.
 
     Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt, too
     large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
@@ -132,7 +129,7 @@ def load_image(
     if isinstance(source, str | os.PathLike):
         source = _read_file(Path(source))
     if isinstance(source, Image):
-        return source.oriented(source.orientation if upright else 1)
+        return source
     array = as_numpy(source, name)
     if array.ndim == 4 and array.shape[0] == 1:
         array = array[0]
@@ -149,20 +146,13 @@ def _read_file(path: Path) -> Image:
             array = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
-        image = _of_array(array, str(path))
-        kept = "exif", "orientation", "pixel_aspect", "projection"
+        image = _of_array(turned(array, header.exif.orientation), str(path))
+        kept = "exif", "pixel_aspect", "projection"
         return replace(image, **{field: getattr(header, field) for field in kept})
 
 
-def upright_header(image: Image | Header) -> Header:
-    """The header of an image with its EXIF orientation applied."""
-    size = image.size[::-1] if image.orientation in EXCHANGING else image.size
-    aspect = image.pixel_aspect ** (-1 if image.orientation in EXCHANGING else 1)
-    return Header("", size, 1, image.exif, aspect, image.projection)
-
-
 def read_pixels(path: str | Path) -> np.ndarray:
-    """A file's pixels as OpenCV gives them, BGR(A).
+    """A file's pixels as stored, as OpenCV gives them, BGR(A).
 
     For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
     file is missing, corrupt, too large or no regular file.
@@ -172,7 +162,7 @@ def read_pixels(path: str | Path) -> np.ndarray:
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """(width, height) of an image file by its header. Raises ImageError, with the path."""
+    """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
     return image_header(Path(path)).size
 
 
@@ -215,9 +205,9 @@ def _checked_header(header: Header, path: Path) -> Header:
         raise ImageSizeError(
             f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
         )
-    if header.format == "TIFF" and header.orientation != 1:
+    if header.format == "TIFF" and header.exif.orientation != 1:
         raise ImageError(
-            f"{path} is a TIFF with orientation tag {header.orientation}: save it upright"
+            f"{path} is a TIFF with orientation tag {header.exif.orientation}: save it upright"
         )
     return header
 

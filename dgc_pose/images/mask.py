@@ -12,13 +12,14 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
-from dgc_pose.images.image import Image, filled, read_pixels
+from dgc_pose.images.image import Image, filled, read_pixels, turned
 
 _SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask is scaled
 
 
 def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") -> Image:
-    """The image with a mask of its pixels as stored; without one, None, the image as it is.
+    """The image with a mask of its pixels as stored, which is turned with them; without one, None,
+    the image as it is.
 
     source: a path, or an array (H, W), or (H, W, C) of colours, of which the second or fourth is
     alpha. Pixels that are 0, False, black or of alpha 0 are not matched, nor are those that the
@@ -38,6 +39,7 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
     array = array[:, :, None] if array.ndim == 2 else array
     colours = 2 * ((array.shape[2] - 1) // 2) + 1  # 1 of 2 and 3 of 4, the last being alpha
     used = (array[:, :, :colours] != 0).any(2) & (array[:, :, colours:] != 0).all(2)
+    used = turned(used, image.exif.orientation)
     (height, width), (columns, rows) = used.shape, image.size
     if abs(width * rows / (height * columns) - 1) > _SAME_SHAPE:
         raise InputError(argument, f"is {width} x {height} and the image {columns} x {rows}")

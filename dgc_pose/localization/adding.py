@@ -3,9 +3,11 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from dgc_pose.cameras.camera import QUARTERS
+import numpy as np
+
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.images.image import image_header, image_size
+from dgc_pose.geometry.pixels import exif_turn
+from dgc_pose.images.image import image_header
 from dgc_pose.localization.location import Location
 from dgc_pose.model import Model, require_model_folder
 
@@ -16,10 +18,10 @@ def require_addable(out: Path, model: Model, paths: Sequence[str]) -> None:
     require_model_folder(out)
     names = model.names
     for path in paths:
-        name, orientation = Path(path).name, image_header(Path(path)).orientation
+        name, orientation = Path(path).name, image_header(Path(path)).exif.orientation
         if name in names:
             raise InputError(ArgumentName("add"), f"has an image {name} already, not {path} too")
-        if orientation not in QUARTERS:
+        if np.linalg.det(exif_turn(orientation)) < 0:
             raise InputError(
                 f"{path}: by EXIF orientation {orientation} its pixels are a mirror image"
             )
@@ -32,8 +34,7 @@ def write_model_with(out: Path, model: Model, locations: Mapping[str, Location])
     COLMAP cannot hold a camera."""
     added = {}
     for path, location in locations.items():
-        upright, camera = location.cam_from_world, location.camera
-        if upright is not None and camera is not None:
-            as_stored, turn = camera.as_stored(image_size(path), camera.orientation)
-            added[Path(path).name] = as_stored, turn @ upright
+        pose, camera = location.cam_from_world, location.camera
+        if pose is not None and camera is not None:
+            added[Path(path)] = camera, pose
     model.write(out, added)

@@ -92,7 +92,6 @@ class Locator:
         image = masked(image, mask_file(self.masks, Path(image.name).name))
         names, warnings = self._candidates(image, left_out)
         camera = image_camera(K, image, "K", details or KDetails())
-        image = image.oriented(camera.orientation)
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
         self.describe()

@@ -43,8 +43,7 @@ class Estimator:
         """
         report("reading the images")
         image1, image2 = (
-            replace(load_image(stored.path, upright=True), name=stored.name)
-            for stored in (stored1, stored2)
+            replace(load_image(stored.path), name=stored.name) for stored in (stored1, stored2)
         )
         cameras = request.resolve(image1, image2)
 

@@ -72,7 +72,7 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
                 f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
                 "(--max-megapixels of dgc-pose serve)"
             )
-        image = load_image(path, upright=True)
+        image = load_image(path)
     except DgcPoseError as error:
         # The path is none of the client's business.
         raise ImageError(str(error).replace(str(path), "the file")) from None

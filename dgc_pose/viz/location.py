@@ -27,7 +27,7 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
     inliers."""
     figure = new_figure(WIDTH, WIDTH / 2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
-    image = load_image(query).oriented(location.camera.orientation if location.camera else 1)
+    image = load_image(query)
     _draw_place(figure.add_subplot(grid[:, 0]), model, location, image.size)
     both = location.rotation_error_90_deg or 0, location.position_error_90 or 0
     error = "R within {:.2f}°, centre within {:.2g}, nine times in ten if it is right".format(*both)
@@ -37,8 +37,7 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
     for row, matched in enumerate(best):
         matches = matched.matches.subset(matched.inliers)
         drawn = matches.subset(spread(matches.points2, matches.confidence, image.size, _DRAWN))
-        orientation = model.cameras[matched.name].orientation
-        pixels = load_image(model.root / matched.name).oriented(orientation).pixels
+        pixels = load_image(model.root / matched.name).pixels
         panel = figure.add_subplot(grid[row, 1])
         draw_matches(panel, pixels, image.pixels, drawn.points1, drawn.points2, drawn.confidence)
         count = f"{len(matches)} of {len(matched.matches)} matches agree"

@@ -35,7 +35,7 @@ def model_page(model: Model, unit: str = "") -> str:
 
     def shown(name: str) -> tuple[np.ndarray, str]:
         pose, camera = model.poses[name], model.cameras[name]
-        image = load_image(model.root / name).oriented(camera.orientation)
+        image = load_image(model.root / name)
         turned = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
         return frustum(camera.K, image.size, turned), _thumbnail(image)
 

@@ -32,7 +32,7 @@ SECOND = "1.png"
 
 def _prior(camera: Camera, exif: Exif = Exif()) -> Camera:  # noqa: B008, it is frozen
     assert camera.size is not None
-    return auto_camera(Header("JPEG", camera.size, 1, exif))
+    return auto_camera(Header("JPEG", camera.size, exif))
 
 
 def _folder(

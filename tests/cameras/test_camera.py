@@ -14,6 +14,7 @@ from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
+from dgc_pose.images.header import Exif
 from dgc_pose.images.image import Image
 
 K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])
@@ -82,11 +83,14 @@ def test_four_numbers_are_the_focal_lengths_and_the_principal_point(kind: Any) -
 
 def test_a_field_of_view_is_that_of_the_upright_image() -> None:
     """Of the rays through the left and the right edge, half a pixel beyond the outer centres."""
-    images = [Image(np.zeros((480, 640, 3), np.uint8), orientation=n) for n in (1, 6)]
-    for camera, orientation, size in zip(
-        pair_cameras(None, None, *images, fov=50.0), (1, 6), (SIZE, SIZE[::-1]), strict=True
-    ):
-        assert (camera.orientation, camera.size, camera.exact) == (orientation, size, True)
+    images = [
+        Image(np.zeros((size[1], size[0], 3), np.uint8), exif=Exif(orientation=n))
+        for size, n in ((SIZE, 1), (SIZE[::-1], 6), (SIZE, 3))
+    ]
+    for image in images:
+        camera, _ = pair_cameras(None, None, image, image, fov=50.0)
+        size = image.size
+        assert (camera.size, camera.exact, camera.warnings) == (size, True, ())
         edges = camera.normalise(np.array([[-0.5, 0], [size[0] - 0.5, 0]]))[:, 0]
         np.testing.assert_allclose(np.degrees(np.arctan(edges)), [-25, 25])
     for fov in (0.5, 160, np.nan, -60):

@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from dgc_pose.cameras.calibration import camera_data, image_camera, parse_camera_data
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import (
     SIZE_STD,
     auto_camera,
     auto_cameras,
-    is_of_upright,
-    with_orientation,
 )
 from dgc_pose.images.header import Exif, Header
-from dgc_pose.images.image import Image, upright_header
+from dgc_pose.images.image import Image
 
 SIZE = (4000, 3000)  # a diagonal of 5000
 FILM_DIAGONAL = np.hypot(36, 24)
@@ -27,7 +24,9 @@ PHONE = Exif("Maker", "X1", focal_35mm=26)
 
 
 def photo(exif: Exif = NO_EXIF, size: tuple[int, int] = SIZE, orientation: int = 1) -> Header:
-    return Header("JPEG", size, orientation, exif)
+    """orientation: that the image has had applied."""
+    size = size if orientation < 5 else size[::-1]
+    return Header("JPEG", size, replace(exif, orientation=orientation))
 
 
 def test_without_exif_the_size_counts() -> None:
@@ -208,36 +207,13 @@ def test_a_shared_camera_has_the_exif_data_of_either_image() -> None:
             assert (camera1.focal_source, camera2.focal_source) == ("exif", "exif")
             assert camera2.K[0, 2] == (images[1].size[0] - 1) / 2
     for turned in (False, True):
-        bare = upright_header(replace(photo(orientation=6 if turned else 1), pixel_aspect=1.25))
+        bare = replace(photo(orientation=6 if turned else 1), pixel_aspect=0.8 if turned else 1.25)
         camera1, camera2 = auto_cameras(WIDE, bare, "shared")
         focals = camera1.K.diagonal()[:2]
         np.testing.assert_array_equal(camera2.K.diagonal()[:2], focals[:: -1 if turned else 1])
         assert focals[1] == pytest.approx(1.25 * focals[0])
     camera1, camera2 = auto_cameras(photo(EXIF), photo(size=(800, 600)), "shared")
     assert (camera1.focal_source, camera2.focal_source) == ("exif", "size")
-
-
-@pytest.mark.parametrize(
-    ("orientation", "centre", "size", "warns"),
-    [
-        (1, (1700, 1700), None, False),
-        (6, (1700, 1700), None, True),
-        (6, (2010, 1490), None, False),  # the middle of the pixels as stored
-        (6, (1490, 2010), None, True),  # the middle of the upright image
-        (8, (1700, 1700), SIZE, False),  # by the size of K
-        (3, (2010, 1490), SIZE, True),  # upside down
-    ],
-)
-def test_a_warning_of_the_orientation_for_a_K_that_may_be_for_the_upright_image(
-    orientation: int, centre: tuple[float, float], size: tuple[int, int] | None, warns: bool
-) -> None:
-    K = np.array([[4400.0, 0, centre[0]], [0, 4400, centre[1]], [0, 0, 1]])
-    image = photo(EXIF, orientation=orientation)
-    warnings = with_orientation(Camera(K, size, warnings=("a",)), image).warnings
-    assert warnings[0] == "a" and len(warnings) == 1 + warns
-    assert all(f"orientation {orientation} is not applied" in text for text in warnings[1:])
-    assert with_orientation(auto_camera(image), image).warnings == ()
-    assert not is_of_upright(Camera(K, size), None, image) or centre == (1490, 2010)
 
 
 def test_a_panorama_by_the_file_alone_has_its_projection() -> None:

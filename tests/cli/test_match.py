@@ -45,7 +45,7 @@ def test_map_and_matches_are_written(network):
         off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
         assert np.abs(off).max() < 1e-3
     assert f"{count} matches of {dense_scene.CELLS**2} cells" in result.stdout
-    assert result.stderr.count("two.png: EXIF orientation 8 is not applied") == 1
+    assert result.stderr.count("two.png: EXIF orientation 8 is applied") == 1
     assert "one.png" not in result.stderr
 
 

@@ -1,8 +1,13 @@
 """What the export takes from a batch: the matches of each pair, and the cameras that they fit."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
+import PIL.Image
+import pycolmap
+import pytest
 from camera_scene import camera_scene, pinhole
 
 from dgc_pose.batch.matches_file import PairMatches, PoseInputs
@@ -11,8 +16,10 @@ from dgc_pose.batch.poses import epipolar_error_px
 from dgc_pose.batch.result import Batch, write_pairs
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.batch.work import Estimate, Job, Matched, Worker
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
-from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.colmap.export import as_stored, pair_geometries, write_shared
+from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
@@ -42,3 +49,40 @@ def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Pa
     assert epipolar_error_px(pair.row, pair.cameras, pair.points1, pair.points2).max() < 3
     points = pair.points1, pair.points2
     assert np.median(epipolar_error_px(pair.row, (first, second), *points)) > 3
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_database_is_of_the_pixels_as_stored(tmp_path: Path, orientation: int) -> None:
+    """Of an upright image that its EXIF orientation has turned: where the points of the world are
+    in the file, for its camera and its pose."""
+    exif = PIL.Image.Exif()
+    exif[0x0112] = orientation
+    names, stored = ("a.jpg", "b.jpg"), PIL.Image.new("L", (64, 48))
+    stored.save(tmp_path / "a.jpg")
+    stored.save(tmp_path / "b.jpg", exif=exif)
+    size = (64, 48) if orientation < 5 else (48, 64)
+    cameras = {
+        "a.jpg": Camera(np.array([50.0, 52, 33, 23]), (64, 48)),
+        "b.jpg": Camera(np.array([50.0, 52, 25, 30]), size),
+    }
+    points = np.random.default_rng(0).uniform(-1, 1, (9, 3)) + (0, 0, 5)
+    t = np.array([0.6, 0, 0.8])
+    moved = points + t
+    seen = [
+        cameras[n].project(x[:, :2] / x[:, 2:]) for n, x in zip(names, (points, moved), strict=True)
+    ]
+    row = PairRow(*names, "ok", True, "", R=tuple(np.eye(3).ravel()), t=tuple(t))
+    matches = np.arange(9, dtype=np.uint32).repeat(2).reshape(9, 2)
+    shared = SharedMatches(dict(zip(names, seen, strict=True)), {names: matches})
+    plan: Any = SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path)
+    batch: Any = SimpleNamespace(plan=plan, rows=[row])
+    write_shared(batch, as_stored(plan, shared), tmp_path / "d.db")
+    with pycolmap.Database.open(tmp_path / "d.db") as database:
+        image = database.read_image_with_name("b.jpg")
+        camera = database.read_camera(image.camera_id)
+        id1 = database.read_image_with_name("a.jpg").image_id
+        pose = database.read_two_view_geometry(id1, image.image_id).cam2_from_cam1
+        key_points = database.read_keypoints(image.image_id)[:, :2]
+    assert (camera.width, camera.height) == (64, 48)
+    in_file = camera.img_from_cam(pose * points)
+    np.testing.assert_allclose(key_points, in_file, atol=1e-4)

@@ -20,7 +20,7 @@ from dgc_pose.images.image import (
     load_image,
     read_pixels,
     resize,
-    upright_header,
+    size_in_file,
 )
 
 FORMATS = ("png", "tiff", "bmp", "ppm", "jpg", "webp")
@@ -41,38 +41,32 @@ def save(path: Path, pixels: np.ndarray, orientation: int | None = None) -> Path
 def test_a_file_gives_its_pixels_in_rgb(tmp_path: Path, rgb: np.ndarray, suffix: str) -> None:
     path = save(tmp_path / f"picture.{suffix}", rgb)
     image = load_image(path)
-    assert (image.size, image.name, image.orientation) == ((70, 50), str(path), 1)
+    assert (image.size, image.name, image.exif.orientation) == ((70, 50), str(path), 1)
     assert image.pixels.dtype == np.uint8 and image.pixels.flags.c_contiguous
     difference = np.abs(image.pixels.astype(int) - rgb)
     assert difference.max() == 0 if suffix != "jpg" else difference.mean() < 3
     np.testing.assert_array_equal(load_image(str(path)).pixels, image.pixels)
 
 
-@pytest.mark.parametrize("orientation", [2, 3, 6, 8])
-def test_exif_orientation_is_not_applied_and_kept(
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_an_image_is_upright_as_pillow_shows_it(
     tmp_path: Path, rgb: np.ndarray, orientation: int
 ) -> None:
     for suffix in ("jpg", "png", "webp"):
-        upright = load_image(save(tmp_path / f"upright.{suffix}", rgb, 1))
-        turned = load_image(save(tmp_path / f"turned.{suffix}", rgb, orientation))
-        np.testing.assert_array_equal(turned.pixels, upright.pixels)
-        assert (upright.orientation, turned.orientation) == (1, orientation)
-        assert load_image(turned).size == (70, 50)  # an `Image` as it is
-    assert load_image(save(tmp_path / "upright.tiff", rgb, 1)).size == (70, 50)
-    with pytest.raises(ImageError, match=r"turned\.tiff is a TIFF with orientation tag \d:"):
-        load_image(save(tmp_path / "turned.tiff", rgb, orientation))
-
-
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_an_upright_image_is_as_pillow_shows_it(
-    tmp_path: Path, rgb: np.ndarray, orientation: int
-) -> None:
-    path = save(tmp_path / "turned.png", rgb, orientation)
-    image = load_image(path, upright=True)
-    with PIL.Image.open(path) as stored:
+        path = save(tmp_path / f"turned.{suffix}", rgb, orientation)
+        image = load_image(path)
+        stored = PIL.Image.fromarray(load_image(save(tmp_path / f"a.{suffix}", rgb)).pixels)
+        stored.getexif()[0x0112] = orientation
         np.testing.assert_array_equal(image.pixels, PIL.ImageOps.exif_transpose(stored))
-    assert image.orientation == 1 and image.pixels.flags.c_contiguous
-    assert upright_header(load_image(path)).size == image.size
+        assert image.exif.orientation == orientation and image.pixels.flags.c_contiguous
+        assert image_size(path) == image.size and size_in_file(image) == stored.size
+        assert load_image(image) is image
+    path = save(tmp_path / "turned.tiff", rgb, orientation)
+    if orientation == 1:
+        assert load_image(path).size == (70, 50)
+    else:
+        with pytest.raises(ImageError, match=r"turned\.tiff is a TIFF with orientation tag \d:"):
+            load_image(path)
 
 
 @pytest.mark.parametrize(("suffix", "top"), [("png", 65535), ("tiff", 4095)])
@@ -160,7 +154,7 @@ def test_the_rotation_of_heic_is_part_of_decoding(
     stored.save(path, "HEIF", quality=-1, chroma=444, exif=stored.getexif().tobytes())
     expected = np.asarray(PIL.ImageOps.exif_transpose(stored))
     image = load_image(path)
-    assert image.orientation == 1
+    assert image.exif.orientation == 1
     assert image_size(path) == image.size == expected.shape[1::-1]
     assert np.abs(image.pixels.astype(int) - expected).mean() < 3
     assert np.abs(read_pixels(path)[:, :, ::-1].astype(int) - expected).mean() < 3

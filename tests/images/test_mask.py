@@ -1,6 +1,5 @@
 """Masks: what is read, scaled and refused, and which points lie on masked pixels."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +9,8 @@ import pytest
 import torch
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.header import Exif
+from dgc_pose.images.image import Image, flipped, load_image, turned
 from dgc_pose.images.mask import mask_file, masked
 
 USED = np.random.default_rng(0).random((40, 60)) < 0.6
@@ -137,11 +137,14 @@ def test_points_on_masked_pixels() -> None:
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_a_mask_is_turned_with_its_pixels(orientation: int) -> None:
-    pixels = np.dstack([USED * np.uint8(255), *np.indices(USED.shape).astype(np.uint8)])
-    image = Image(np.ascontiguousarray(pixels), mask=USED)
-    turned, plain = image.oriented(orientation), replace(image, mask=None).oriented(orientation)
-    assert turned.mask is not None and np.array_equal(turned.mask, turned.pixels[..., 0] > 0)
-    assert np.array_equal(turned.pixels, plain.pixels) and turned.pixels.flags.c_contiguous
+    """A mask is of the pixels as stored; a mirror image has both mirrored."""
+    stored = np.dstack([USED * np.uint8(255), *np.indices(USED.shape).astype(np.uint8)])
+    upright = np.ascontiguousarray(turned(stored, orientation))
+    image = masked(Image(upright, exif=Exif(orientation=orientation)), USED)
+    for shown in (image, flipped(image, 0), flipped(image, 1)):
+        assert shown.mask is not None and shown.pixels.flags.c_contiguous
+        left_out = shown.pixels[~shown.mask]
+        assert (shown.pixels[shown.mask][:, 0] == 255).all() and (left_out == left_out[0]).all()
 
 
 @pytest.mark.parametrize("mask", [USED.astype(np.uint8), USED[1:]])
