@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @click.command()
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
-@dataclass_options(Outputs, "outputs", only=("plot", "plot_width", "plot_dpi"))
+@dataclass_options(Outputs, "outputs", only=("plot", "plot_dpi"))
 def demo(matcher: MatcherOptions, estimation: EstimationOptions, outputs: Outputs) -> int:
     """Estimate the poses of the two pairs that come with the package.
 

@@ -44,7 +44,6 @@ class Outputs:
     json: str | None = file_option("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = file_option("Write the matches and which are inliers.", "PATH.npz")
     plot: str | None = file_option("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
-    plot_width: float = _number(10.0, "Width of --plot, inches; text keeps its size.", 6, 20)
     plot_dpi: int = _number(200, "Pixels to an inch of --plot.", 50, 600)
     ply: str | None = file_option(
         "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
@@ -144,4 +143,4 @@ def draw(trace: Trace, file: Path, outputs: Outputs) -> None:
     """Draw the figure of a trace into a file."""
     from dgc_pose.viz import plot_pose, save_figure
 
-    save_figure(plot_pose(trace, outputs.plot_width), file, outputs.plot_dpi)
+    save_figure(plot_pose(trace), file, outputs.plot_dpi)

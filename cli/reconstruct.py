@@ -14,7 +14,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import replaced, write_text
+from dgc_pose.files.outputs import write_text
 
 
 @click.command()
@@ -31,18 +31,16 @@ def reconstruct(
     FOLDER may also be a video, a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
     Writes sparse/ (COLMAP's model; further scenes in sparse/1/, ...), database.db, points.ply,
-    picture.png, model.html, summary.json, and batch/, the folder of the batch.
+    model.html, summary.json, and batch/, the folder of the batch.
     """
-    from dgc_pose.batch.source import BATCH, PAGE, PICTURE, PLAN
+    from dgc_pose.batch.source import BATCH, PAGE, PLAN
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MIN_IMAGES
     from dgc_pose.colmap.metric import known_metres
     from dgc_pose.model import require_model_folder
-    from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.model_page import model_page
-    from dgc_pose.viz.reconstruction import plot_reconstruction
 
-    known = [name for name in (*reconstruction.OUTPUTS, PICTURE, PAGE) if (out / name).exists()]
+    known = [name for name in (*reconstruction.OUTPUTS, PAGE) if (out / name).exists()]
     if known:
         there = f"{out / known[0]} is there already"
         if not choice.work.resume:
@@ -61,8 +59,6 @@ def reconstruct(
         show = partial(progress, "images")
         models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
-    with replaced(out / PICTURE) as temporary:
-        save_figure(plot_reconstruction(models[0], metric.get("unit", "")), temporary)
     write_text(out / PAGE, model_page(models[0], metric.get("unit", "")))
     data = reconstruction.write_summary(out, batch, models, shared, metric, seconds)
     click.echo(f"{out / reconstruction.DATABASE}: {described(shared)}")
@@ -77,8 +73,7 @@ def reconstruct(
     for fact, value in metric.items():
         click.echo(f"{fact.replace('_', ' ')}: {value}")
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
-    click.echo(f"{out / PICTURE}: cameras and points, from above and from the front")
-    click.echo(f"{out / PAGE}: the same with the photographs, for a browser, from any side")
+    click.echo(f"{out / PAGE}: cameras with their photographs, and points, for a browser")
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
     cameras = [
         (camera["images"], f"{camera['model']}, f = {camera['focal_px']:.1f} px{after}")

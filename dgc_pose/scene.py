@@ -8,6 +8,7 @@ import numpy as np
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.neighbours import nearest
+from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.trace import Trace
 
 _MOST = 3000  # points of a pair: more would slow a page down
@@ -33,6 +34,13 @@ def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarra
     rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
     corners: np.ndarray = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
     return corners
+
+
+def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:
+    """The axes (3, 3) of the mean camera of cam_from_world poses (3, 4), in rows: of least sum of
+    |R_k - axes|^2."""
+    rows = np.stack(poses)[:, :, :3].transpose(0, 2, 1).reshape(-1, 3)
+    return aligning_rotation(np.tile(np.eye(3), (len(poses), 1)), rows)
 
 
 def scene_of(

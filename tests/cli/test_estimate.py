@@ -84,9 +84,9 @@ def test_all_outputs_are_written(folder, network):
     assert picture.shape[1] == 2000 and picture.std() > 10
 
 
-def test_a_plot_has_the_width_and_the_resolution_asked_for(folder, network):
-    assert estimate("--plot", "p.png", "--plot-width", 7, "--plot-dpi", 57).exit_code == 0
-    assert cv2.imread("p.png").shape[1] == 7 * 57
+def test_a_plot_has_the_resolution_asked_for(folder, network):
+    assert estimate("--plot", "p.png", "--plot-dpi", 57).exit_code == 0
+    assert cv2.imread("p.png").shape[1] == 10 * 57
 
 
 @pytest.mark.parametrize("metres", [None, 2.5])
@@ -259,7 +259,6 @@ def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
         (("--K", "nosuch.txt"), "nosuch.txt"),
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
-        (("--plot-width", "5.9"), "--plot-width must lie in [6, 20]"),
         (("--plot-dpi", "601"), "--plot-dpi must lie in [50, 600]"),
         (("--matches", "p.json"), "same file"),
         (("--matchability", "1.5"), "--matchability must lie in"),

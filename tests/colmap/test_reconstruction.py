@@ -76,7 +76,7 @@ def test_the_command_from_folder_to_model(
     arguments = ("reconstruct", views[0], "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
     result = run(*arguments)
     assert result.exit_code == 0
-    for name in ("sparse", "points.ply", "picture.png", "model.html"):
+    for name in ("sparse", "points.ply", "model.html"):
         assert f"{out / name}: " in result.stdout
     assert (
         f"camera 1 ({COUNT} images): PINHOLE, f = {K.diagonal()[:2].mean():.1f} px\n"
@@ -87,7 +87,7 @@ def test_the_command_from_folder_to_model(
     assert summary["pairs"] == 10
     assert summary["mean_track_length"] > 3
     assert set(summary["seconds"]) == {"match", "map"}
-    files = {"database.db", "points.ply", "picture.png", "model.html", "summary.json"}
+    files = {"database.db", "points.ply", "model.html", "summary.json"}
     assert {path.name for path in out.iterdir()} == {"batch", "sparse", *files}
     assert_refused(run(*arguments), "is there already")
     opened: list[str] = []

@@ -28,7 +28,6 @@ def batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     ("words", "present", "line"),
     [
         (RECONSTRUCT, "sparse/0/cameras.bin", "is there already"),
-        ((*RECONSTRUCT, "--resume"), "picture.png", "is there already"),
         ((*RECONSTRUCT, "--resume"), "model.html", "is there already"),
         ((*RECONSTRUCT, "--resume"), "points.ply", "is there already"),
         ((*RECONSTRUCT, "--resume"), "sparse/letter.txt", "sparse: holds other files"),
