@@ -1,7 +1,6 @@
 """From a finished batch to key points that its pairs share, and a COLMAP database.
 
-A batch is of upright images; COLMAP and hloc read the pixels as stored, and what is written is of
-these.
+A batch is of upright images; COLMAP reads the pixels as stored, and the database is of these.
 """
 
 from collections.abc import Callable

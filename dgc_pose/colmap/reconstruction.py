@@ -108,7 +108,6 @@ def write_summary(
             left_out[name] = f"a pose in {posed} of its {len(rows)} pairs"
             if flipped := sum(row.status == "mirrored" for row in rows):
                 left_out[name] += f", mirrored in {flipped}"
-    facts = shared.facts()
     data = {
         "images": len(names),
         "registered": len(largest.poses),
@@ -120,7 +119,8 @@ def write_summary(
         "reprojection_error_px": round(colmap.compute_mean_reprojection_error(), 4),
         "pairs": batch.summary["pairs"],
         "poses": batch.summary["poses"],
-        **{name: facts[name] for name in ("key_points", "matches", "tracks_by_length")},
+        "key_points": sum(map(len, shared.key_points.values())),
+        "matches": sum(map(len, shared.pairs.values())),
         "bad_images": batch.summary["bad_images"],
         "cameras": _camera_facts(colmap),
         **metric,

@@ -4,10 +4,8 @@ Matches of a dense matcher lie at fresh places in each pair. A reconstruction ne
 that are seen in three views and more, so the pairs of an image must share key points.
 """
 
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -45,46 +43,6 @@ class SharedMatches:
     key_points: Mapping[str, np.ndarray]  # (N, 2) float64 by image, (0, 0) the first pixel's centre
     # (M, 2) uint32, indices of key points, by pair; a pair that shares none is absent
     pairs: Mapping[Names, np.ndarray]
-
-    def facts(self) -> dict[str, Any]:
-        """The numbers of images with key points, key points, pairs and matches; and of tracks, of
-        key points connected by matches, by their number of images."""
-        return {
-            "images": sum(len(points) > 0 for points in self.key_points.values()),
-            "key_points": sum(map(len, self.key_points.values())),
-            "pairs": len(self.pairs),
-            "matches": sum(map(len, self.pairs.values())),
-            "tracks_by_length": self._tracks_by_length(),
-        }
-
-    def _tracks_by_length(self) -> dict[int, int]:
-        counts = [len(points) for points in self.key_points.values()]
-        image = np.repeat(np.arange(len(counts)), counts)  # of each key point
-        first = dict(zip(self.key_points, np.cumsum([0, *counts]).tolist(), strict=False))
-        edges = [
-            index.astype(np.int64) + (first[name1], first[name2])
-            for (name1, name2), index in self.pairs.items()
-        ]
-        ends = np.concatenate([np.zeros((0, 2), np.int64), *edges])
-        track = _connected(len(image), ends)
-        images_of_tracks = np.unique(np.column_stack([track, image]), axis=0)
-        lengths = np.bincount(images_of_tracks[:, 0])
-        return dict(sorted(Counter(lengths[lengths > 1].tolist()).items()))
-
-
-def _connected(count: int, ends: np.ndarray) -> np.ndarray:
-    """A number (count,) of each node of a graph with edges (E, 2): the least node that a path leads
-    to."""
-    label = np.arange(count)
-    while True:
-        least = label.copy()
-        least_of_edges = label[ends].min(1)
-        np.minimum.at(least, label[ends[:, 0]], least_of_edges)  # of the nodes that stand for both
-        np.minimum.at(least, label[ends[:, 1]], least_of_edges)
-        least = least[least[label]]
-        if np.array_equal(least, label):
-            return label
-        label = least
 
 
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:

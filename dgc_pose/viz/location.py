@@ -64,7 +64,7 @@ def _draw_place(panel: Axes, model: Model, location: Location, size: tuple[int, 
     low, high = (of([*centres[:, 0], *ends], axis=0) for of in (np.min, np.max))
     extent = float((high - low).max()) or 1.0
     drawn = centres + _FRUSTUM * extent / np.abs(edges).max() * edges
-    panel.scatter(*points.T, s=2.5, color="0.7", linewidths=0)
+    panel.scatter(points[:, 0], points[:, 1], s=2.5, color="0.7", linewidths=0)
     colours = ["gray"] * len(names) + ["tab:blue"] * (len(poses) - len(names))
     outlines = np.concatenate([centres, drawn, centres], axis=1)
     faces = to_rgba_array(colours, 0.25)
@@ -81,6 +81,7 @@ def _draw_place(panel: Axes, model: Model, location: Location, size: tuple[int, 
         ellipse.set_label("the query, and its error")
         panel.add_patch(ellipse)
     (left, bottom), (right, top) = low - _MARGIN * extent, high + _MARGIN * extent
-    panel.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    panel.set(xlim=(left, right), ylim=(bottom, top))
+    panel.set_aspect("equal", adjustable="datalim")
     panel.set(title="from above", xlabel="x", ylabel="z")
     panel.legend(loc="best", fontsize=8)

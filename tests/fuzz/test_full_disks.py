@@ -39,7 +39,6 @@ def full(folder: Path, size: int, *words: str) -> subprocess.CompletedProcess[st
         (0, "x.db: File too large\n", (*EXPORT, "--database", "x.db")),
         (60_000, "x.db: File too large\n", (*EXPORT, "--database", "x.db")),
         (200_000, "x.db: File too large\n", (*EXPORT, "--database", "x.db")),
-        (500, "h/features.h5: ", (*EXPORT, "--hloc", "h")),
         (500, "x.ply: ", (*ESTIMATE, "--ply", "x.ply")),
         (3000, "out/matched.bin: ", BATCH),
         (100, "points.ply: 100 of ", ("export", "model", "--to", "nerfstudio", "--out", "x.n")),

@@ -36,8 +36,6 @@ def batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ((*RECONSTRUCT, "--resume"), "sparse/images/a.png", "sparse: holds other files"),
         ((*EXPORT, "--database", "batch/matches.h5", "--overwrite"), "", ""),
         ((*EXPORT, "--database", "batch/a.png", "--overwrite"), "batch/a.png", ""),
-        ((*EXPORT, "--hloc", "batch"), "", ""),
-        ((*EXPORT, "--hloc", "batch", "--overwrite"), "", ""),
     ],
     ids=str,
 )
