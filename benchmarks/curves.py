@@ -1,7 +1,7 @@
 """Errors of methods as curves and histograms: cumulative, PCK."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -10,57 +10,71 @@ from matplotlib.figure import Figure
 from dgc_pose.errors import InputError
 from dgc_pose.viz.figure import new_figure
 
-LIMITS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0)  # where an axis may end, degrees
-_SIGNS = {"degrees": "°", "pixels": " px"}
+Unit = Literal["degrees", "pixels"]
+LIMITS: Mapping[Unit, Sequence[float]] = {  # where an axis may end
+    "degrees": (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0),
+    "pixels": (5.0, 10.0, 20.0, 50.0, 100.0),
+}
+# By field of a record what a panel is called, and its unit
+_PANELS: Mapping[str, tuple[str, Unit]] = {
+    "rotation_error_deg": ("rotation error", "degrees"),
+    "translation_error_deg": ("translation error", "degrees"),
+    "epipolar_all_px": ("median D_e of the map", "pixels"),
+    "epipolar_confident_px": ("median D_e of the pose's matches", "pixels"),
+}
 
 
-def draw_cumulative(
-    axes: Axes,
-    errors: Mapping[str, np.ndarray],
-    *,
-    quantity: str,
-    limit: float,
-    unit: str = "degrees",
-    styles: Mapping[str, Mapping[str, Any]] | None = None,
-) -> None:
-    """Draw the cumulative histogram of each method from 0 to `limit`, its median in the legend.
+def plot_errors(methods: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
+    """The paper's histograms (section 4.4): rotation error, translation error from 0 to 180
+    degrees, and a pair's median D_e over the map and over the matches of the pose.
 
-    errors: by method, (N,), N > 0; infinite ones count as pairs. unit: of the errors, degrees or
-    pixels. styles: by method, matplotlib's properties of the line; None for matplotlib's choice.
-    Raises InputError for an empty array or one with NaN.
+    methods: by method, by field of a record, its values (N,); infinite ones count as pairs, and a
+    method with NaN is left out of a panel.
     """
-    for method, values in errors.items():
-        if values.size == 0 or np.isnan(values).any():
-            raise InputError("errors must hold at least one number, and no NaN")
-        below = np.sort(values[values <= limit])
-        x = np.concatenate([[0.0], below, [limit]])
-        share = np.append(np.arange(len(below) + 1), len(below)) / values.size
-        label = f"{method}, median {np.median(values):.2f}{_SIGNS[unit]}"
-        style = {} if styles is None else styles[method]
-        axes.step(x, 100 * share, where="post", label=label, **style)
-    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} ({unit})", ylabel="pairs (%)")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right", fontsize=9)
-
-
-def plot_errors(
-    rotation: Mapping[str, np.ndarray], translation: Mapping[str, np.ndarray]
-) -> Figure:
-    """Histograms of rotation error and of folded translation error, a curve a method, degrees."""
-    figure = new_figure(12.0, 4.5)
-    panels = (("rotation error", rotation), ("folded translation error", translation))
-    for axes, (quantity, errors) in zip(figure.subplots(1, 2), panels, strict=True):
-        draw_cumulative(axes, errors, quantity=quantity, limit=shown_limit(errors))
+    figure = new_figure(12.0, 9.0)
+    for axes, (field, (quantity, unit)) in zip(
+        figure.subplots(2, 2).ravel(), _PANELS.items(), strict=True
+    ):
+        errors = {name: values[field] for name, values in methods.items()}
+        known = {name: values for name, values in errors.items() if not np.isnan(values).any()}
+        if known:
+            draw_cumulative(axes, known, quantity=quantity, unit=unit)
+        else:
+            axes.set_axis_off()
+            axes.text(0.5, 0.5, "no method has a map", ha="center", va="center")
     return figure
 
 
-def shown_limit(errors: Mapping[str, np.ndarray], limits: Sequence[float] = LIMITS) -> float:
-    """The least of the limits that is not below nine tenths of the finite errors of all methods;
-    the last if there is none."""
+def draw_cumulative(
+    axes: Axes, errors: Mapping[str, np.ndarray], *, quantity: str, unit: Unit
+) -> None:
+    """Draw the cumulative histogram of each method, its median in the legend. `NAME/all` has the
+    colour of `NAME`, and is dashed.
+
+    errors: by method, (N,), N > 0; infinite ones count as pairs. The axis ends at the least of
+    LIMITS that is not below nine tenths of the finite errors of all methods, or at the last one.
+    Raises InputError for an empty array or one with NaN.
+    """
+    if any(values.size == 0 or np.isnan(values).any() for values in errors.values()):
+        raise InputError("errors must hold at least one number, and no NaN")
     values = np.concatenate(list(errors.values()))
     finite = values[np.isfinite(values)]
-    most = np.quantile(finite, 0.9) if len(finite) else 0.0
-    return next((limit for limit in limits if limit >= most), limits[-1])
+    most, limits = np.quantile(finite, 0.9) if len(finite) else 0.0, LIMITS[unit]
+    limit = next((limit for limit in limits if limit >= most), limits[-1])
+    bases = list(dict.fromkeys(method.removesuffix("/all") for method in errors))
+    for method, values in errors.items():
+        below = np.sort(values[values <= limit])
+        axes.step(
+            np.concatenate([[0.0], below, [limit]]),
+            100 * np.append(np.arange(len(below) + 1), len(below)) / values.size,
+            where="post",
+            label=f"{method}, median {np.median(values):.2f}{'°' if unit == 'degrees' else ' px'}",
+            color=f"C{bases.index(method.removesuffix('/all')) % 10}",
+            linestyle="--" if method.endswith("/all") else "-",
+        )
+    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} ({unit})", ylabel="pairs (%)")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize=9)
 
 
 def plot_pck(curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray) -> Figure:

@@ -1,136 +1,167 @@
-"""The loop of every pose benchmark: match the pairs of a data set, estimate, compare.
-
-Pairs are matched in this process; poses are estimated here or in other processes.
-"""
-
-from __future__ import annotations
+"""The loop of every pose benchmark: match the pairs of a data set, estimate, compare."""
 
 import hashlib
 import json
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future
-from dataclasses import asdict, dataclass, replace
-from typing import Any, Generic
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
-from dgc_pose.benchmarks.methods import Matchers, Method
-from dgc_pose.benchmarks.posed_pairs import PairSet, PosedPair
-from dgc_pose.benchmarks.scores import MapScore, Score
-from dgc_pose.benchmarks.scoring import MatchedPair, epipolar_errors, pair_seed, score
+from dgc_pose.benchmarks.methods import Method
+from dgc_pose.benchmarks.metrics import folded, median_and_mean, true_fundamental
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
+from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching import CorrespondenceMap, MatchResult, PairSearch, select_matches
-from dgc_pose.pose import pose_of_pair
-from dgc_pose.system.processes import process_pools
+from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation.probability import is_contradicted
+from dgc_pose.matches import Matches
+from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
+from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
+from dgc_pose.pose import solve_pair
+
+_OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches are evidence of K
 
 
-@dataclass(frozen=True)
-class Evaluation(Generic[Score]):
-    """Methods on a data set."""
+def evaluate(
+    pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], first: int = 0
+) -> Iterator[list[PairScore]]:
+    """For each pair from number `first` on, in order, a record a method.
 
-    pairs: PairSet[Score]
-    methods: Sequence[Method]
-    matchers: Matchers
-    workers: int = 1  # processes that estimate poses; one is this process
+    matchers: of each method. The same whatever `first`: the seed of a pair depends on nothing else.
 
-    def run(self, first: int = 0) -> Iterator[list[Score]]:
-        """For each pair from number `first` on, in order, a record a method.
-
-        The same whatever `first` and `workers`: the seed of a pair depends on nothing else.
-
-        Raises what reading a pair raises, and DgcPoseError if a process ends before its work.
-        """
-        matched = (self._match(pair) for pair in self.pairs.read(first))
-        if self.workers == 1:
-            yield from ([score(pair) for pair in methods] for methods in matched)
-            return
-        waiting: deque[list[Future[Score]]] = deque()
-        with process_pools([self.workers]) as submit:
-            for methods in matched:
-                waiting.append([submit(0, score, pair) for pair in methods])
-                while waiting and (
-                    len(waiting) > 2 * self.workers or all(future.done() for future in waiting[0])
-                ):
-                    yield [future.result() for future in waiting.popleft()]
-            while waiting:
-                yield [future.result() for future in waiting.popleft()]
-
-    def settings(self, device: str) -> dict[str, Any]:
-        """All that the records depend on, for `RunStore`; the number of workers does not count."""
-        ids = json.dumps([dict(pair_ids) for pair_ids in self.pairs.ids])
-        return {
-            "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
-            "methods": [asdict(method) for method in self.methods],
-            "weights": {
-                options.weights: matcher.fingerprint
-                for options, matcher in self.matchers.items()
-                if matcher.fingerprint is not None
-            },
-            "device": device,
-        }
-
-    def _match(self, pair: PosedPair) -> Iterator[MatchedPair[Score]]:
-        """The matches of a pair by every method."""
-        searches: dict[MatcherOptions, _Search] = {}
-        for method in self.methods:
-            if method.matcher not in searches:
-                matcher = self.matchers[method.matcher]
-                searches[method.matcher] = _Search(matcher.search(pair.image1, pair.image2), {})
-            search, everywhere_px = searches[method.matcher], (np.nan, np.nan)
-            if issubclass(self.pairs.kind, MapScore) and (dense := search.whole_map):
-                everywhere_px = epipolar_errors(pair.truth, dense.map, dense.grid)
-            cameras, options = method.cameras.cameras(pair), method.estimation
-            if pair.truth.seed:
-                options = replace(options, seed=pair_seed(options.seed, *pair.truth.seed))
-            final, seconds = search.matches(method, cameras, options)
-            yield MatchedPair(
-                kind=self.pairs.kind,
-                method=method.name,
-                truth=pair.truth,
-                cameras=cameras,
-                matches=final.matches,
-                map_matches=None if method.everywhere else final.map_matches,
-                everywhere_px=everywhere_px,
-                options=options,
-                match_seconds=seconds,
-            )
+    Raises what reading a pair raises.
+    """
+    for pair in pairs.read(first):
+        yield [score(pair, *each) for each in zip(methods, matchers, strict=True)]
 
 
-@dataclass(frozen=True)
-class _Search:
-    """The search of a pair by all methods of the same matching."""
+def settings(
+    pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], device: str
+) -> dict[str, Any]:
+    """All that the records depend on, for `RunStore`."""
+    ids = json.dumps([dict(pair_ids) for pair_ids in pairs.ids])
+    return {
+        "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
+        "methods": [asdict(method) for method in methods],
+        "weights": {
+            method.matcher.weights: matcher.fingerprint
+            for method, matcher in zip(methods, matchers, strict=True)
+            if matcher.fingerprint is not None
+        },
+        "device": device,
+    }
 
-    search: PairSearch
-    seconds: dict[str, float]  # of each step, when it was done for the first time
 
-    @property
-    def whole_map(self) -> CorrespondenceMap | None:
-        """The dense map that the step `whole` begins with; None for key points."""
-        return self.search.unrefined.correspondence_map
+def score(pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
+    """What a method makes of a pair, compared with the truth.
 
-    def matches(
-        self, method: Method, cameras: tuple[Camera, Camera], options: EstimationOptions
-    ) -> tuple[MatchResult, float]:
-        """The matches that the pose of a method is of, and the seconds of the steps to them."""
-        start = time.perf_counter()
-        if method.everywhere:
-            if (dense := self.whole_map) is None:
-                raise InputError(f"{method.name}: {self.search.matcher.name} makes no map")
-            everywhere = replace(method.matcher.matching, matchability=0.0, cycle_px=None)
-            every = select_matches(dense, everywhere, min_share=0.0)
-            result, steps = MatchResult(every, dense), {"everywhere": time.perf_counter() - start}
-        elif method.matcher.refinement.source == "none":
-            result = self.search.whole()
-            steps = {"match": time.perf_counter() - start}
-        else:
-            pose = pose_of_pair(self.search, *cameras, options)
-            result = self.search.last
-            steps = {step: s for step, s in pose.seconds.items() if step != "estimate"}
-        for step, seconds in steps.items():
-            self.seconds[step] = max(seconds, self.seconds.get(step, 0.0))
-        return result, sum(self.seconds[step] for step in steps)
+    Raises InputError if it asks for every pixel of a matcher that makes no map.
+    """
+    truth, options = pair.truth, method.estimation
+    assert truth.R is not None and truth.t is not None
+    if truth.seed:
+        # The same whatever is estimated before it
+        words = np.random.SeedSequence([options.seed, *truth.seed]).generate_state(1)
+        options = replace(options, seed=int(words[0]))
+    cameras = method.cameras.cameras(pair)
+    pose, matches, dense, match_seconds = _solved(pair, cameras, method, matcher, options)
+    everywhere_px = (np.nan, np.nan)
+    if dense is not None:
+        everywhere_px = epipolar_errors(truth, dense.map, dense.grid)
+    confident_px = epipolar_errors(truth, matches.points1, matches.points2)
+    rotation = translation = np.inf
+    if pose.success and pose.R is not None and pose.t is not None:  # it counts only as a whole
+        rotation = rotation_error_deg(pose.R, truth.R)
+        translation = translation_error_deg(pose.t, truth.t)
+    focal_errors, focal_stds = [np.nan, np.nan], [np.nan, np.nan]
+    if pose.camera1 is not None and pose.camera2 is not None:
+        fitted, true = (pose.camera1, pose.camera2), (truth.camera1, truth.camera2)
+        focal_errors = [float(np.log(a.focal / b.focal)) for a, b in zip(fitted, true, strict=True)]
+        focal_stds = [camera.focal_std for camera in fitted]
+    check = None if pose.evidence is None else pose.evidence.focal_check
+    return PairScore(
+        **truth.ids,
+        method=method.name,
+        true_rotation_deg=rotation_error_deg(truth.R, np.eye(3)),
+        status=pose.status,
+        success=pose.success,
+        num_matches=pose.num_matches,
+        num_inliers=pose.num_inliers,
+        inlier_ratio=pose.inlier_ratio,
+        rotation_error_deg=rotation,
+        translation_error_deg=translation,
+        translation_folded_deg=folded(translation),
+        match_seconds=match_seconds,
+        estimate_seconds=pose.seconds["estimate"],
+        rotation_90_deg=_number(pose.rotation_error_90_deg),
+        translation_90_deg=_number(pose.translation_error_90_deg),
+        probability=_number(pose.probability),
+        focal1_error=focal_errors[0],
+        focal2_error=focal_errors[1],
+        focal1_std=focal_stds[0],
+        focal2_std=focal_stds[1],
+        focal_ratio=np.nan if check is None else check.factor,
+        focal_ratio_std=np.nan if check is None else check.std,
+        doubts_camera=doubts_camera(pose, cameras),
+        epipolar_all_px=everywhere_px[0],
+        epipolar_confident_px=confident_px[0],
+        epipolar_all_mean_px=everywhere_px[1],
+        epipolar_confident_mean_px=confident_px[1],
+    )
+
+
+def _solved(
+    pair: PosedPair,
+    cameras: tuple[Camera, Camera],
+    method: Method,
+    matcher: Matcher,
+    options: EstimationOptions,
+) -> tuple[RelativePose, Matches, CorrespondenceMap | None, float]:
+    """The pose of a pair, its matches and the dense map, and the seconds of the matching."""
+    if not method.everywhere:
+        found = solve_pair(pair.image1, pair.image2, cameras, matcher, options)
+        seconds = sum(s for step, s in found.pose.seconds.items() if step != "estimate")
+        return found.pose, found.matches, found.correspondence_map, seconds
+    start = time.perf_counter()
+    dense = matcher.match(pair.image1, pair.image2).correspondence_map
+    if dense is None:
+        raise InputError(f"{method.name}: {matcher.name} makes no map")
+    selection = replace(method.matcher.matching, matchability=0.0)
+    every = select_matches(dense, selection, min_share=0.0)
+    matched = time.perf_counter()
+    pose = estimate_pose(every, *cameras, options)
+    pose = replace(pose, seconds={"estimate": time.perf_counter() - matched})
+    return pose, every, dense, matched - start
+
+
+def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
+    """Whether a K may be wrong: there was a warning of it before the estimation, or the matches
+    contradict its focal length or that of the EXIF data. cameras: before the estimation."""
+    if any(camera.focal_source == "given" and camera.warnings for camera in cameras):
+        return True
+    if pose.evidence is None or pose.status not in _OF_CAMERAS:
+        return False
+    if (check := pose.evidence.focal_check) is not None:
+        return is_contradicted(check.factor, check.std, check.log_odds)
+    fitted = zip(cameras, (pose.camera1, pose.camera2), strict=True)
+    return any(
+        before.focal_source == "exif"
+        and after is not None
+        and is_contradicted(after.focal / before.focal, before.focal_std)
+        for before, after in fitted
+    )
+
+
+def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:
+    """Median and mean D_e of matches (..., 2), in pixels."""
+    assert truth.R is not None and truth.t is not None
+    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+    ideal1, ideal2 = ideal_pixels(points1, truth.camera1), ideal_pixels(points2, truth.camera2)
+    return median_and_mean(ideal1, ideal2, F)
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value

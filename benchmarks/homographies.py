@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from dgc_pose.benchmarks.map_run import MapCase
+from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import pixel_grid
@@ -22,21 +22,7 @@ from dgc_pose.training.map_pairs import MapPairs
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
 _MATRIX_BYTES = 2**16  # of a file with nine numbers
-# AEPE at 240x240 on HPatches, viewpoints I to V, pixels, as their authors printed them. "paper" is
-# Melekhov et al., DGC-Net: Dense Geometric Correspondence Network, WACV 2019; GLU-Net is Truong et
-# al., CVPR 2020; RANSAC-Flow is Shen et al., ECCV 2020.
-HPATCHES_AEPE: dict[str, tuple[float, ...]] = {
-    "PWC-Net (paper)": (4.43, 11.44, 15.47, 20.17, 28.30),
-    "Rocco aff+tps, T (paper)": (9.59, 18.55, 21.15, 27.83, 35.19),
-    "DGC-Net (paper)": (1.55, 5.53, 8.98, 11.66, 16.70),
-    "DGC+M-Net (paper)": (2.97, 6.85, 9.95, 12.87, 19.13),
-    "GLU-Net": (0.59, 4.05, 7.64, 9.82, 14.89),
-    "RANSAC-Flow (author's rerun)": (0.52, 2.33, 3.19, 5.35, 5.25),
-}
-# Jaccard of the mask there.
-HPATCHES_JACCARD: dict[str, tuple[float, ...]] = {
-    "DGC+M-Net aff+tps+homo (paper)": (0.730, 0.687, 0.629, 0.590, 0.525),
-}
+SEQUENCES = 59  # of a changing viewpoint in HPatches
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 
 
@@ -45,47 +31,42 @@ class HomographyPair:
     """Two images of a plane. Image 1 is the source, image 2 the target."""
 
     name: str
-    group: str  # that its figures are averaged in: a viewpoint of HPatches, or ""
+    group: str  # that its figures are averaged in: a viewpoint of HPatches, or the folder
     path1: Path
     path2: Path
     H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
 
 
-@dataclass(frozen=True)
-class HomographySet:
-    """The pairs of a folder, and those that have no files."""
-
-    pairs: tuple[HomographyPair, ...]
-    missing: tuple[str, ...]  # pairs without an image or a matrix
-
-    @property
-    def sequences(self) -> set[str]:
-        """Names of the sequences of the grouped pairs."""
-        return {pair.path1.parent.name for pair in self.pairs if pair.group}
-
-    @property
-    def cases(self) -> Iterator[MapCase]:
-        """The pairs as cases of a benchmark, read one by one."""
-        return (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in self.pairs)
-
-
-def find_homography_pairs(root: str | Path) -> HomographySet:
-    """All pairs of the three layouts in a folder and the folders right below it.
+def homography_set(root: str | Path) -> MapSet:
+    """All pairs of the three layouts in a folder and the folders right below it, read one by one.
 
     Raises InputError if there is no pair or, with the path, if a matrix is malformed.
     """
     root = Path(root)
+    pairs, missing = find_homography_pairs(root)
+    found = {pair.path1.parent for pair in pairs if pair.group in VIEWPOINTS}
+    title = f"{len(pairs)} pairs of {root}, {len(found)} of HPatches' {SEQUENCES} sequences"
+    if missing:
+        title += f"; without an image or a matrix: {', '.join(missing)}"
+    cases = (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in pairs)
+    facts = {"root": str(root), "sequences": len(found), "missing": missing}
+    return MapSet(cases, len(pairs), facts, title)
+
+
+def find_homography_pairs(root: Path) -> tuple[list[HomographyPair], list[str]]:
+    """The pairs of a folder, and the names of those without an image or a matrix. Raises as
+    `homography_set` does."""
     if not root.is_dir():
         raise InputError(f"{root}: no such folder")
     folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
     named = [pair for folder in folders for pair in _pairs_in(folder)]
-    pairs = tuple(pair for pair in named if isinstance(pair, HomographyPair))
+    pairs = [pair for pair in named if isinstance(pair, HomographyPair)]
     if not pairs:
         raise InputError(
             f"{root}: no pairs; expected HPatches (v_*/1.ppm, v_*/H_1_2), VGG's sets (img1.ppm, "
             f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
         )
-    return HomographySet(pairs, tuple(pair for pair in named if isinstance(pair, str)))
+    return pairs, [pair for pair in named if isinstance(pair, str)]
 
 
 def load_pair(pair: HomographyPair) -> MapPairs:
@@ -144,19 +125,19 @@ def _squaring(size: tuple[int, int]) -> np.ndarray:
 
 def _pairs_in(folder: Path) -> Iterator[HomographyPair | str]:
     """The pairs right in a folder, in each of the layouts; of those that lack a file the names."""
-    viewpoints = [*enumerate(VIEWPOINTS, start=2)]
+    viewpoints, name = [*enumerate(VIEWPOINTS, start=2)], folder.resolve().name
     if folder.name.startswith("v_") and any(folder.glob("H_1_*")):
         for k, viewpoint in viewpoints:
             stems = (folder / "1", folder / f"{k}")
-            yield _pair(f"{folder.name} 1-{k}", viewpoint, stems, folder / f"H_1_{k}")
+            yield _pair(f"{name} 1-{k}", viewpoint, stems, folder / f"H_1_{k}")
     if any(folder.glob("H1to[0-9]*p")):
         for k, _ in viewpoints:
             stems = (folder / "img1", folder / f"img{k}")
-            yield _pair(f"{folder.resolve().name} 1-{k}", "", stems, folder / f"H1to{k}p")
+            yield _pair(f"{name} 1-{k}", name, stems, folder / f"H1to{k}p")
     for matrix in sorted(folder.glob("*_H.txt")):
-        name = matrix.name.removesuffix("_H.txt")
-        stems = (folder / f"{name}_A", folder / f"{name}_B")
-        yield _pair(f"{folder.resolve().name}/{name}", "", stems, matrix)
+        stem = matrix.name.removesuffix("_H.txt")
+        stems = (folder / f"{stem}_A", folder / f"{stem}_B")
+        yield _pair(f"{name}/{stem}", name, stems, matrix)
 
 
 def _pair(name: str, group: str, stems: tuple[Path, Path], matrix: Path) -> HomographyPair | str:

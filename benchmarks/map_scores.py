@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dgc_pose.benchmarks.reliability import Reliability
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
 
-ALL = "all"  # groups
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
@@ -33,14 +33,11 @@ class LevelMap:
 
     @property
     def errors(self) -> np.ndarray:
-        """Euclidean distances (N,) float64 between map and truth at the N valid cells, pixels."""
+        """Euclidean distances (S, S) float64 of map and truth, pixels; infinite without truth."""
         offsets = self.points[self.valid].astype(np.float64) - self.truth[self.valid]
-        return np.linalg.norm(offsets, axis=1)
-
-    @property
-    def aepe(self) -> float:
-        """Mean Euclidean error over the valid cells, pixels; NaN without any."""
-        return _mean(self.errors)
+        distances = np.full(self.valid.shape, np.inf)
+        distances[self.valid] = np.linalg.norm(offsets, axis=1)
+        return distances
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,93 +47,94 @@ class Comparison:
     levels: tuple[LevelMap, ...]  # coarse to fine, up to 240 cells a side; of a network from 15 on
     matchability: np.ndarray | None  # (240, 240) float32 in [0, 1]; None without a mask
 
-    @property
-    def finest(self) -> LevelMap:
-        return self.levels[-1]
-
-    @property
-    def errors(self) -> np.ndarray:
-        """Euclidean error (240, 240) of every pixel; infinite for pixels without truth."""
-        distance = np.full(self.finest.valid.shape, np.inf)
-        distance[self.finest.valid] = self.finest.errors
-        return distance
-
 
 @dataclass(frozen=True, eq=False)
-class PairScores:
-    """One method's figures of one pair."""
+class MapScore:
+    """One method's figures of a pair, or of several together."""
 
     method: str
     group: str
-    name: str
+    name: str  # of the pair; "" of several
+    pairs: int
     valid: int  # pixels of known correspondence; without any, the errors below are NaN
-    aepe: float  # pixels
-    # Coarse to fine: of the maps of 15 to 240 cells a side; NaN for one that the method has not.
+    aepe: float  # pixels, mean over the pairs that have valid pixels
+    # The same of the maps of 15 to 240 cells a side; NaN for one that the method has not
     level_aepe: tuple[float, ...]
     near: np.ndarray  # (200,) int, valid pixels within each of PCK_THRESHOLDS
     within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
-    jaccard: float  # of the mask against the visible pixels; NaN without a mask
+    jaccard: float  # of the mask against the visible pixels, mean over pairs; NaN without a mask
     jaccard_found: float  # the same against the pixels visible and found to within FOUND_PX
     reliability: Reliability | None  # of matches within RIGHT_PX; None without a mask
 
+    @property
+    def pck(self) -> np.ndarray:
+        """Share (200,) of all valid pixels within each of PCK_THRESHOLDS; NaN without any."""
+        return self.near / self.valid if self.valid else np.full(self.near.shape, np.nan)
 
-@dataclass(frozen=True, eq=False)
-class MapSummary:
-    """One method's figures over the pairs of a group."""
+    @property
+    def data(self) -> dict[str, Any]:
+        """The figures by name: a row of the tables and of pairs.csv."""
+        levels = zip(LEVEL_SIZES[::-1], self.level_aepe, strict=True)
+        shares = zip(WITHIN, self.within.tolist(), strict=True)
+        return {
+            "group": self.group,
+            "pair": self.name,
+            "method": self.method,
+            "pairs": self.pairs,
+            "valid_pixels": self.valid,
+            "aepe": self.aepe,
+            **{f"aepe{cells}": aepe for cells, aepe in levels},
+            **{f"pck{px:g}": count / self.valid if self.valid else np.nan for px, count in shares},
+            "jaccard": self.jaccard,
+            "jaccard_found": self.jaccard_found,
+        }
 
-    method: str
-    group: str
-    pairs: int
-    aepe: float  # pixels, mean over the pairs that have valid pixels
-    level_aepe: tuple[float, ...]  # the same, coarse to fine
-    pck: np.ndarray  # (200,) share of all valid pixels within each of PCK_THRESHOLDS
-    within: tuple[float, ...]  # share of all valid pixels within each of WITHIN
-    jaccard: float  # mean over pairs; NaN without a mask
-    jaccard_found: float
-    reliability: Reliability | None  # the pairs' counts together; None without a mask
 
-
-def score_map(method: str, group: str, name: str, comparison: Comparison) -> PairScores:
+def score_map(method: str, group: str, name: str, comparison: Comparison) -> MapScore:
     """The figures of one pair."""
-    finest, distances, matchability = comparison.finest, comparison.errors, comparison.matchability
-    euclidean = distances[finest.valid]
+    valid, matchability = comparison.levels[-1].valid, comparison.matchability
+    levels = [level.errors for level in comparison.levels]
+    distances = levels[-1]
     overlap = overlap_found = float("nan")
     reliability = None
-    absent = len(LEVEL_SIZES) - len(comparison.levels)
+    absent = len(LEVEL_SIZES) - len(levels)
     if matchability is not None:
-        overlap = jaccard(matchability > 0.5, finest.valid)
+        overlap = jaccard(matchability > 0.5, valid)
         overlap_found = jaccard(matchability > 0.5, distances < FOUND_PX)
         reliability = Reliability.of(matchability, distances <= RIGHT_PX)
-    return PairScores(
+    of_levels = (_mean(d[level.valid]) for d, level in zip(levels, comparison.levels, strict=True))
+    return MapScore(
         method=method,
         group=group,
         name=name,
-        valid=len(euclidean),
-        aepe=finest.aepe,
-        level_aepe=(float("nan"),) * absent + tuple(level.aepe for level in comparison.levels),
-        near=count_within(euclidean, PCK_THRESHOLDS),
-        within=count_within(euclidean, WITHIN),
+        pairs=1,
+        valid=int(valid.sum()),
+        aepe=_mean(distances[valid]),
+        level_aepe=(float("nan"),) * absent + tuple(of_levels),
+        near=count_within(distances[valid], PCK_THRESHOLDS),
+        within=count_within(distances[valid], WITHIN),
         jaccard=overlap,
         jaccard_found=overlap_found,
         reliability=reliability,
     )
 
 
-def summarise_maps(scores: Sequence[PairScores], group: str = ALL) -> MapSummary:
+def pooled(scores: Sequence[MapScore], group: str = "all") -> MapScore:
     """The figures of one method over its pairs of a group."""
-    scores = [pair for pair in scores if group in (ALL, pair.group)]
-    pixels = sum(pair.valid for pair in scores)
+    scores = [pair for pair in scores if group in ("all", pair.group)]
     levels = zip(*(pair.level_aepe for pair in scores), strict=True)
     parts = [pair.reliability for pair in scores if pair.reliability is not None]
-    return MapSummary(
+    return MapScore(
         method=scores[0].method,
         group=group,
+        name="",
         pairs=len(scores),
+        valid=sum(pair.valid for pair in scores),
         aepe=_mean([pair.aepe for pair in scores if pair.valid]),
         # A pair may have valid cells at a fine level and none at a coarse one.
         level_aepe=tuple(_mean([v for v in values if not np.isnan(v)]) for values in levels),
-        pck=_share(np.sum([pair.near for pair in scores], axis=0), pixels),
-        within=tuple(_share(np.sum([pair.within for pair in scores], axis=0), pixels).tolist()),
+        near=np.sum([pair.near for pair in scores], axis=0),
+        within=np.sum([pair.within for pair in scores], axis=0),
         jaccard=_mean([pair.jaccard for pair in scores]),
         jaccard_found=_mean([pair.jaccard_found for pair in scores]),
         reliability=sum(parts[1:], parts[0]) if parts else None,
@@ -157,10 +155,6 @@ def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
     empty."""
     union = int((prediction | truth).sum())
     return int((prediction & truth).sum()) / union if union else 1.0
-
-
-def _share(counts: np.ndarray, total: int) -> np.ndarray:
-    return counts / total if total else np.full(counts.shape, np.nan)
 
 
 def _mean(values: Sequence[float] | np.ndarray) -> float:

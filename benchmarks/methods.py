@@ -3,53 +3,35 @@
 A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=features:finest=120`. NAME is that
 of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of
 NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
-`MatchingOptions`, `RefinementOptions` or `EstimationOptions`, or of the options within them, and is
-set in each of them that has it; `refine` is the source of refinement, or none, and `refine_pose` is
-`EstimationOptions.refine`. `K`, `K_scale` and the like are the fields of `CameraTrial`, as in
-`dgcm-lite0:K=auto:shared`. Methods of the same matching and refinement share a search.
+`MatchingOptions` or `EstimationOptions`, or of the options within them, and is set in each of them
+that has it; `refine` is `MatchingOptions.aligned`, `refine_pose` is `EstimationOptions.refine`.
+`K`, `K_scale` and the like are the fields of `CameraTrial`, as in `dgcm-lite0:K=auto:shared`.
 """
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import partial
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.rivals.deep_matching import DeepMatcher
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import KINDS, MatcherCaches, MatcherKind, MatcherOptions
-from dgc_pose.matching import Matcher
+from dgc_pose.matchers import NAMES, MatcherOptions
+from dgc_pose.matching import Matcher, NetworkMatcher
 from dgc_pose.network.stored import shipped
-from dgc_pose.refinement import RefinementOptions
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
 
 EVERYWHERE = "/all"
-_UNREFINED = RefinementOptions(source="none")
 # Of fields whose key is another word
-_KEYS = {"source": "refine", "refine": "refine_pose"} | {
+_KEYS = {"aligned": "refine", "refine": "refine_pose"} | {
     field.name: field.name.capitalize() for field in fields(CameraTrial)
 }
 _SETTING = re.compile(r":(?=[A-Za-z]\w*=)")  # begins with; a path and K=auto:two hold colons, too
 
 Options = TypeVar("Options")
-
-
-# The paper's rivals, beside the matchers that `KINDS` has
-RIVALS = {
-    "deepmatching": MatcherKind(
-        "deepmatching", lambda options, *_: DeepMatcher(options.matching), dense_map=True
-    ),
-}
-
-
-def kind_of(options: MatcherOptions) -> MatcherKind:
-    """The kind of a matcher, that of a rival too."""
-    return RIVALS.get(options.weights) or options.kind
 
 
 @dataclass(frozen=True)
@@ -61,9 +43,6 @@ class Method:
     estimation: EstimationOptions
     cameras: CameraTrial
     everywhere: bool = False  # whether every pixel counts, whatever the matchability
-
-
-Matchers = Mapping[MatcherOptions, Matcher]  # by `Method.matcher`
 
 
 def parse_methods(
@@ -85,7 +64,7 @@ def parse_methods(
     of range, for `/all` of key points, and for a name of `stored` that is taken.
     """
     for name in stored:
-        if name in (*shipped(), *(kind.pattern for kind in KINDS)):
+        if name in (*shipped(), *NAMES):
             raise InputError(
                 ArgumentName("matches"), f"{name}: a method of that name is there already"
             )
@@ -109,28 +88,25 @@ def load_matchers(
     device: str,
     runtime: RuntimeName = "auto",
     stored: Mapping[str, FileMatcher] | None = None,
-    keep_features: bool = False,
-) -> Matchers:
-    """Load what the methods match with, each network once.
+) -> list[Matcher]:
+    """Load what each method matches with; a network is read once.
 
-    stored: matchers of stored matches by name. keep_features: whether what is computed of an image
-    serves later pairs of it, so that times are those of a list of pairs.
+    stored: matchers of stored matches by name. Methods share nothing that is computed of an image,
+    so that the seconds of each are its own.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
-    caches: dict[str, MatcherCaches] = {}
-    engines: dict[str, Engine | None] = {}
-    matchers: dict[MatcherOptions, Matcher] = {}
-    for options in dict.fromkeys(method.matcher for method in methods):
-        name = options.weights
-        if stored and name in stored:
-            matchers[options] = stored[name].selecting(options.matching)
+    engines: dict[str, Engine] = {}
+    matchers: list[Matcher] = []
+    for options in (method.matcher for method in methods):
+        if stored and options.weights in stored:
+            matchers.append(stored[options.weights].selecting(options.matching))
             continue
-        kept = caches.setdefault(name, MatcherCaches()) if keep_features else None
         used = replace(options, device=device, runtime=runtime)
-        load = partial(RIVALS[name].load, used) if name in RIVALS else used.load
-        matchers[options] = load(kept, engines.get(name))
-        engines[name] = matchers[options].engine
+        matcher = used.load(engine=engines.get(options.weights))
+        if isinstance(matcher, NetworkMatcher):
+            engines[options.weights] = matcher.engine
+        matchers.append(matcher)
     return matchers
 
 
@@ -141,14 +117,13 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     if not weights:
         raise InputError(f"the method {text!r} has no name")
     matcher = replace(defaults.matcher, weights=weights)
-    kind = kind_of(matcher)
-    everywhere, network = name != weights, kind.network and weights not in stored
-    if everywhere and not kind.dense_map and weights not in stored:
+    everywhere, network = name != weights, matcher.is_network and weights not in stored
+    if everywhere and not matcher.has_map and weights not in stored:
         raise InputError(f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing")
     used: set[str] = set()
+    aligned = matcher.matching.aligned if network and not everywhere else "none"
     try:
-        matching = _changed(matcher.matching, settings, used)
-        refinement = _changed(matcher.refinement if network else _UNREFINED, settings, used)
+        matching = _changed(replace(matcher.matching, aligned=aligned), settings, used)
         estimation = _changed(defaults.estimation, settings, used)
         cameras = _changed(defaults.cameras, settings, used)
     except InputError as error:
@@ -156,9 +131,9 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     for key in settings:
         if key not in used:
             raise InputError(f"{text}: no option {key}")
-    if not network and refinement.source != "none":
-        raise InputError(f"{text}: refine={refinement.source} needs the features of a network")
-    matcher = replace(matcher, matching=matching, refinement=refinement)
+    if not network and matching.aligned != "none":
+        raise InputError(f"{text}: refine={matching.aligned} needs the features of a network")
+    matcher = replace(matcher, matching=matching)
     return Method(text, matcher, estimation, cameras, everywhere)
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.benchmarks.scores import MapScore, PairScore, Score
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
@@ -22,8 +20,7 @@ from dgc_pose.images.store import ImageStore
 if TYPE_CHECKING:
     from dgc_pose.training.room_pairs import RoomPairs
 
-Ids = Mapping[str, str | int | float]
-RENDERED_SIZE = 1024  # pixels a side of a rendered view
+Ids = Mapping[str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,29 +44,12 @@ class PosedPair:
     image2: Image
 
 
-class PairSet(ABC, Generic[Score]):
-    """A data set: the same pairs in the same order each time that it is read."""
-
-    def __init__(self, kind: type[Score], ids: Sequence[Ids]) -> None:
-        self.kind = kind  # of the records
-        self.ids = ids  # of each pair, known before any image is read
-
-    @abstractmethod
-    def read(self, first: int = 0) -> Iterator[PosedPair]:
-        """The pairs from number `first` on.
-
-        Raises ImageError if an image cannot be read, InputError if a camera does not fit its image.
-        """
-
-
-class FilePairs(PairSet[Score]):
+class ListedPairs:
     """Pairs of image files. An image that was read recently is not read again."""
 
     def __init__(
         self,
-        kind: type[Score],
         pairs: Sequence[Pair],
-        ids: Sequence[Ids],
         *,
         seeds: Sequence[tuple[int, ...]] | None = None,
         size: tuple[int, int] | None = None,
@@ -79,13 +59,17 @@ class FilePairs(PairSet[Score]):
             seeds: of each pair, see `Truth.seed`; None for one seed for all.
             size: (width, height) that the images are brought to; None leaves them as stored.
         """
-        super().__init__(kind, ids)
         self.pairs = pairs
+        self.ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
         self._seeds = seeds
         self._size = size
         self._images = ImageStore(Path(), size=size)
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
+        """The pairs from number `first` on.
+
+        Raises ImageError if an image cannot be read, InputError if a camera does not fit its image.
+        """
         return (self.pair(number) for number in range(first, len(self.pairs)))
 
     def pair(self, number: int) -> PosedPair:
@@ -111,42 +95,6 @@ class FilePairs(PairSet[Score]):
         if self._size is not None:
             camera = replace(camera, size=full).resized(self._size)
         return image, camera, turn
-
-
-class ListedPairs(FilePairs[PairScore]):
-    """The pairs of a list in SuperGlue's format."""
-
-    def __init__(self, pairs: Sequence[Pair], kind: type[PairScore] = PairScore) -> None:
-        ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
-        super().__init__(kind, pairs, ids)
-
-
-class RenderedPosedPairs(PairSet[MapScore]):
-    """Seeded views, 1024 pixels square and 5 to 40 degrees apart, of rendered scenes, textured with
-    the photographs that training holds back: what defaults are chosen on."""
-
-    def __init__(self, photos: Path, count: int, seed: int) -> None:
-        """Raises ImageError if the folder holds no photographs."""
-        from dgc_pose.training.photos import load_held_back
-
-        names = [f"rendered {seed} {k}" for k in range(count)]
-        super().__init__(MapScore, [{"image1": f"{n} 1", "image2": f"{n} 2"} for n in names])
-        self._photos = load_held_back(photos)
-        self._seed = seed
-
-    def read(self, first: int = 0) -> Iterator[PosedPair]:
-        from dgc_pose.training.draw import Draw
-        from dgc_pose.training.room_pairs import RoomOptions, room_pairs
-
-        # Several copies of a photograph side by side would make its blur, not its detail, the scene
-        options = RoomOptions(
-            orbit_deg=(5.0, 40.0), roll_deg=4.0, enough=0.4, tries=6, spans=((1.5, 3.0), (0.9, 1.8))
-        )
-        shape = RENDERED_SIZE, RENDERED_SIZE
-        for number in range(first, len(self.ids)):
-            draw = Draw("cpu", "rendered", self._seed, number)
-            views = room_pairs(self._photos, 1, shape, draw, options)
-            yield posed_pair(views, self.ids[number])
 
 
 def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:

@@ -17,9 +17,9 @@ from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.dtu.calibration import read_projection
 from dgc_pose.benchmarks.metrics import folded, pose_auc
-from dgc_pose.cameras.calibration import Calibration, read_calibration
+from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.colmap.mapping import MappingError, map_database
@@ -242,22 +242,6 @@ def views_of_list(path: Path, folder: Path) -> Model:
         raise InputError(f"{path}: its pairs do not connect all images")
     sized = {n: replace(c, size=image_size(folder / n)) for n, c in sorted(cameras.items())}
     return Model(folder, sized, {name: pose[:3] for name, pose in poses.items()})
-
-
-def views_of_dtu(calibration: Path, folder: Path) -> Model:
-    """The images `rect_NNN_...` of a scene of DTU with the matrices `pos_NNN.txt`; millimetres.
-
-    Raises InputError if there is no such image, or a matrix is missing or malformed.
-    """
-    cameras, poses = {}, {}
-    for path in sorted(folder.glob("rect_[0-9][0-9][0-9]*")):
-        position = path.name.split("_")[1]
-        view = read_projection(calibration / f"pos_{position}.txt")
-        cameras[path.name] = Camera(view.K, image_size(path))
-        poses[path.name] = np.column_stack([view.R, view.t])
-    if len(poses) < 2:
-        raise InputError(f"{folder}: no images rect_NNN of a DTU scene")
-    return Model(folder, cameras, poses)
 
 
 def _name_in(folder: Path, path: Path) -> str:

@@ -11,7 +11,6 @@ import numpy as np
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,25 +65,6 @@ class Reliability:
         if total == 0:
             return float("nan")
         return float(np.abs(self.confidence - self.correct).sum() / total)
-
-
-def plot_reliability(reliabilities: Mapping[str, Reliability], *, right: str) -> Figure:
-    """The share of right matches by bin of matchability, a curve a method, and below it the share
-    of all matches in each bin. A calibrated method follows the diagonal. Empty bins are left out.
-
-    right: which matches are right, for the label, such as "within 3 px".
-    """
-    from dgc_pose.viz.figure import new_figure  # slow to import, and most commands draw nothing
-
-    figure = new_figure(5.5, 6.5)
-    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    draw_reliability(upper, reliabilities, right=right)
-    for reliability in reliabilities.values():
-        shares = reliability.counts / max(reliability.counts.sum(), 1)
-        lower.stairs(100 * shares, reliability.edges, baseline=0)
-    lower.set(xlabel="matchability", ylabel="matches (%)", xticks=np.linspace(0, 1, 6))
-    lower.grid(alpha=0.3)
-    return figure
 
 
 def draw_reliability(axes: Axes, reliabilities: Mapping[str, Reliability], *, right: str) -> None:

@@ -9,19 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.errors import ImageError, InputError, reason
+from dgc_pose.errors import InputError, reason
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.geometry.pixels import pixel_grid, rescale
-from dgc_pose.images.image import Image, read_pixels
+from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.flow import scaled_map
-from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 
 Names = tuple[str, str]  # of a pair of images
 
-_ENDINGS = (".flo", ".npz", ".npy", ".png")
+_ENDINGS = (".flo", ".npz", ".npy")
 _FLO_MAGIC = 202021.25
 _FLO_UNKNOWN = 1e9
 _ERROR_PX = 1.0  # of points without an error_px, pixels of the images as stored
@@ -84,7 +85,7 @@ def _read(path: Path) -> Mapping[str, np.ndarray]:
         return read_arrays(path)
     if path.suffix == ".npy":
         return {"flow": read_array(path)}
-    return {"flow": _read_flo(path) if path.suffix == ".flo" else _read_kitti(path)}
+    return {"flow": _read_flo(path)}
 
 
 def _read_flo(path: Path) -> np.ndarray:
@@ -98,31 +99,17 @@ def _read_flo(path: Path) -> np.ndarray:
     return flow
 
 
-def _read_kitti(path: Path) -> np.ndarray:
-    """KITTI's flow (H, W, 2) float64, NaN if unknown."""
-    try:
-        stored = read_pixels(path)
-    except ImageError as error:
-        raise InputError(str(error)) from None
-    if stored.dtype != np.uint16 or stored.ndim != 3 or stored.shape[2] != 3:
-        raise ValueError("KITTI's flow is a PNG of three 16-bit channels")
-    known, y, x = np.moveaxis(stored.astype(np.float64), -1, 0)  # OpenCV gives BGR for RGB
-    flow = (np.stack([x, y], -1) - 2**15) / 64
-    flow[known == 0] = np.nan
-    return flow
-
-
 def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> CorrespondenceMap:
     if "flow" in arrays:
-        flow = _planes_last(arrays["flow"])
+        flow = _planes(arrays["flow"])
         points1 = pixel_grid((flow.shape[1], flow.shape[0])) + flow
     else:
-        points1 = _planes_last(arrays["map"])
+        points1 = _planes(arrays["map"])
     known = np.isfinite(points1).all(-1)
     points1 = np.where(known[..., None], points1, -np.inf)
     matchability = np.where(known, _matchability(arrays, known.shape), np.float32(0))
     if "map" in arrays and "grid" in arrays:
-        grid = _planes_last(arrays["grid"])
+        grid = _planes(arrays["grid"])
         if grid.shape != points1.shape:
             raise ValueError(f"map has shape {points1.shape}, grid {grid.shape}")
         stored = CorrespondenceMap(
@@ -141,7 +128,7 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
 
 def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
     """The matchability (H, W) float32 of a map of that shape; 1 if none is stored."""
-    stored = arrays.get("matchability", arrays.get("certainty", np.ones(shape)))
+    stored = arrays.get("matchability", np.ones(shape))
     matchability = np.asarray(stored, dtype=np.float32).squeeze()
     if matchability.shape != shape or not ((matchability >= 0) & (matchability <= 1)).all():
         raise ValueError(f"matchability must have shape {shape} and lie in 0 to 1")
@@ -168,11 +155,8 @@ def _from_stored(points: np.ndarray, image: Image) -> np.ndarray:
     return rescale(points, image.stored_size or image.size, image.size)
 
 
-def _planes_last(array: np.ndarray) -> np.ndarray:
-    """(H, W, 2) float64 from (H, W, 2), from (2, H, W), or from a batch of one of either."""
-    planes = array[0] if array.ndim == 4 and array.shape[0] == 1 else array
-    if planes.ndim == 3 and planes.shape[-1] != 2 and planes.shape[0] == 2:
-        planes = np.moveaxis(planes, 0, -1)
-    if planes.ndim != 3 or planes.shape[-1] != 2 or planes.size == 0:
-        raise ValueError(f"expected the shape (H, W, 2) or (2, H, W), not {array.shape}")
-    return planes.astype(np.float64)
+def _planes(array: np.ndarray) -> np.ndarray:
+    """(H, W, 2) float64."""
+    if array.ndim != 3 or array.shape[-1] != 2 or array.size == 0:
+        raise ValueError(f"expected the shape (H, W, 2), not {array.shape}")
+    return array.astype(np.float64)

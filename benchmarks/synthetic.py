@@ -12,8 +12,7 @@ from pathlib import Path
 import torch
 
 from dgc_pose.benchmarks.map_run import MapCase, MapSet
-from dgc_pose.benchmarks.spline import Warp
-from dgc_pose.benchmarks.warps import FAR, affine_warp, homography_warp, spline_warp
+from dgc_pose.benchmarks.warps import FAR, Warp, affine_warp, homography_warp, spline_warp
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.training.draw import Draw
@@ -64,8 +63,10 @@ def synthetic_set(
     names = list(dict.fromkeys(names))
     cases = (synthetic_cases(photos, name, pairs, seed, changed=changed) for name in names)
     facts = {"photographs": photos.single, "seed": seed, "changed": changed}
-    all_facts = {**facts, "published": SYNTHETIC}
-    return MapSet(chain.from_iterable(cases), pairs * len(names), all_facts)
+    light = "with changes of light and occluders" if changed else "light as it is, no occluders"
+    title = f"{photos.single} photographs that training holds back, seed {seed}, {light}"
+    total = pairs * len(names)
+    return MapSet(chain.from_iterable(cases), total, facts, f"{title}\n{SYNTHETIC}")
 
 
 def synthetic_cases(

@@ -33,12 +33,9 @@ CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
 _SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
 
+_FOLDER = OutputFolder(path_type=Path)
 OUT = click.option(
-    "--out",
-    type=OutputFolder(path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder of the results.",
+    "--out", type=_FOLDER, required=True, metavar="DIR", help="Folder of the results."
 )
 
 
@@ -106,20 +103,17 @@ def report(batch: Batch) -> None:
     for name, reason in summary["bad_images"].items():
         say(f"bad image {name}: {reason}")
     if failed := [row for row in batch.rows if row.status == FAILED]:
-        first = failed[0]
-        say(
-            f"{counted(len(failed), 'pair')} failed (first: {first.name1} {first.name2}: "
-            f"{first.reason}): --resume matches them again"
-        )
+        pairs, first = counted(len(failed), "pair"), failed[0]
+        which = f"{first.name1} {first.name2}: {first.reason}"
+        say(f"{pairs} failed (first: {which}): --resume matches them again")
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         say(f"warning: {warnings[0]}{more}")
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]
-        if camera["focal_source"] == "matches":
-            source = f"from {counted(camera['pairs'], 'pair')}"
-        else:
+        source = f"from {counted(camera['pairs'], 'pair')}"
+        if camera["focal_source"] != "matches":
             unknown = ": no pair determines it" * (std > 0)
             source = f"from the {_SOURCES[camera['focal_source']]}{unknown}"
         why = f" ({camera['first_image']}: {camera['why']})" if camera["why"] else ""
@@ -151,7 +145,7 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
     from dgc_pose.files.tables import aligned
     from dgc_pose.geometry.rotation import rotation_angle_deg
 
-    lines = [["pair", "status", "probability", "rotation", "R within", "t within", "inliers"]]
+    lines = ["pair,status,probability,rotation,R within,t within,inliers".split(",")]
     for row in rows[:PAIRS_SHOWN]:
         angle = None if row.R is None else rotation_angle_deg(np.reshape(row.R, (3, 3)))
         degrees = (angle, row.rotation_error_90_deg, row.translation_error_90_deg)

@@ -10,6 +10,7 @@ a dataclass contributes the options of that class.
 """
 
 import functools
+import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -19,7 +20,7 @@ from typing import Any, Literal, get_args, get_origin
 import click
 
 from dgc_pose.cli.guard import NamedPath, SectionedOption
-from dgc_pose.system.options import OptionInfo, check_options, field_types, option_info
+from dgc_pose.system.options import OptionInfo, field_types, option_info
 
 _FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
 Command = Callable[..., Any]
@@ -35,8 +36,7 @@ def dataclass_options(
     their defaults.
 
     The type decides the option: bool is a switch (--x, or --x/--no-x if it is True by default),
-    Literal a choice, tuple[X, ...] may be given several times. The values are checked by
-    `check_options`, whose InputError reaches the user as one line.
+    Literal a choice, tuple[X, ...] may be given several times; click checks the range of a number.
     """
     chosen = dict(_options(cls, argument, only))
 
@@ -59,31 +59,28 @@ def _options(
 ) -> Iterator[tuple[str, Decorator]]:
     """The options by the name of the command's parameter: the path of fields, joined by "__"."""
     for field in fields(cls):
-        if only is not None and field.name not in only:
-            continue
         kind, optional = field_types(cls)[field.name]
         name, info = f"{path}__{field.name}", option_info(field)
-        if info is not None and info.help:
-            flag = info.flag or "--" + field.name.replace("_", "-")
-            if kind is bool and field.default is True:
-                flag += "/--no-" + flag[2:]
-            yield name, click.option(flag, name, **_settings(kind, field.default, info))
-        elif isinstance(kind, type) and is_dataclass(kind) and not optional:
-            yield from _options(kind, name)
-
-
-def _settings(kind: Any, default: Any, info: OptionInfo) -> dict[str, Any]:
-    """The settings that click needs of an option; without a default it is required."""
-    settings: dict[str, Any] = {"help": info.help, "metavar": info.metavar}
-    settings |= {"cls": SectionedOption, "section": info.section, "required": default is MISSING}
-    if default is not MISSING:
-        settings["default"] = default if info.text is None else info.text
-    if kind is bool:
-        return settings | {"is_flag": True}
-    if get_origin(kind) is tuple and info.parse is None:
-        return settings | {"multiple": True, "type": _parameter_type(get_args(kind)[0], info)}
-    shown = settings.get("default") is not None
-    return settings | {"type": _parameter_type(kind, info), "show_default": shown}
+        if only is not None and field.name not in only:
+            continue
+        if info is None or not info.help:
+            if is_dataclass(kind) and not optional:
+                yield from _options(kind, name)
+            continue
+        flag = info.flag or "--" + field.name.replace("_", "-")
+        settings: dict[str, Any] = {"required": field.default is MISSING}
+        if field.default is not MISSING:
+            settings["default"] = field.default if info.text is None else info.text
+        if kind is bool:
+            flag += "/--no-" + flag[2:] if field.default else ""
+            settings["is_flag"] = True
+        elif get_origin(kind) is tuple and info.parse is None:
+            settings |= {"multiple": True, "type": _parameter_type(get_args(kind)[0], info)}
+        else:
+            settings["type"] = _parameter_type(kind, info)
+            settings["show_default"] = settings.get("default") is not None
+        settings |= {"help": info.help, "metavar": info.metavar, "section": info.section}
+        yield name, click.option(flag, name, cls=SectionedOption, **settings)
 
 
 def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
@@ -95,9 +92,25 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
             arguments[field.name] = values[name]
         elif any(other.startswith(name + "__") for other in values):
             arguments[field.name] = _made(field_types(cls)[field.name][0], values, name)
-    made = cls(**arguments)
-    check_options(made)
-    return made
+    return cls(**arguments)
+
+
+def _parameter_type(kind: Any, info: OptionInfo) -> Any:
+    """The type of a parameter of click."""
+    if info.type is not None:
+        return info.type
+    if info.parse is not None:
+        return _Parsed(info.parse)
+    if get_origin(kind) is Literal:
+        return click.Choice(get_args(kind))
+    if kind in (int, float):
+        number: Any = click.IntRange if kind is int else _Number
+        least = info.min if info.above is None else info.above
+        return number(least, info.max, min_open=info.above is not None)
+    if kind is Path or (kind is str and _FILE.search(info.metavar or "")):
+        # The value of an option such as K|FILE stays text, but may be an input.
+        return click.Path() if "|" in (info.metavar or "") else NamedPath(path_type=kind)
+    return kind
 
 
 class _Parsed(click.types.FuncParamType):
@@ -107,16 +120,9 @@ class _Parsed(click.types.FuncParamType):
         return self.func(value) if isinstance(value, str) else value
 
 
-def _parameter_type(kind: Any, info: OptionInfo) -> Any:
-    if info.type is not None:
-        return info.type
-    if info.parse is not None:
-        return _Parsed(info.parse)
-    if get_origin(kind) is Literal:
-        return click.Choice(get_args(kind))
-    if kind is Path:
-        return NamedPath(path_type=Path)
-    if kind is str and _FILE.search(info.metavar or ""):
-        # So that a shell completes it; the value stays text.
-        return click.Path() if "|" in (info.metavar or "") else NamedPath()
-    return kind
+class _Number(click.FloatRange):
+    """A number in a range, in which NaN is not."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        number = super().convert(value, param, ctx)
+        return self.fail("nan is no number", param, ctx) if math.isnan(number) else number

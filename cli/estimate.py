@@ -11,12 +11,12 @@ import click
 import numpy as np
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import STDOUT, OutputFile
-from dgc_pose.cli.options import CameraChoice, MaskChoice
+from dgc_pose.cli.guard import STDOUT
+from dgc_pose.cli.options import CameraChoice, MaskChoice, output_file
 from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
 from dgc_pose.cli.process import say
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.scale import ScaleSource, with_length
+from dgc_pose.estimation.scale import ScaleSource
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
 from dgc_pose.images.mask import masked
@@ -24,13 +24,9 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
-    from dgc_pose.trace import Trace
+    from dgc_pose.pair_result import PairResult
 
 NO_POSE = 3  # exit code if there is no pose
-
-
-def file_option(help: str, metavar: str, **kind: bool) -> Any:
-    return option(None, help, metavar=metavar, type=OutputFile(**kind))
 
 
 def _number(default: float, help: str, least: float, most: float) -> Any:
@@ -41,11 +37,11 @@ def _number(default: float, help: str, least: float, most: float) -> Any:
 class Outputs:
     """The files to write."""
 
-    json: str | None = file_option("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
-    matches: str | None = file_option("Write the matches and which are inliers.", "PATH.npz")
-    plot: str | None = file_option("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
+    json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
+    matches: str | None = output_file("Write the matches and which are inliers.", "PATH.npz")
+    plot: str | None = output_file("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
     plot_dpi: int = _number(200, "Pixels to an inch of --plot.", 50, 600)
-    ply: str | None = file_option(
+    ply: str | None = output_file(
         "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
         "without a pose.",
         "PATH.ply",
@@ -79,27 +75,27 @@ def estimate(
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
-        trace = traced(image1, image2, cameras, matcher, estimation, scale, masks)
-        pose, data = trace.pose, trace.pose.to_json()
+        result = solved(image1, image2, cameras, matcher, estimation, scale, masks)
+        pose, data = result.pose, result.pose.to_json()
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
-            arrays = matches_arrays(trace.matches) | {"inliers": pose.inliers}
+            arrays = matches_arrays(result.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)
         if outputs.plot is not None:
-            draw(trace, stage(outputs.plot), outputs)
+            draw(result, stage(outputs.plot), outputs)
         if outputs.ply is not None and pose.success:
             from dgc_pose.model import write_points
 
-            points = trace.points3d  # in camera 1's axes
+            points = result.points3d  # in camera 1's axes
             known = np.isfinite(points).all(axis=1)
-            write_points(stage(outputs.ply), points[known], trace.colours[known], outputs.ply)
+            write_points(stage(outputs.ply), points[known], result.colours[known], outputs.ply)
     if cameras.k is None and cameras.k1 is None and cameras.fov is None:
         name = "K" if cameras.k2 is None else "K1"
         say(f"{name} is not stated: the focal length is estimated (--{name} auto)")
     if outputs.json != STDOUT:
-        click.echo(pose_text(pose, (trace.prior1, trace.prior2)))
-        for number, image in enumerate((trace.image1, trace.image2), start=1):
+        click.echo(pose_text(pose, (result.prior1, result.prior2)))
+        for number, image in enumerate((result.image1, result.image2), start=1):
             if (turn := image.exif.orientation) != 1:
                 click.echo(f"image {number}: EXIF orientation {turn} is applied to it")
     else:
@@ -109,38 +105,31 @@ def estimate(
     return 0 if pose.success else NO_POSE
 
 
-def traced(
+def solved(
     path1: str | Path,
     path2: str | Path,
     cameras: CameraChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
-    scale: ScaleSource,
-    masks: MaskChoice = MaskChoice(),  # noqa: B008, it is frozen
-) -> Trace:
-    """The trace of the pose of two images. In its `seconds`, `load` is the time for images and
+    scale: ScaleSource = ScaleSource(),  # noqa: B008, it is frozen
+    masks: MaskChoice = MaskChoice(),  # noqa: B008
+) -> PairResult:
+    """The pose of two images, with its matches. In its `seconds`, `load` is the time for images and
     weights."""
     start = time.perf_counter()
     image1 = masked(load_image(path1), masks.mask1, "mask1")
     image2 = masked(load_image(path2), masks.mask2, "mask2")
     camera1, camera2 = cameras.resolve(image1, image2)
-    maps = scale.maps((image1, image2))
-    read_seconds = time.perf_counter() - start
-    from dgc_pose.pose import pose_of_pair  # heavy; unusable input is refused without it
-    from dgc_pose.trace import Trace
+    from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
 
-    start = time.perf_counter()
     loaded = matcher.load()
-    seconds = read_seconds + time.perf_counter() - start
-    search = loaded.search(image1, image2)
-    pose = pose_of_pair(search, camera1, camera2, estimation)
-    pose = with_length(pose, search.last.matches, scale, maps)
-    pose = replace(pose, seconds={"load": seconds, **pose.seconds})
-    return Trace.of(search, camera1, camera2, pose)
+    seconds = {"load": time.perf_counter() - start}
+    result = solve_pair(image1, image2, (camera1, camera2), loaded, estimation, scale)
+    return replace(result, pose=replace(result.pose, seconds={**seconds, **result.pose.seconds}))
 
 
-def draw(trace: Trace, file: Path, outputs: Outputs) -> None:
-    """Draw the figure of a trace into a file."""
+def draw(result: PairResult, file: Path, outputs: Outputs) -> None:
+    """Draw the figure of a pair into a file."""
     from dgc_pose.viz import plot_pose, save_figure
 
-    save_figure(plot_pose(trace), file, outputs.plot_dpi)
+    save_figure(plot_pose(result), file, outputs.plot_dpi)

@@ -1,13 +1,14 @@
 """What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, its
 flags in place of the names of arguments in errors, and a help with its options in sections.
 
-Outputs are options of the types `OutputFile` and `OutputFolder`; all others may name inputs. Before
-the command runs: an output that exists is replaced with --overwrite alone, an input never.
+Outputs are parameters of the types `OutputFile` and `OutputFolder`; inputs are those of other paths
+of click. Before the command runs: an output that exists is replaced with --overwrite alone, an
+input never.
 """
 
 import os
-import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
@@ -21,14 +22,12 @@ STDOUT = "-"
 DEBUG = "--debug"
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
 _COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
-# Between the parts of an option's value such as NAME=PATH, PATH,PATH or PATH/all:option=value.
-_SEPARATOR = re.compile(r"\s*[,:=]\s*|/all\b")
 
 
 class NamedPath(click.Path):
     """A path that is not empty: Path("") would be the working folder."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value == "":
             self.fail("a path is needed", param, ctx)
         return super().convert(value, param, ctx)
@@ -38,11 +37,8 @@ class OutputFile(click.Path):
     """A file that the command writes. stdout: or `-`, for stdout. picture: in a format of one."""
 
     def __init__(self, *, stdout: bool = False, picture: bool = False) -> None:
-        super().__init__()
+        super().__init__(readable=False)
         self.stdout, self.picture = stdout, picture
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return value  # `check` needs the other options
 
     def check(self, path: str, context: click.Context) -> None:
         """Raise InputError if the path is no file's, or a file's that is not to be replaced."""
@@ -69,13 +65,12 @@ class OutputFolder(NamedPath):
     def check(self, path: str | Path, context: click.Context) -> None:
         """Raise InputError if the folder has results of a run that is neither resumed nor
         replaced."""
-        resume = {name.rpartition("__")[2]: value for name, value in context.params.items()}
-        if resume.get("resume") or overwrites():
-            return
-        for file in (os.path.join(path, name) for name in self.results):
-            if os.path.lexists(file):
-                hint = "--resume continues that run, " if "resume" in resume else ""
-                raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
+        resume = [value for name, value in context.params.items() if name.endswith("__resume")]
+        there = [name for name in self.results if os.path.lexists(os.path.join(path, name))]
+        if there and not (any(resume) or overwrites()):
+            hint = "--resume continues that run, " if resume else ""
+            file = os.path.join(path, there[0])
+            raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
 
 
 class SectionedOption(click.Option):
@@ -85,16 +80,31 @@ class SectionedOption(click.Option):
         super().__init__(*arguments, **settings)
         self.section = section
 
+    def get_help_extra(self, ctx: click.Context) -> click.types.OptionHelpExtra:
+        extra = super().get_help_extra(ctx)
+        extra.pop("range", None)  # an error tells it
+        return extra
+
 
 class GuardedCommand(click.Command):
     """A command that checks its outputs, names its flags in errors, and has sections of options."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        _check_outputs(ctx)
+        for parameter in self.params:
+            value, kind = ctx.params.get(parameter.name or ""), parameter.type
+            if value is not None and isinstance(kind, OutputFile | OutputFolder):
+                try:
+                    kind.check(value, ctx)
+                except InputError as error:
+                    raise click.BadParameter(str(error), ctx, parameter) from None
         try:
             return super().invoke(ctx)
         except DgcPoseError as error:
-            flags = _flags(self)
+            flags = {}  # by the field's name, and by the argument's, such as K_size
+            for option in self.params:
+                if isinstance(option, click.Option):
+                    flags[option.opts[0].lstrip("-").replace("-", "_")] = option.opts[0]
+                    flags[(option.name or "").rpartition("__")[2]] = option.opts[0]
             error.args = tuple(
                 flags.get(part, part) if isinstance(part, ArgumentName) else part
                 for part in error.args
@@ -112,19 +122,18 @@ class GuardedCommand(click.Command):
 
 def guarded(command: click.Command) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
-    params, hidden = list(command.params), {"expose_value": False}
+    params, add = list(command.params), partial(SectionedOption, expose_value=False)
     kinds = [parameter.type for parameter in params]
     if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
-        text = "Replace outputs that exist, but never an input."
-        flag = SectionedOption(["--overwrite"], section="output", is_flag=True, help=text, **hidden)
+        flag = add(["--overwrite"], section="output", is_flag=True)
+        flag.help = "Replace outputs that exist, but never an input."
         flag.callback = lambda context, _, value: context.meta.update({"overwrite": value})
         params.append(flag)
-    text = "Most pixels of an image that is decoded; default: 210 million."
-    most = SectionedOption(["--max-pixels"], section="advanced", metavar="N", help=text, **hidden)
-    most.type, most.callback = click.IntRange(1, 2**30), _set_max_pixels
-    params.append(most)
-    text = "Show the trace of an error."
-    params.append(SectionedOption([DEBUG], section="advanced", is_flag=True, help=text, **hidden))
+    most = add(["--max-pixels"], section="advanced", metavar="N", type=click.IntRange(1, 2**30))
+    most.help = "Most pixels of an image that is decoded; default: 210 million."
+    most.callback = _set_max_pixels
+    trace = add([DEBUG], section="advanced", is_flag=True, help="Show the trace of an error.")
+    params += [most, trace]
     order = get_args(Section)
     params.sort(key=lambda p: order.index(_section(p)) if isinstance(p, click.Option) else -1)
     return GuardedCommand(command.name, callback=command.callback, params=params, help=command.help)
@@ -147,35 +156,9 @@ def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: i
         context.call_on_close(lambda: os.environ.pop(MAX_PIXELS_VARIABLE))
 
 
-def _flags(command: click.Command) -> dict[str, str]:
-    """The command's flags by the library's names for them: those of fields, and those of arguments
-    such as K_size."""
-    flags = {}
-    for option in command.params:
-        if isinstance(option, click.Option):
-            flag = option.opts[0]
-            flags[flag.lstrip("-").replace("-", "_")] = flag
-            flags[(option.name or "").rpartition("__")[2]] = flag
-    return flags
-
-
-def _check_outputs(context: click.Context) -> None:
-    """Raise BadParameter, naming the option, for an output that would destroy something."""
+def _inputs(context: click.Context) -> Iterator[Any]:
+    """The paths that the command names beside its outputs."""
     for parameter in context.command.params:
-        value = context.params.get(parameter.name or "")
-        if value is not None and isinstance(parameter.type, OutputFile | OutputFolder):
-            try:
-                parameter.type.check(value, context)
-            except InputError as error:
-                raise click.BadParameter(str(error), context, parameter) from None
-
-
-def _inputs(context: click.Context) -> Iterator[str]:
-    """The files that the values of the other options and arguments may name."""
-    for parameter in context.command.params:
-        value = context.params.get(parameter.name or "")
-        if not isinstance(parameter.type, OutputFile | OutputFolder):
-            for item in value if isinstance(value, tuple) else (value,):
-                if isinstance(item, str | os.PathLike):
-                    text = os.fspath(item)
-                    yield from (text, *_SEPARATOR.split(text))
+        value, kind = context.params.get(parameter.name or ""), parameter.type
+        if isinstance(kind, click.Path) and not isinstance(kind, OutputFile | OutputFolder):
+            yield from value if isinstance(value, tuple) else [value] if value else []

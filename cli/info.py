@@ -4,6 +4,7 @@ import hashlib
 import os
 import platform
 import sys
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -20,12 +21,8 @@ _LIBRARIES = (
     *("numpy", "scipy", "opencv-python-headless", "pillow", "poselib", "pycolmap", "onnxruntime"),
     *("torch", "safetensors", "matplotlib", "click", "starlette", "uvicorn"),
 )
-# Environment variables that change threads, devices or the size of images.
-_VARIABLES = (
-    *("OMP_NUM_THREADS", "OMP_WAIT_POLICY", "GOMP_SPINCOUNT", "MKL_NUM_THREADS"),
-    *("OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM", "CUDA_VISIBLE_DEVICES"),
-    "DGC_POSE_MAX_PIXELS",
-)
+# Environment variables that change threads, devices or the size of images begin so.
+_VARIABLES = ("OMP_", "GOMP_", "MKL_", "OPENBLAS_", "OPENCV_", "CUDA_", "DGC_POSE_")
 _ABSENT = "not installed"
 
 
@@ -46,49 +43,22 @@ def info(as_json: bool) -> None:
 
 def _facts() -> dict[str, dict[str, str]]:
     """The facts by heading, then by name. Imports torch, if it is installed, for its devices."""
-    package = Path(dgc_pose.__file__).resolve().parent
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
-    devices, threads = _devices_and_threads()
-    return {
-        "dgc-pose": {"version": version(), "build": build(), "folder": str(package)},
-        "machine": {
-            "Python": f"{platform.python_version()} ({sys.executable})",
-            "system": platform.platform(),
-            "processor": _processor(),
-            "processors": f"{usable_cpus()} of {os.cpu_count()} usable",
-            "memory": f"{memory:.1f} GiB",
-        },
-        "libraries": {name: _library(name) for name in _LIBRARIES},
-        "weights": {
-            file.name: f"{file.stat().st_size / 1e6:.1f} MB, "
-            f"sha256 {hashlib.sha256(file.read_bytes()).hexdigest()[:16]}"
-            for file in sorted(package.glob("weights/*.safetensors"))
-        },
-        "devices": devices,
-        "threads": threads,
-        "environment": {name: os.environ[name] for name in _VARIABLES if name in os.environ},
-    }
-
-
-def _processor() -> str:
-    """The processor's name, which Linux has in a file."""
-    lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
-
-
-def _library(name: str) -> str:
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        return _ABSENT
-
-
-def _devices_and_threads() -> tuple[dict[str, str], dict[str, str]]:
     import cv2
 
     from dgc_pose.system.onnx_library import onnxruntime
 
+    package = Path(dgc_pose.__file__).resolve().parent
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    cpus = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+    models = [line.partition(":")[2].strip() for line in cpus if line.startswith("model name")]
+    libraries = dict.fromkeys(_LIBRARIES, _ABSENT)
+    for name in _LIBRARIES:
+        with suppress(metadata.PackageNotFoundError):
+            libraries[name] = metadata.version(name)
+    weights = {}
+    for file in sorted(package.glob("weights/*.safetensors")):
+        digest = hashlib.sha256(file.read_bytes()).hexdigest()
+        weights[file.name] = f"{file.stat().st_size / 1e6:.1f} MB, sha256 {digest[:16]}"
     providers = ", ".join(onnxruntime.get_available_providers())
     devices = {"runtime": default_runtime(), "onnxruntime": providers, "torch": _ABSENT}
     threads = {"OpenCV": str(cv2.getNumThreads())}
@@ -99,4 +69,18 @@ def _devices_and_threads() -> tuple[dict[str, str], dict[str, str]]:
         names = [f"{card.name}, {card.total_memory / 2**30:.0f} GiB" for card in cards]
         devices["torch"] = f"cuda {torch.version.cuda}: {'; '.join(names)}" if names else "cpu"
         threads["torch"] = str(torch.get_num_threads())
-    return devices, threads
+    return {
+        "dgc-pose": {"version": version(), "build": build(), "folder": str(package)},
+        "machine": {
+            "Python": f"{platform.python_version()} ({sys.executable})",
+            "system": platform.platform(),
+            "processor": models[0] if models else platform.machine(),
+            "processors": f"{usable_cpus()} of {os.cpu_count()} usable",
+            "memory": f"{memory:.1f} GiB",
+        },
+        "libraries": libraries,
+        "weights": weights,
+        "devices": devices,
+        "threads": threads,
+        "environment": {k: v for k, v in sorted(os.environ.items()) if k.startswith(_VARIABLES)},
+    }

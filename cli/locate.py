@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.estimate import NO_POSE, file_option
-from dgc_pose.cli.guard import STDOUT, OutputFolder
-from dgc_pose.cli.options import KChoice
-from dgc_pose.cli.output import row_lines
+from dgc_pose.cli.estimate import NO_POSE
+from dgc_pose.cli.guard import STDOUT
+from dgc_pose.cli.options import KChoice, output_file, output_folder
+from dgc_pose.cli.output import closing_lines, row_lines
 from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.errors import ArgumentName, InputError, printable
@@ -23,7 +23,8 @@ from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import image_header
-from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
@@ -46,17 +47,16 @@ class Place:
         "matched.",
         metavar="DIR",
     )
-    json: str | None = file_option(
+    json: str | None = output_file(
         "Write the locations as JSON, by query; - for stdout.", "PATH|-", stdout=True
     )
-    plot: str | None = file_option(
+    plot: str | None = output_file(
         "Draw a single query's place and matches with database images.", "PATH.png", picture=True
     )
-    add: Path | None = option(
-        None,
-        "Write the model with the located queries, as COLMAP's.",
-        metavar="DIR",
-        type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
+    add: Path | None = output_folder(
+        *("cameras.bin", "images.bin", "points3D.bin"),
+        help="Write the model with the located queries, as COLMAP's.",
+        default=None,
     )
 
 
@@ -95,7 +95,7 @@ def locate(
         require_addable(place.add, model, list(dict.fromkeys(queries)))
     for warning in model.warnings:
         say(f"warning: {warning}")
-    locator = Locator(model, matcher.load(MatcherCaches()), estimation, place.masks)
+    locator = Locator(model, matcher.load(image_cache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))
     json_file = None if place.json == STDOUT else place.json
@@ -130,9 +130,8 @@ def location_text(query: str, location: Location) -> str:
         lines.append(f"  t  {row_lines(location.t)[0]}")
         lines.append(f"  centre  {row_lines(location.centre)[0]}")
     if location.direction is not None:
-        lines.append(
-            f"  direction from {location.direction_from}  {row_lines(location.direction)[0]}"
-        )
+        direction = row_lines(location.direction)[0]
+        lines.append(f"  direction from {location.direction_from}  {direction}")
     rotation, position = location.rotation_error_90_deg, location.position_error_90
     if rotation is not None and position is not None:
         lines.append(
@@ -146,6 +145,4 @@ def location_text(query: str, location: Location) -> str:
     matched = location.database_images
     used = [image.name for image in matched if image.agrees]
     lines.append(f"database images: {len(used)} of {len(matched)} agree: {', '.join(used)}")
-    lines += [f"warning: {warning}" for warning in location.warnings]
-    lines.append(", ".join(f"{part} {value:.2f} s" for part, value in location.seconds.items()))
-    return "\n".join(map(printable, lines))
+    return "\n".join(map(printable, lines + closing_lines(location.warnings, location.seconds)))

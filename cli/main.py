@@ -48,8 +48,7 @@ SECTIONS = {
     },
     "Benchmarks": {
         "bench-pairs": "Score methods on pairs with known poses.",
-        "bench-hpatches": "Score maps on pairs with homographies.",
-        "bench-synthetic": "Score maps on synthetic pairs.",
+        "bench-maps": "Score maps on photographs of planes or synthetic pairs.",
         "bench-dtu": "Repeat the paper's pose experiment on DTU.",
         "bench-reconstruct": "Score reconstructions on known cameras.",
         "bench-locate": "Score photographs placed in a model.",
@@ -117,7 +116,8 @@ class LazyGroup(click.Group):
         try:
             with command_process(debug=debug):
                 status = super().main(*args, **kwargs)
-                sys.stdout.flush()  # a full disk shows here, and not when the process ends
+                if sys.stdout is not None:  # closed by who started the command
+                    sys.stdout.flush()  # a full disk shows here, and not when the process ends
         except SystemExit:
             raise
         except BaseException as error:
@@ -149,8 +149,8 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
             return f"stopped by {signal.Signals(error.number).name}", 128 + error.number
         case OSError():
             paths = [str(path) for path in (error.filename, error.filename2) if path is not None]
-            where = " -> ".join(paths) or type(error).__name__
-            return f"{where}: {error.strerror or reason(error)}", UNUSABLE_INPUT
+            parts = [" -> ".join(paths), error.strerror or reason(error)]
+            return ": ".join(filter(None, parts)), UNUSABLE_INPUT
         case ModuleNotFoundError():
             # The options before the name of the sub-command have no values.
             command = next((word for word in words if not word.startswith("-")), "this")

@@ -1,17 +1,45 @@
 """Options that several commands share: dataclasses that `dataclass_options` makes options of."""
 
-import math
 import re
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import MISSING, dataclass
 from functools import partial
+from pathlib import Path
+from typing import Any
 
-from dgc_pose.cameras.calibration import KDetails, pair_cameras
+from dgc_pose.cameras.by_image import KDetails
+from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
+from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
 
+
+def output_file(help: str, metavar: str = "PATH", flag: str | None = None, **kind: bool) -> Any:
+    """A field of an output file, None by default. kind: as of `OutputFile`."""
+    return option(None, help, flag=flag, metavar=metavar, type=OutputFile(**kind))
+
+
+def output_folder(
+    *results: str,
+    help: str = "Folder of the results; created if missing.",
+    flag: str | None = None,
+    default: Any = MISSING,
+) -> Any:
+    """A field of an output folder, a Path; required by default. results: as of `OutputFolder`."""
+    kind = OutputFolder(*results, path_type=Path)
+    return option(default, help, flag=flag, metavar="DIR", type=kind)
+
+
+def device_option() -> Any:
+    """The field of --device."""
+    return option("auto", DEVICE_HELP, metavar="NAME")
+
+
 _camera = partial(option, None, metavar="K|FILE|auto", section="cameras")
+_detail = partial(option, None, section="advanced")
 
 
 def parse_size(text: str) -> tuple[int, int]:
@@ -24,16 +52,14 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def parse_deviations(text: str) -> tuple[float, float]:
     """A text F[,C]; C is 0 without one. Raises InputError for another one."""
-    try:
+    with suppress(ValueError):
         focal, centre = map(float, (text if "," in text else f"{text},0").split(","))
-    except ValueError:
-        focal = centre = math.nan
-    if not (0 <= focal <= 1 and 0 <= centre < 1e6):
-        raise InputError(
-            f"--K-std must be F or F,C, the relative deviation of the focal length, at most 1, and "
-            f"the pixels of the principal point, not {text!r}"
-        )
-    return focal, centre
+        if 0 <= focal <= 1 and 0 <= centre < 1e6:
+            return focal, centre
+    raise InputError(
+        f"--K-std must be F or F,C, the relative deviation of the focal length, at most 1, and the "
+        f"pixels of the principal point, not {text!r}"
+    )
 
 
 @dataclass(frozen=True)
@@ -46,21 +72,17 @@ class KChoice:
         "camera took all, auto:two: each has its own).",
         flag="--K",
     )
-    k_size: tuple[int, int] | None = option(
-        None,
+    k_size: tuple[int, int] | None = _detail(
         "Size of the images that K is for: K is scaled.",
         flag="--K-size",
         metavar="WxH",
         parse=parse_size,
-        section="advanced",
     )
-    k_std: tuple[float, float] | None = option(
-        None,
+    k_std: tuple[float, float] | None = _detail(
         "Standard deviation of f, relative, and centre, px.",
         flag="--K-std",
         metavar="F[,C]",
         parse=parse_deviations,
-        section="advanced",
     )
 
     @property

@@ -1,6 +1,6 @@
 """Poses as text, matches as .npz."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,13 @@ from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 
+_SOURCES = {
+    "given": "by the given K",
+    "exif": "by EXIF data",
+    "size": "by the size of the image",
+    "matches": "by the matches",
+}
+
 
 def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -> str:
     """A pose for people. priors: the cameras before the estimation."""
@@ -21,10 +28,15 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         lines = ["pose of camera 2 from camera 1 (cam2_from_cam1: x2 = R x1 + t)"]
     if pose.R is not None:
         lines += _pose_lines(pose.R, pose.t, pose.length_text)
-    lines += [*_camera_lines(pose, priors), *_check_lines(pose)]
-    inliers = "are inliers" if pose.success else "are inliers of the best essential matrix"
-    share = f"{100 * pose.inlier_ratio:.1f} %"
+    lines += _camera_lines(pose, priors)
+    if pose.success and pose.evidence is not None and (check := pose.evidence.focal_check):
+        factor, deviation = check.factor, check.std * check.factor
+        lines.append(
+            f"focal length by the matches: {factor:.2f} +- {deviation:.2f} times that of K"
+        )
     if pose.num_inliers:
+        inliers = "are inliers" if pose.success else "are inliers of the best essential matrix"
+        share = f"{100 * pose.inlier_ratio:.1f} %"
         lines.append(f"{pose.num_inliers} of {pose.num_matches} matches {inliers} ({share})")
     angle = pose.median_triangulation_angle_deg
     if pose.t is not None and angle is not None:
@@ -40,9 +52,13 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         likely = probability_text(alternative.probability)
         lines.append(f"alternative {number}: {alternative.num_inliers} inliers, {likely}")
         lines += _pose_lines(alternative.R, alternative.t)
-    lines += [f"warning: {warning}" for warning in pose.warnings]
-    lines.append(", ".join(f"{part} {value:.2f} s" for part, value in pose.seconds.items()))
-    return "\n".join(lines)
+    return "\n".join([*lines, *closing_lines(pose.warnings, pose.seconds)])
+
+
+def closing_lines(warnings: Iterable[str], seconds: Mapping[str, float]) -> list[str]:
+    """The warnings, and the seconds of each step."""
+    times = ", ".join(f"{part} {value:.2f} s" for part, value in seconds.items())
+    return [*(f"warning: {warning}" for warning in warnings), times]
 
 
 def _pose_lines(R: np.ndarray, t: np.ndarray | None, length: str = "up to scale") -> list[str]:
@@ -61,23 +77,6 @@ def row_lines(*rows: np.ndarray) -> list[str]:
     return [f"[{' '.join(text)}]" for text in texts]
 
 
-_SOURCES = {
-    "given": "by the given K",
-    "exif": "by EXIF data",
-    "size": "by the size of the image",
-    "matches": "by the matches",
-}
-
-
-def _check_lines(pose: RelativePose) -> list[str]:
-    """What the matches suggest of exact focal lengths."""
-    check = None if pose.evidence is None or not pose.success else pose.evidence.focal_check
-    if check is None:
-        return []
-    deviation = check.std * check.factor
-    return [f"focal length by the matches: {check.factor:.2f} +- {deviation:.2f} times that of K"]
-
-
 def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> list[str]:
     """The cameras whose focal length is not known exactly; one line if one camera took both."""
     if pose.camera1 is None or pose.camera2 is None:
@@ -90,11 +89,16 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
 
 
 def _camera_text(camera: Camera, prior: Camera) -> str:
+    """The numbers of a camera with their deviations, and its prior's; empty if it is exact."""
     if camera.exact:
         return ""
-    text = f"f = {_focal_text(camera)}"
+    told = [camera]
     if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
-        text += f", {_focal_text(prior)}"
+        told.append(prior)
+    text = "f = " + ", ".join(
+        f"{one.focal:.1f} +- {one.focal * one.focal_std:.1f} px {_SOURCES[one.focal_source]}"
+        for one in told
+    )
     if camera.aspect_std:
         text += f"; fy / fx {camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
     x, y = camera.K[:2, 2].tolist()
@@ -107,11 +111,6 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     return text
 
 
-def _focal_text(camera: Camera) -> str:
-    deviation = camera.focal * camera.focal_std
-    return f"{camera.focal:.1f} +- {deviation:.1f} px {_SOURCES[camera.focal_source]}"
-
-
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays to exactly this path (numpy would append .npz to a bare name)."""
     with writing(path), path.open("wb") as stream:
@@ -120,8 +119,4 @@ def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
 
 def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
     """points1, points2 (N, 2) in pixels of the original images, and confidence (N,)."""
-    return {
-        "points1": matches.points1,
-        "points2": matches.points2,
-        "confidence": matches.confidence,
-    }
+    return {name: getattr(matches, name) for name in ("points1", "points2", "confidence")}

@@ -24,16 +24,8 @@ HOST = "127.0.0.1"
 
 @click.command()
 @dataclass_options(MatcherOptions, "matcher", only=("weights", "device", "runtime"))
-@click.option(
-    "--port",
-    default=0,
-    show_default=True,
-    type=click.IntRange(0, 65535),
-    help="Port on 127.0.0.1; 0 for any that is free.",
-)
-@click.option("--browser/--no-browser", default=True, help="Open the page in the browser.")
-@dataclass_options(ServeOptions, "limits")
-def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOptions) -> int:
+@dataclass_options(ServeOptions, "options")
+def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
     """Show a page on this machine that estimates poses.
 
     Drop two photographs, or take the bundled ones. The page shows the matches, the epipolar lines
@@ -56,13 +48,13 @@ def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOption
     with socket.socket() as bound, scratch_folder() as folder:
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
-            bound.bind((HOST, port))
+            bound.bind((HOST, options.port))
             bound.listen()  # before the address is printed
         except OSError as error:
-            raise InputError(f"port {port} of {HOST}: {error.strerror}") from None
+            raise InputError(f"port {options.port} of {HOST}: {error.strerror}") from None
         port = bound.getsockname()[1]
         hosts = local_hosts(port)
-        server = Server(estimator, example, folder, token=token, hosts=hosts, options=limits)
+        server = Server(estimator, example, folder, token=token, hosts=hosts, options=options)
         config = uvicorn.Config(
             server.app,
             log_level="warning",
@@ -85,7 +77,7 @@ def serve(matcher: MatcherOptions, port: int, browser: bool, limits: ServeOption
         # On SIGTERM uvicorn ends the server and raises the signal again: end as after Ctrl-C.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         click.echo(f"{url}\nCtrl-C ends the server")
-        if browser:
+        if options.browser:
             webbrowser.open(url)
         with suppress(KeyboardInterrupt):  # as intended
             Web(config).run(sockets=[bound])

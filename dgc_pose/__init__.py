@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from dgc_pose.cameras.calibration import pair_cameras as pair_cameras
     from dgc_pose.cameras.calibration import parse_camera as parse_camera
     from dgc_pose.cameras.camera import Camera as Camera
     from dgc_pose.errors import DgcPoseError as DgcPoseError
@@ -25,27 +26,23 @@ if TYPE_CHECKING:
     from dgc_pose.localization.locate import Locator as Locator
     from dgc_pose.localization.locate import locate as locate
     from dgc_pose.localization.location import Location as Location
-    from dgc_pose.matchers import MatcherCaches as MatcherCaches
     from dgc_pose.matchers import MatcherOptions as MatcherOptions
     from dgc_pose.matchers import load_matcher as load_matcher
     from dgc_pose.matches import Matches as Matches
     from dgc_pose.matching import CorrespondenceMap as CorrespondenceMap
-    from dgc_pose.matching import DenseMatcher as DenseMatcher
     from dgc_pose.matching import Matcher as Matcher
     from dgc_pose.matching import MatchingOptions as MatchingOptions
     from dgc_pose.matching import MatchResult as MatchResult
-    from dgc_pose.matching import PairSearch as PairSearch
-    from dgc_pose.matching import load_dense_matcher as load_dense_matcher
+    from dgc_pose.matching import NetworkMatcher as NetworkMatcher
     from dgc_pose.model import Model as Model
     from dgc_pose.model import load_model as load_model
+    from dgc_pose.pair_result import PairResult as PairResult
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
-    from dgc_pose.refinement import RefinementOptions as RefinementOptions
-    from dgc_pose.refinement import Refiner as Refiner
-    from dgc_pose.trace import Trace as Trace
+    from dgc_pose.pose import solve_pair as solve_pair
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
-    "cameras.calibration": ("parse_camera",),
+    "cameras.calibration": ("pair_cameras", "parse_camera"),
     "cameras.camera": ("Camera",),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),
     "estimation": (
@@ -59,20 +56,17 @@ _PUBLIC = {
     "localization.locate": ("Locator", "locate"),
     "localization.location": ("Location",),
     "model": ("Model", "load_model"),
-    "matchers": ("MatcherCaches", "MatcherOptions", "load_matcher"),
+    "matchers": ("MatcherOptions", "load_matcher"),
     "matches": ("Matches",),
     "matching": (
         "CorrespondenceMap",
-        "DenseMatcher",
         "MatchResult",
         "Matcher",
         "MatchingOptions",
-        "PairSearch",
-        "load_dense_matcher",
+        "NetworkMatcher",
     ),
-    "refinement": ("RefinementOptions", "Refiner"),
-    "pose": ("estimate_relative_pose",),
-    "trace": ("Trace",),
+    "pair_result": ("PairResult",),
+    "pose": ("estimate_relative_pose", "solve_pair"),
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 

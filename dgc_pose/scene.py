@@ -9,21 +9,21 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.neighbours import nearest
 from dgc_pose.geometry.rotation import aligning_rotation
-from dgc_pose.trace import Trace
+from dgc_pose.pair_result import PairResult
 
 _MOST = 3000  # points of a pair: more would slow a page down
 _NEAR = 0.97  # of the points' distances that are shown: the farthest would shrink all others
 _DEPTHS = 0.1, 0.18  # of a camera's pyramid, over the median distance of the points
 
 
-def pose_scene(trace: Trace) -> dict[str, Any]:
+def pose_scene(result: PairResult) -> dict[str, Any]:
     """What scene.js shows of a pair, as values of JSON. Raises InputError without R and t."""
-    if trace.pose.R is None or trace.pose.t is None:
-        raise InputError(ArgumentName("trace"), f"has no R and t: {trace.pose.reason}")
-    pose = np.column_stack([trace.pose.R, trace.pose.t * (trace.pose.length or 1.0)])
-    first = frustum(trace.camera1.K, trace.image1.size, np.eye(3, 4))
-    second = frustum(trace.camera2.K, trace.image2.size, pose)
-    return scene_of("12", np.stack([first, second]), trace.points3d, trace.colours, _MOST)
+    if result.pose.R is None or result.pose.t is None:
+        raise InputError(ArgumentName("result"), f"has no R and t: {result.pose.reason}")
+    pose = np.column_stack([result.pose.R, result.pose.t * (result.pose.length or 1.0)])
+    first = frustum(result.camera1.K, result.image1.size, np.eye(3, 4))
+    second = frustum(result.camera2.K, result.image2.size, pose)
+    return scene_of("12", np.stack([first, second]), result.points3d, result.colours, _MOST)
 
 
 def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarray:

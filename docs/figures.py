@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PICTURE = ROOT / "docs" / "demo.png"
 TOP = 0.358  # of the plot's height: the headline and the matches
+WIDTH = 1200  # of the picture, pixels
 PALETTE = 256  # colours of the picture: a quarter of the bytes
 RELATIVE, PLACES = 0.01, 2  # between processors: a share, and units of the last place printed
 
@@ -81,9 +82,10 @@ def _words(text: str) -> str:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder, "demo.png")
-        output(f"dgc-pose demo --plot {drawn} --plot-dpi 120")
+        output(f"dgc-pose demo --plot {drawn}")
         with Image.open(drawn) as picture:
             top = picture.crop((0, 0, picture.width, round(TOP * picture.height)))
+            top.thumbnail((WIDTH, WIDTH))
             # FASTOCTREE keeps the colours of lines.
             colours = top.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
         colours.save(PICTURE, optimize=True)

@@ -16,14 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-_OWN: tuple[str, ...] = ("data:", "file:", "about:", "blob:")
-# A number that changes with what a canvas shows.
-_DRAWN = """(() => {
-  const canvas = document.querySelector(%s);
-  const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
-  return data.reduce((sum, value, n) => (sum + value * (n %% 251)) %% 1000003, 0);
-})()"""
-
+_OWN = ("data:", "file:", "about:", "blob:")
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
 
@@ -42,7 +35,7 @@ class Page:
         self._commands, self._answers = commands, answers
         self._number = 0
         self._session: str | None = None
-        self.own = _OWN  # beginnings of addresses that may be requested
+        self.own: tuple[str, ...] = _OWN  # beginnings of addresses that may be requested
         self.errors: list[str] = []  # of the page, and requests that it made of the network
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
@@ -53,34 +46,31 @@ class Page:
         still = {"name": "prefers-reduced-motion", "value": "reduce"}
         self._call("Emulation.setEmulatedMedia", features=[still])
 
-    def open(self, url: str) -> None:
-        """Load a page, and wait until its scripts have run."""
+    def open_anew(self, url: str) -> None:
+        """Load a page as if for the first time, and wait until its scripts have run. Nothing but
+        what lies below its address may be asked for."""
+        self._call("Page.navigate", url="about:blank")
+        self.errors.clear()
+        self.own = (*_OWN, url.split("?")[0])
         self._call("Page.navigate", url=url)
         self.evaluate(
             "new Promise((done) => document.readyState === 'complete' ? done()"
             " : addEventListener('load', done))"
         )
 
-    def open_anew(self, url: str) -> None:
-        """Load a page as if for the first time; nothing but what lies below its address may be
-        asked for."""
-        self.open("about:blank")
-        self.errors.clear()
-        self.own = (*_OWN, url.split("?")[0])
-        self.open(url)
-
     def text(self, selector: str) -> str:
         """What an element says."""
         return self.evaluate(f"document.querySelector({json.dumps(selector)}).innerText")
 
-    def drawn(self, selector: str) -> int:
-        """A number that changes with what a canvas shows."""
-        return self.evaluate(_DRAWN % json.dumps(selector))
+    def drawn(self, selector: str) -> str:
+        """What a canvas shows, as the address of a picture."""
+        return self.evaluate(f"document.querySelector({json.dumps(selector)}).toDataURL()")
 
-    def redrawn(self, selector: str, before: int) -> int:
-        """The same, when it is another than before."""
-        self.wait(f"{_DRAWN % json.dumps(selector)} !== {before}")
-        return self.drawn(selector)
+    def redrawn(self, selector: str, before: str) -> None:
+        """Wait until a canvas shows something else."""
+        deadline = time.monotonic() + 60
+        while self.drawn(selector) == before:
+            assert time.monotonic() < deadline, f"{selector} is as it was"
 
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression, awaited where it is a promise."""
@@ -90,21 +80,17 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def click(self, selector: str, at: tuple[float, float] | None = None) -> None:
-        """Press the mouse on an element: on its middle, or on shares of its width and height."""
-        x, y = self.middle(selector, at or (0.5, 0.5))
-        self._mouse("mousePressed", x, y, button="left", clickCount=1)
-        self._mouse("mouseReleased", x, y, button="left", clickCount=1)
+    def click(self, selector: str) -> None:
+        """Press the mouse on the middle of an element."""
+        x, y = self._place(selector, (0.5, 0.5))
+        for kind in ("mousePressed", "mouseReleased"):
+            call = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
+            self._call("Input.dispatchMouseEvent", **call)
 
-    def hover(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
+    def hover(self, selector: str, at: tuple[float, float]) -> None:
         """Move the mouse to a place of an element, in shares of its width and height."""
-        self._mouse("mouseMoved", *self.middle(selector, at))
-
-    def touch(self, selector: str, at: tuple[float, float] = (0.5, 0.5)) -> None:
-        """Put a finger on a place of an element, and lift it."""
-        x, y = self.middle(selector, at)
-        self._call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[{"x": x, "y": y}])
-        self._call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        x, y = self._place(selector, at)
+        self._call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
 
     def choose(self, selector: str, *files: Path) -> None:
         """Choose files in an input, as by its dialogue."""
@@ -114,7 +100,7 @@ class Page:
 
     def drop(self, selector: str, *paths: Path) -> None:
         """Drop files and folders on an element."""
-        x, y = self.middle(selector, (0.5, 0.5))
+        x, y = self._place(selector, (0.5, 0.5))
         data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
         for kind in ("dragEnter", "dragOver", "drop"):
             self._call("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
@@ -141,7 +127,7 @@ class Page:
             text = "\r" if key == "Enter" and kind == "keyDown" else ""  # which presses a button
             self._call("Input.dispatchKeyEvent", type=kind, key=key, text=text)
 
-    def middle(self, selector: str, at: tuple[float, float]) -> tuple[float, float]:
+    def _place(self, selector: str, at: tuple[float, float]) -> tuple[float, float]:
         """A place of an element in the window, scrolled to where it is seen."""
         left, top, width, height = self.evaluate(
             f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
@@ -149,9 +135,6 @@ class Page:
             "const r = e.getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()"
         )
         return left + at[0] * width, top + at[1] * height
-
-    def _mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
-        self._call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
 
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1

@@ -4,18 +4,20 @@ The surface is given by its depth in camera 2, so the map comes straight from th
 bent enough not to pass for a plane.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching import (
     CorrespondenceMap,
-    Matcher,
     MatchingOptions,
     MatchResult,
+    NetworkMatcher,
     select_matches,
 )
 from dgc_pose.runtime.engine import Engine
@@ -28,10 +30,10 @@ T = np.array([-0.95, 0.2, 0.25]) / np.linalg.norm([-0.95, 0.2, 0.25])
 CELLS = 160  # of the map's grid, along each side
 
 
-class MapMatcher(Matcher):
-    """In place of `DenseMatcher`: gives one map for any two images."""
+class MapMatcher(NetworkMatcher):
+    """A network whose map is this one for any two images."""
 
-    name = "map"
+    fingerprint = None  # type: ignore[assignment]
 
     def __init__(
         self,
@@ -39,13 +41,24 @@ class MapMatcher(Matcher):
         options: MatchingOptions | None = None,
         engine: Engine | None = None,
     ) -> None:
-        self.correspondence_map = correspondence_map
-        self.options = options or MatchingOptions()
-        self.engine = engine
+        self.name, self.correspondence_map = "map", correspondence_map
+        self.options = options or MatchingOptions(aligned="none")
+        self.engine = engine  # type: ignore[assignment]
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         matches = select_matches(self.correspondence_map, self.options)
         return MatchResult(matches, self.correspondence_map)
+
+
+def replace_network(
+    monkeypatch: pytest.MonkeyPatch, load: Callable[[str], CorrespondenceMap]
+) -> None:
+    """Every network of the registry has the map that `load` gives for its weights."""
+    monkeypatch.setattr("dgc_pose.matchers.load_engine", lambda weights, **options: load(weights))
+    monkeypatch.setattr(
+        "dgc_pose.matchers.NetworkMatcher",
+        lambda dense, options, cache: MapMatcher(dense, options),
+    )
 
 
 def grid(columns: int, rows: int) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Tiny scans of one scene, rendered or grey, written in each of DTU's layouts."""
+"""Tiny scans of one scene, rendered or grey, written as DTU is."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -75,43 +75,6 @@ def write_raw(
         _write_text(root / f"Calibration/cal18/pos_{position:03d}.txt", _rows(_projection(view)))
         file = f"{name}_{position:03d}_{_light(light)}.{extension}"
         write_image(root / kind / f"scan{number}" / file, scan.images[position])
-
-
-def write_mvsnet(
-    root: Path, scan: Scan, *, number: int = 65, extension: str = "jpg", light: str = "3"
-) -> None:
-    """A test set: `scanN/{images,cams}`."""
-    for position, view in scan.views.items():
-        folder, name = root / f"scan{number}", f"{position - 1:08d}"
-        write_cam(folder / "cams" / f"{name}_cam.txt", view)
-        write_image(folder / "images" / f"{name}.{extension}", scan.images[position])
-
-
-def write_mvsnet_training(
-    root: Path,
-    scan: Scan,
-    *,
-    number: int = 65,
-    extension: str = "png",
-    light: str = "3",
-    suffix: str = "",
-) -> None:
-    """`Cameras` and `Rectified/scanN`, or `scanN_train` with the images as they are handed over."""
-    for position, view in scan.views.items():
-        write_cam(root / "Cameras" / f"{position - 1:08d}_cam.txt", view)
-        file = f"rect_{position:03d}_{_light(light)}.{extension}"
-        write_image(root / f"Rectified/scan{number}{suffix}" / file, scan.images[position])
-
-
-WRITERS: Mapping[str, Callable[..., None]] = {
-    "raw": write_raw,
-    "mvsnet": write_mvsnet,
-}
-
-
-def write_cam(path: Path, view: DtuView) -> None:
-    text = f"extrinsic\n{_rows(_extrinsic(view))}\nintrinsic\n{_rows(view.K)}\n425.0 2.5\n"
-    _write_text(path, text)
 
 
 def write_image(path: Path, pixels: np.ndarray) -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 import dense_scene
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.dtu_pairs import DtuPairs, Protocol, protocol_options
-from dgc_pose.benchmarks.dtu.view_pairs import ViewPair
-from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import Matchers, Method, parse_methods
+from dgc_pose.benchmarks.evaluate import evaluate
+from dgc_pose.benchmarks.methods import Method, parse_methods
+from dgc_pose.benchmarks.posed_pairs import ListedPairs
+from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
@@ -16,14 +16,10 @@ from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions, MatchResult, select_matches
-from dgc_pose.refinement import RefinementOptions
 
-NAMES = ["net", "net/all", "some"]
-MATCHER = MatcherOptions(
-    matching=MatchingOptions(max_matches=400), refinement=RefinementOptions(source="none")
-)
+MATCHER = MatcherOptions(matching=MatchingOptions(max_matches=400, aligned="none"))
 ESTIMATION = EstimationOptions(runs=2, iterations=100)
-METHODS = parse_methods(NAMES, MATCHER, ESTIMATION)
+METHODS = parse_methods(["net", "net/all", "some"], MATCHER, ESTIMATION)
 
 
 class Net(Matcher):
@@ -35,7 +31,7 @@ class Net(Matcher):
         self.options = options
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        found = dense_scene.true_map(error_px=0.05 * view_of(image2))
+        found = dense_scene.true_map(error_px=0.05 * view_of(image2.name))
         return MatchResult(select_matches(found, self.options), found)
 
 
@@ -47,48 +43,33 @@ class Some(Matcher):
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         found = dense_scene.true_map()
         inside = found.matchability > 0.5
-        rng = np.random.default_rng(view_of(image2))
+        rng = np.random.default_rng(view_of(image2.name))
         chosen = rng.choice(int(inside.sum()), 60, replace=False)
         points1, points2 = found.map[inside][chosen], found.grid[inside][chosen]
         return MatchResult(Matches(points1, points2, np.ones(60), 0.5), None)
 
 
-def view_of(image: Image) -> int:
+def view_of(name: str) -> int:
     """The number of a view, from the name of its file."""
-    return int(Path(image.name).stem.partition("_")[2])
+    return int(Path(name).stem.partition("_")[2])
 
 
-def posed_pairs(folder: Path, count: int, protocol: Protocol = "native") -> DtuPairs:
-    """`count` pairs of scan 65, (1, 2), (1, 3) and so on, of the same two pictures."""
+def posed_pairs(folder: Path, count: int, size: tuple[int, int] | None = None) -> ListedPairs:
+    """`count` pairs of views (1, 2), (1, 3) and so on, of the same two pictures."""
     dense_scene.write_pictures(folder)
     camera = Camera(dense_scene.K, dense_scene.SIZE)
-    views, pairs = [], []
+    pairs = []
     for view in range(2, 2 + count):
         name = f"two_{view}.png"
         (folder / name).write_bytes((folder / "two.png").read_bytes())
         t = 120 * dense_scene.T
         pairs.append(Pair("one.png", name, folder, camera, camera, dense_scene.R, t))
-        views.append(ViewPair(65, 1, view, 14.0, 0.8, 120.0))
-    return DtuPairs(views, pairs, protocol)
+    return ListedPairs(pairs, seeds=[(65, 1, 2 + k) for k in range(count)], size=size)
 
 
-def matchers_of(methods: list[Method], net: type[Net] = Net) -> Matchers:
-    """What methods named as `METHODS` match with."""
-    return {
-        method.matcher: Some() if method.matcher.weights == "some" else net(method.matcher.matching)
-        for method in methods
-    }
-
-
-def evaluation(
-    pairs: DtuPairs,
-    methods: list[Method] | None = None,
-    loaded: Matchers | None = None,
-    **numbers: int,
-) -> Evaluation:
-    """`METHODS` on pairs; in the paper's protocol with its options."""
-    if methods is None:
-        methods = parse_methods(
-            NAMES, *protocol_options(pairs.ids[0]["protocol"], MATCHER, ESTIMATION)
-        )
-    return Evaluation(pairs, methods, loaded or matchers_of(methods), **numbers)
+def scored(
+    pairs: ListedPairs, methods: list[Method] = METHODS, first: int = 0
+) -> list[list[PairScore]]:
+    """The records of methods named as `METHODS`, pair by pair."""
+    matchers = [Some() if m.matcher.weights == "some" else Net(m.matcher.matching) for m in methods]
+    return list(evaluate(pairs, methods, matchers, first))

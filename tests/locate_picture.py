@@ -53,7 +53,7 @@ def main() -> None:
         print(run("reconstruct", folder / "images", *words).output)
         with chromium_page(find_chromium() or "chromium") as page:
             page.resize(1100, 640)
-            page.open((folder / "photos" / "model.html").as_uri())
+            page.open_anew((folder / "photos" / "model.html").as_uri())
             page.click("[data-from=aslant]")
             page.screenshot(folder / "model.png")
         _save(folder / "model.png")

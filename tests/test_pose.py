@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -20,14 +20,34 @@ from dgc_pose import (
     Image,
     ImageError,
     InputError,
+    PairResult,
     estimate_pose,
     estimate_relative_pose,
     load_image,
     load_matcher,
+    pair_cameras,
+    solve_pair,
 )
-from dgc_pose.matching import PairSearch
+from dgc_pose.images.mask import masked
+from dgc_pose.matching import Matcher, MatchResult, NetworkMatcher
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+
+
+def solved(
+    image1: Any,
+    image2: Any,
+    K1: Any = None,
+    K2: Any = None,
+    *,
+    masks: Sequence[Any] = (None, None),
+    matcher: Matcher | None = None,
+) -> PairResult:
+    """As `estimate_relative_pose`, with the matches."""
+    first, second = masked(load_image(image1), masks[0]), masked(load_image(image2), masks[1])
+    K, name = (K1, "K1") if K2 is None else (K2, "K2")
+    camera1, camera2 = pair_cameras(K1, K, first, second, ("K1", name))
+    return solve_pair(first, second, (camera1, camera2), matcher or SiftMatcher())
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +72,7 @@ def test_arrays_tensors_and_paths_give_the_same_pose(pair: RenderedPair, tmp_pat
         assert rotation_error_deg(pose.R, pair.R) < 0.5
         assert translation_error_deg(pose.t, pair.t) < 2.0
         assert np.array_equal(pose.R, poses[0].R) and np.array_equal(pose.t, poses[0].t)
-        assert set(pose.seconds) == {"load", "match", "estimate"}
+        assert set(pose.seconds) == {"load", "full", "estimate"}
 
 
 def test_a_matcher_by_its_name_and_cameras_by_four_numbers_or_a_field_of_view() -> None:
@@ -82,14 +102,12 @@ def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> Non
     path = tmp_path / "mask.png"
     cv2.imwrite(str(path), masks[1][::2, ::2] * np.uint8(255))
     results = [
-        estimate_relative_pose(
-            *images, pair.K1, pair.K2, matcher=SiftMatcher(), mask1=first, mask2=second, trace=True
-        )
-        for first, second in ((None, None), (masks[0], path), (masks[0], None))
+        solved(*images, pair.K1, pair.K2, masks=used)
+        for used in ((None, None), (masks[0], path), (masks[0], None))
     ]
     on_thing = []
-    for trace in results:
-        x, y = np.rint(trace.matches.points1).astype(int).T
+    for result in results:
+        x, y = np.rint(result.matches.points1).astype(int).T
         on_thing.append((~masks[0][y, x]).mean())
     assert on_thing[0] > 0.3 and on_thing[1:] == [0, 0]
     pose = results[1].pose
@@ -113,12 +131,12 @@ def test_a_picture_under_alpha_0_takes_no_part(pair: RenderedPair, tmp_path: Pat
             sources[kind] += (source,)
     under = []
     for images in sources:
-        trace = estimate_relative_pose(*images, pair.K1, pair.K2, matcher=SiftMatcher(), trace=True)
-        x, y = trace.matches.points1.T
+        result = solved(*images, pair.K1, pair.K2)
+        x, y = result.matches.points1.T
         under.append(np.mean((x > 59.5) & (x < 419.5) & (y > 99.5) & (y < 339.5)))
     assert under[0] > 0.5 and under[1:] == [0, 0]
-    assert trace.pose.success and rotation_error_deg(trace.pose.R, pair.R) < 0.5
-    assert translation_error_deg(trace.pose.t, pair.t) < 3
+    assert result.pose.success and rotation_error_deg(result.pose.R, pair.R) < 0.5
+    assert translation_error_deg(result.pose.t, pair.t) < 3
 
 
 def test_a_mask_is_turned_and_mirrored_with_its_image(
@@ -130,17 +148,20 @@ def test_a_mask_is_turned_and_mirrored_with_its_image(
     used, exif = pixels[..., 0] > 99, PIL.Image.Exif()
     exif[0x0112] = 6
     PIL.Image.fromarray(pixels).save(tmp_path / "a.png", exif=exif)
-    searched: list[Image] = []
-    search_of = SiftMatcher.search
+    matched: list[Image] = []
 
-    def search(self: SiftMatcher, image1: Image, image2: Image) -> PairSearch:
-        searched.append(image2)
-        return search_of(self, image1, image2)
+    def coarse(self: NetworkMatcher, image1: Image, image2: Image) -> None:
+        matched.append(image2)
 
-    monkeypatch.setattr(SiftMatcher, "search", search)
+    def match(self: NetworkMatcher, image1: Image, image2: Image) -> MatchResult:
+        matched.append(image2)
+        return SiftMatcher().match(image1, image2)
+
+    monkeypatch.setattr(NetworkMatcher, "coarse", coarse)
+    monkeypatch.setattr(NetworkMatcher, "match", match)
     path = tmp_path / "a.png"
-    estimate_relative_pose(path, path, matcher=SiftMatcher(), mask2=used)
-    upright, mirrored = searched
+    estimate_relative_pose(path, path, mask2=used)
+    upright, mirrored = matched
     assert upright.mask is not None and mirrored.mask is not None
     np.testing.assert_array_equal(upright.mask, np.rot90(used, -1))
     expected = np.rot90(pixels, -1)[upright.mask]
@@ -167,9 +188,9 @@ NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
 def test_what_is_known_of_the_cameras(
     values: tuple[Any, ...], known: tuple[bool, bool], shared: bool
 ) -> None:
-    trace = estimate_relative_pose(*NOISE, *values, matcher=SiftMatcher(), trace=True)
-    assert trace.pose.K1 is None and trace.pose.focal_std2 is None  # there is no pose
-    cameras = trace.camera1, trace.camera2
+    result = solved(*NOISE, *values)
+    assert result.pose.K1 is None and result.pose.focal_std2 is None  # there is no pose
+    cameras = result.camera1, result.camera2
     assert tuple(camera.focal_std == 0 for camera in cameras) == known
     assert (cameras[0].identity == cameras[1].identity) is shared
 
@@ -206,8 +227,8 @@ def test_images_are_upright_and_K_with_them(tmp_path: Path, K: Any) -> None:
     exif[0x0112] = 6
     photo.save(tmp_path / "a.jpg", exif=exif)
     path = tmp_path / "a.jpg"
-    trace = estimate_relative_pose(path, path, K, K, matcher=SiftMatcher(), trace=True)
-    for image, camera in ((trace.image1, trace.prior1), (trace.image2, trace.prior2)):
+    result = solved(path, path, K, K)
+    for image, camera in ((result.image1, result.prior1), (result.image2, result.prior2)):
         assert image.size == (60, 80) and not camera.warnings
         np.testing.assert_array_equal(camera.K[:2, 2], UPRIGHT_K[:2, 2])
 
@@ -218,10 +239,10 @@ def test_images_are_upright_and_K_with_them(tmp_path: Path, K: Any) -> None:
 )
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
-    trace = estimate_relative_pose(*dense_scene.pictures(), *values, matcher=matcher, trace=True)
-    pose, truth = trace.pose, dense_scene.K[0, 0]
+    result = solved(*dense_scene.pictures(), *values, matcher=matcher)
+    pose, truth = result.pose, dense_scene.K[0, 0]
     assert pose.success
-    cameras = (trace.camera1, trace.camera2), (trace.prior1, trace.prior2)
+    cameras = (result.camera1, result.camera2), (result.prior1, result.prior2)
     for camera, prior in zip(*cameras, strict=True):
         if prior.focal_std == 0:
             np.testing.assert_array_equal(camera.K, dense_scene.K)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,62 +20,54 @@ from dgc_pose import (
     estimate_relative_pose,
     load_image,
     load_matcher,
+    solve_pair,
 )
+from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
-from dgc_pose.matchers import MatcherCaches
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchResult, PairSearch
-from dgc_pose.pose import pose_of_pair
-
-
-class _Stepwise(PairSearch):
-    """The map's matches: every fourth of them by a quick pass, every third by the fine one, every
-    second by the whole, and all by the search for more. Of the mirror image of image 2 every fourth
-    or none."""
-
-    has_quick, of_mirror_image = True, False
-
-    def __init__(self, matcher: _Steps, image1: Image, image2: Image) -> None:
-        super().__init__(matcher, image1, image2)
-        self.steps, self.views = matcher.steps, None
-
-    def every(self, step: str, count: int) -> MatchResult:
-        self.steps.append(step)
-        result = self.matcher._match(*PICTURES)
-        rows = np.arange(len(result.matches)) % count == 0
-        self.result = replace(result, matches=result.matches.subset(rows))
-        return self.result
-
-    def quick(self) -> MatchResult | None:
-        is_mirrored = self.image2 is not PICTURES[1]
-        result = self.every("mirrored" if is_mirrored else "quick", 4)
-        return result if (self.of_mirror_image if is_mirrored else self.has_quick) else None
-
-    def fine(self) -> MatchResult:
-        return self.every("fine", 3)
-
-    def whole(self) -> MatchResult:
-        return self.every("match", 2)
-
-    def more(self, hypotheses: Any) -> MatchResult:
-        self.views = hypotheses
-        return self.every("more", 1)
+from dgc_pose.matching import MatchResult
+from dgc_pose.matching.cache import image_cache
 
 
 class _Steps(dense_scene.MapMatcher):
-    """The matcher of such searches, and the steps that they did."""
+    """The map's matches: every fourth of them by the coarse step, every third by the refined one,
+    every second in full, and all with the guided ones. Of the mirror image of image 2 every fourth
+    or none. It keeps the steps that were done."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, has_coarse: bool = True, of_mirror_image: bool = False) -> None:
         super().__init__(dense_scene.true_map(error_px=0.2))
+        self.has_coarse, self.of_mirror_image = has_coarse, of_mirror_image
         self.steps: list[str] = []
+        self.views: Sequence[TwoViews] = ()
 
-    def search(self, image1: Image, image2: Image) -> _Stepwise:
-        return _Stepwise(self, image1, image2)
+    def every(self, step: str, count: int) -> MatchResult:
+        self.steps.append(step)
+        result = self._match(*PICTURES)
+        rows = np.arange(len(result.matches)) % count == 0
+        return replace(result, matches=result.matches.subset(rows))
+
+    def coarse(self, image1: Image, image2: Image) -> MatchResult | None:
+        is_mirrored = image2 is not PICTURES[1]
+        result = self.every("mirrored" if is_mirrored else "coarse", 4)
+        return result if (self.of_mirror_image if is_mirrored else self.has_coarse) else None
+
+    def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
+        return self.every("refine", 3)
+
+    def match(self, image1: Image, image2: Image) -> MatchResult:
+        return self.every("full", 2)
+
+    def guided(
+        self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
+    ) -> MatchResult:
+        self.views = hypotheses
+        return self.every("guided", 1)
 
 
-PICTURES = tuple(map(load_image, dense_scene.pictures()))
+_FIRST, _SECOND = dense_scene.pictures()
+PICTURES = load_image(_FIRST), load_image(_SECOND)
 EXACT = Camera(dense_scene.K, dense_scene.SIZE)
 OPTIONS = EstimationOptions(runs=1)
 
@@ -118,60 +110,60 @@ CERTAIN: dict[str, Any] = {
 }
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
-SEARCHED = ["mirrored", "more"]
+SEARCHED = ["mirrored", "guided"]
 
 
 @pytest.mark.parametrize(
     ("effort", "answers", "steps"),
     [
-        ("auto", [CERTAIN], ["quick"]),
-        ("auto", [CERTAIN | LOOSELY], ["quick", "mirrored"]),
-        ("fast", [CERTAIN | _doubt(0.96)], ["quick", "mirrored"]),
-        ("fast", [CERTAIN | {"any_probability": 0.89}], ["quick", "mirrored"]),
-        ("fast", [CERTAIN | {"any_probability": 0.91}], ["quick"]),
-        ("auto", [_doubt(0.9), CERTAIN], ["quick", "match"]),
-        ("auto", [LOOSE], ["quick", "fine"]),  # certain, but not accurate
-        ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["quick", "fine", "match"]),
-        ("auto", [LOOSER], ["quick", "fine", *SEARCHED[1:]]),
-        ("auto", [_doubt(None)], ["quick", "match"]),  # nothing to compare the mirror image with
-        ("auto", [_doubt(0.5)], ["quick", "match", *SEARCHED]),
-        ("auto", [_doubt(0.0, 0.9)], ["quick", "match", *SEARCHED]),  # an ambiguous pair
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["quick", "match", *SEARCHED[1:]]),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["quick", "match"]),
-        ("auto", [_doubt(0.8)], ["quick", "match", *SEARCHED]),
-        ("auto", [_doubt(0.5, 0.495)], ["quick", "match", *SEARCHED]),  # one of two is right
-        ("auto", [_doubt(0.96, 0.035)], ["quick", "mirrored"]),
-        ("auto", [_doubt(0.001)], ["quick", "match", "mirrored"]),  # hopeless
-        ("fast", [_doubt(0.5)], ["quick", "mirrored"]),
-        ("fast", [LOOSE], ["quick"]),
-        ("thorough", [CERTAIN], ["match"]),
-        ("thorough", [LOOSE, CERTAIN], ["match", *SEARCHED[1:]]),
-        ("thorough", [_doubt(0.5)], ["match", *SEARCHED]),
+        ("auto", [CERTAIN], ["coarse"]),
+        ("auto", [CERTAIN | LOOSELY], ["coarse", "mirrored"]),
+        ("fast", [CERTAIN | _doubt(0.96)], ["coarse", "mirrored"]),
+        ("fast", [CERTAIN | {"any_probability": 0.89}], ["coarse", "mirrored"]),
+        ("fast", [CERTAIN | {"any_probability": 0.91}], ["coarse"]),
+        ("auto", [_doubt(0.9), CERTAIN], ["coarse", "full"]),
+        ("auto", [LOOSE], ["coarse", "refine"]),  # certain, but not accurate
+        ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["coarse", "refine", "full"]),
+        ("auto", [LOOSER], ["coarse", "refine", *SEARCHED[1:]]),
+        ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare the mirror image with
+        ("auto", [_doubt(0.5)], ["coarse", "full", *SEARCHED]),
+        ("auto", [_doubt(0.0, 0.9)], ["coarse", "full", *SEARCHED]),  # an ambiguous pair
+        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", *SEARCHED[1:]]),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
+        ("auto", [_doubt(0.8)], ["coarse", "full", *SEARCHED]),
+        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", *SEARCHED]),  # one of two is right
+        ("auto", [_doubt(0.96, 0.035)], ["coarse", "mirrored"]),
+        ("auto", [_doubt(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
+        ("fast", [_doubt(0.5)], ["coarse", "mirrored"]),
+        ("fast", [LOOSE], ["coarse"]),
+        ("thorough", [CERTAIN], ["full"]),
+        ("thorough", [LOOSE, CERTAIN], ["full", *SEARCHED[1:]]),
+        ("thorough", [_doubt(0.5)], ["full", *SEARCHED]),
     ],
 )
 def test_steps_are_done_as_long_as_they_may_change_the_answer(
     monkeypatch: pytest.MonkeyPatch, effort: Effort, answers: Any, steps: list[str]
 ) -> None:
     estimated = _with(monkeypatch, *answers)
-    search = _Steps().search(*PICTURES)
-    pose = pose_of_pair(search, EXACT, EXACT, replace(OPTIONS, effort=effort))
+    matcher = _Steps()
+    result = solve_pair(*PICTURES, (EXACT, EXACT), matcher, replace(OPTIONS, effort=effort))
+    pose, last = result.pose, result.matches
     poses = [step for step in steps if step != "mirrored"]
-    assert search.steps == steps and list(pose.seconds) == [*poses, "estimate"]
-    last = search.last.matches
+    assert matcher.steps == steps and list(pose.seconds) == [*poses, "estimate"]
     assert len(estimated) == len(poses)
     assert last is estimated[-1] and len(pose.inliers) == len(last)
-    expected = {"quick": 4, "fine": 3, "match": 2, "more": 1}[poses[-1]]
-    assert len(last) == -(-len(search.matcher._match(*PICTURES).matches) // expected)
+    expected = {"coarse": 4, "refine": 3, "full": 2, "guided": 1}[poses[-1]]
+    assert len(last) == -(-len(matcher._match(*PICTURES).matches) // expected)
 
 
-def test_a_quick_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_coarse_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rendered scene whose matches tell the focal length."""
     wrong = Camera(np.diag([1.15, 1.15, 1]) @ dense_scene.K, dense_scene.SIZE)
-    for camera, steps in ((EXACT, ["quick"]), (wrong, ["quick", "fine"])):
+    for camera, steps in ((EXACT, ["coarse"]), (wrong, ["coarse", "refine"])):
         _with(monkeypatch, CERTAIN)
-        search = _Steps().search(*PICTURES)
-        pose_of_pair(search, camera, camera, OPTIONS)
-        assert search.steps[:2] == steps
+        matcher = _Steps()
+        solve_pair(*PICTURES, (camera, camera), matcher, OPTIONS)
+        assert matcher.steps[:2] == steps
 
 
 @pytest.mark.parametrize("uncertain", [1, 2])
@@ -179,10 +171,10 @@ def test_focal_lengths_that_are_not_known_need_all_the_matches(
     monkeypatch: pytest.MonkeyPatch, uncertain: int
 ) -> None:
     _with(monkeypatch, _doubt(0.5))
-    cameras = [replace(EXACT, focal_std=0.02 if n + 1 == uncertain else 0.0) for n in range(2)]
-    search = _Steps().search(*PICTURES)
-    pose_of_pair(search, *cameras, OPTIONS)
-    assert search.steps == ["match", "mirrored"]
+    first, second = (replace(EXACT, focal_std=0.02 * (n == uncertain)) for n in (1, 2))
+    matcher = _Steps()
+    solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
+    assert matcher.steps == ["full", "mirrored"]
 
 
 @pytest.mark.parametrize(
@@ -200,15 +192,14 @@ def test_a_likely_pose_of_the_mirror_image_ends_the_search(
     monkeypatch: pytest.MonkeyPatch, own: Mapping[str, Any], answer: Mapping[str, Any], status: str
 ) -> None:
     """If it is more probable than that of the image as it is."""
-    monkeypatch.setattr(_Stepwise, "of_mirror_image", True)
     estimated = _with(monkeypatch, own, own, answer)
-    search = _Steps().search(*PICTURES)
-    pose = pose_of_pair(search, EXACT, EXACT, OPTIONS)
-    steps, last = ["quick", "match", "mirrored"], search.last
-    assert search.steps == (steps if status == "mirrored" else [*steps, "more"])
-    assert pose.status == status and len(pose.inliers) == len(last.matches)
+    matcher = _Steps(of_mirror_image=True)
+    result = solve_pair(*PICTURES, (EXACT, EXACT), matcher, OPTIONS)
+    steps, pose = ["coarse", "full", "mirrored"], result.pose
+    assert matcher.steps == (steps if status == "mirrored" else [*steps, "guided"])
+    assert pose.status == status and len(pose.inliers) == len(result.matches)
     if status == "mirrored":
-        assert last.matches is estimated[1] and not pose.success and "mirror image" in pose.reason
+        assert result.matches is estimated[1] and not pose.success and "mirror image" in pose.reason
         assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
 
 
@@ -229,33 +220,34 @@ def test_a_scene_that_is_nearly_its_mirror_image_has_the_pose_of_the_likelier_of
     images alone."""
     first, second = map(load_image, bundled_photographs())
     mirrored = load_image(np.ascontiguousarray(second.pixels[:, ::-1]))
-    caches = MatcherCaches()
-    matcher = load_matcher(caches=caches)
+    cache = image_cache()
+    matcher = load_matcher(cache=cache)
     assert estimate_relative_pose(first, second, matcher=matcher).success
-    for cache in (caches.features, caches.native):
-        assert len({key[0] for key in cache._kept}) == 2
+    assert len({key[0] for key in cache._kept}) == 2
     assert estimate_relative_pose(first, mirrored, matcher=matcher).status == "mirrored"
 
 
 @pytest.mark.parametrize("effort", ["fast", "auto"])
-def test_a_quick_pass_without_an_answer_is_followed_by_the_whole(
+def test_a_coarse_pass_without_an_answer_is_followed_by_the_full_one(
     monkeypatch: pytest.MonkeyPatch, effort: Effort
 ) -> None:
     estimated = _with(monkeypatch, CERTAIN)
-    search = _Steps().search(*PICTURES)
-    search.has_quick = False
-    pose = pose_of_pair(search, EXACT, EXACT, replace(OPTIONS, effort=effort))
-    assert search.steps == ["quick", "match"] and len(estimated) == 1
-    assert list(pose.seconds) == ["match", "estimate"]
+    matcher = _Steps(has_coarse=False)
+    options = replace(OPTIONS, effort=effort)
+    pose = solve_pair(*PICTURES, (EXACT, EXACT), matcher, options).pose
+    assert matcher.steps == ["coarse", "full"] and len(estimated) == 1
+    assert list(pose.seconds) == ["full", "estimate"]
 
 
-def test_a_search_is_near_the_lines_of_all_hypotheses(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_guided_matches_are_near_the_lines_of_all_hypotheses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     _with(monkeypatch, {"probability": 0.5, "any_probability": 0.5})
-    search = _Steps().search(*PICTURES)
-    before = estimate_pose(search.every("before", 2).matches, EXACT, EXACT, OPTIONS)
-    pose_of_pair(search, EXACT, EXACT, OPTIONS)
-    assert len(search.views) == len(before.hypotheses) > 0
-    for views, hypothesis in zip(search.views, before.hypotheses, strict=True):
+    matcher = _Steps()
+    before = estimate_pose(matcher.every("before", 2).matches, EXACT, EXACT, OPTIONS)
+    solve_pair(*PICTURES, (EXACT, EXACT), matcher, OPTIONS)
+    assert len(matcher.views) == len(before.hypotheses) > 0
+    for views, hypothesis in zip(matcher.views, before.hypotheses, strict=True):
         assert (views.camera1, views.camera2) == (EXACT, EXACT)
         np.testing.assert_allclose(views.R, hypothesis.R, atol=0.01)
         np.testing.assert_allclose(views.t, hypothesis.t, atol=0.05)

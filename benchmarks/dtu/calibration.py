@@ -1,4 +1,4 @@
-"""DTU's calibrated camera positions, from the matrices that each layout holds."""
+"""DTU's calibrated camera positions."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +9,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.inputs import read_text
 
 _BYTES = 2**16  # of a file with a few matrices
-ROTATION_TOLERANCE = 1e-3  # largest difference that rounding in a file may leave
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,36 +32,6 @@ def read_projection(path: Path) -> DtuView:
     except ValueError:
         raise InputError(f"{path}: expected 3 rows of 4 numbers") from None
     return decompose(P, str(path))
-
-
-def read_cam(path: Path) -> DtuView:
-    """Read one of MVSNet's `NNNNNNNN_cam.txt`: the word `extrinsic`, 4x4 (world, mm, to camera),
-    the word `intrinsic`, 3x3, and depths, which are not read.
-
-    Raises InputError, with the path, if the file is malformed or its matrices are no camera;
-    OSError if it cannot be read.
-    """
-    words = read_text(path, "a calibration", _BYTES).split()
-    try:
-        if words[0] != "extrinsic" or words[17] != "intrinsic":
-            raise ValueError
-        extrinsic = np.array(words[1:17], np.float64).reshape(4, 4)
-        K = np.array(words[18:27], np.float64).reshape(3, 3)
-    except (IndexError, ValueError):
-        raise InputError(
-            f"{path}: expected the word extrinsic, 4 rows of 4 numbers, "
-            "the word intrinsic, 3 rows of 3 numbers"
-        ) from None
-    # Through P, as in the other layouts: the same matrices give the same view to the bit.
-    with np.errstate(over="ignore", invalid="ignore"):  # not finite: `decompose` raises
-        P = K @ extrinsic[:3]
-    view = decompose(P, str(path))
-    if not np.allclose(view.R, extrinsic[:3, :3], atol=ROTATION_TOLERANCE):
-        raise InputError(
-            f"{path}: the matrices are no camera: the extrinsic 3x3 must be a rotation and the "
-            "intrinsic one upper triangular with a positive diagonal"
-        )
-    return view
 
 
 def decompose(P: np.ndarray, name: str) -> DtuView:

@@ -24,8 +24,8 @@ from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.matching import Matcher, NetworkMatcher
+from dgc_pose.pose import solve_pair
 
 _ENGINE = "engine.json"
 _FIELDS = ("points1", "points2", "confidence", "error_px", "key_points")  # of Matches
@@ -98,12 +98,9 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
 
 
 def _match(path: Path, scene: str, posed: PosedPair, matcher: Matcher) -> None:
-    """Write the matches of a pair, and those with others searched again if its pose is in doubt.
-    The matcher is to have no quick pass."""
+    """Write the matches of a pair, and those with others searched again if its pose is in doubt."""
     truth = posed.truth
-    search = matcher.search(posed.image1, posed.image2)
-    result = search.whole()
-    pose_of_pair(search, truth.camera1, truth.camera2, EstimationOptions(effort="thorough"))
+    result = matcher.match(posed.image1, posed.image2)
     arrays: dict[str, object] = {
         "scene": scene,
         **{"K1": truth.camera1.K, "size1": posed.image1.size},
@@ -111,8 +108,11 @@ def _match(path: Path, scene: str, posed: PosedPair, matcher: Matcher) -> None:
         **_arrays("", result.matches),
     }
     arrays |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
-    if search.last is not result:
-        arrays |= _arrays("pooled_", search.last.matches)
+    if isinstance(matcher, NetworkMatcher):
+        options, cameras = EstimationOptions(effort="thorough"), (truth.camera1, truth.camera2)
+        pooled = solve_pair(posed.image1, posed.image2, cameras, matcher, options).matches
+        if not np.array_equal(pooled.points1, result.matches.points1):
+            arrays |= _arrays("pooled_", pooled)
     if result.map_matches is not None:
         arrays |= _arrays("map_", result.map_matches)
     with replaced(path) as stage, writing(stage), stage.open("wb") as stream:

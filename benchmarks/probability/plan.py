@@ -10,7 +10,7 @@ never on both sides. Kinds:
 - `rgbd`: a folder of posed RGB-D frames; pairs are drawn from it (`drawn.py`).
 - `sparse`: a COLMAP text model with its images.
 - `posed`: a folder of posed scenes as `dgc-pose train` has them; `pairs` of each at most.
-- `dtu`: a folder of DTU in any layout; pairs up to 60 degrees apart.
+- `dtu`: a folder of DTU; pairs up to 60 degrees apart.
 - `rendered`: `path` is a folder of photographs as textures.
 - `planes`: the same, of planes with a relief, whose homographies have two poses.
 - `unrelated`: `path` is a list of folders; two photographs of different places.

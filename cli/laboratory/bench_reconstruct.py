@@ -13,7 +13,6 @@ from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
     run_method,
-    views_of_dtu,
     views_of_list,
 )
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -39,8 +38,8 @@ class ReconstructBenchOptions:
     )
     truth: Path = option(
         help="True cameras: a list of pairs in SuperGlue's format, whose translations have one "
-        "unit, or DTU's folder Calibration/cal18.",
-        metavar="LIST|DIR",
+        "unit, as that of dtu-pairs.",
+        metavar="LIST",
     )
     k: WithheldCameras | None = option(
         None, "Withhold K, as for reconstruct without one.", flag="--K"
@@ -78,7 +77,7 @@ def bench_reconstruct(
     out, truth = bench.out, bench.truth
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of images")
-    views = views_of_dtu(truth, folder) if truth.is_dir() else views_of_list(truth, folder)
+    views = views_of_list(truth, folder)
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
     setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k

@@ -1,47 +1,33 @@
 """`dgc-pose dtu-pairs`: a pair list from DTU's calibration."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import get_args
 
 import click
 
-from dgc_pose.benchmarks.dtu.dataset import Dataset, Layout, Light, open_dataset
+from dgc_pose.benchmarks.dtu.dataset import Light, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
 from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import staged
-from dgc_pose.system.options import option
 
-
-@dataclass(frozen=True)
-class FolderChoice:
-    """What a folder of DTU holds."""
-
-    layout: Layout | None = option(None, "Layout of the files; default: the one that is found.")
-    light: Light = option("3", "Number of the light, or max.")
-
-    def open(self, root: str, scenes: Sequence[int] | None) -> Dataset:
-        """Find the views. Raises what `open_dataset` raises."""
-        return open_dataset(root, layout=self.layout, scenes=scenes, light=self.light)
+LIGHT_HELP = "Number of the light, or max."
 
 
 @click.command()
 @click.argument("root", metavar="ROOT")
 @click.argument("out", metavar="OUT.txt", type=OutputFile())
 @click.option("--scan", type=click.IntRange(0, 10**6), required=True, help="Number of the scan.")
-@dataclass_options(FolderChoice, "folder")
+@click.option("--light", type=click.Choice(get_args(Light)), default="3", help=LIGHT_HELP)
 @dataclass_options(ViewPairOptions, "options")
-def dtu_pairs(
-    root: str, out: str, scan: int, folder: FolderChoice, options: ViewPairOptions
-) -> None:
+def dtu_pairs(root: str, out: str, scan: int, light: Light, options: ViewPairOptions) -> None:
     """Draw pairs of views of one DTU scan at random, spread over the rotations.
 
-    ROOT holds DTU as its authors ship it, or as prepared for MVSNet. OUT.txt is a list in
+    ROOT holds DTU as its authors ship it. OUT.txt is a list in
     SuperGlue's format with paths relative to ROOT: give `bench-pairs` that ROOT by --root.
     """
-    dataset = folder.open(root, [scan])
+    dataset = open_dataset(root, scenes=[scan], light=light)
     scene = dataset.scene(scan)
     candidates = find_view_pairs(dataset, options)
     if not candidates:

@@ -27,7 +27,7 @@ from dgc_pose.files.arrays import ARRAY_BYTES
 from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.files.outputs import writing
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import MatchResult
+from dgc_pose.pair_result import PairResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +69,14 @@ class PairMatches:
         return matches, self.pose_inputs.map_matches
 
 
-def pair_matches(result: MatchResult, *, estimable: bool) -> PairMatches:
-    """The matches of a matcher as they are stored, without inliers yet.
+def pair_matches(result: PairResult, *, estimable: bool) -> PairMatches:
+    """The matches of a pair as they are stored, without inliers yet.
 
     estimable: whether the pose is to be estimated again from them.
     """
-    matches, sample = result.matches, result.map_matches if estimable else None
-    if sample is not None:
+    matches, dense, sample = result.matches, result.correspondence_map, None
+    if estimable and dense is not None:
+        sample = dense.sample
         sample = Matches(*_rounded(sample), sample.error_px)
     return PairMatches(
         *_rounded(matches),

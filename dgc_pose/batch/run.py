@@ -24,7 +24,7 @@ from dgc_pose.batch.source import PLAN, Source, survey
 from dgc_pose.batch.store import PairStore
 from dgc_pose.batch.work import FEATURE_BYTES, Describe, Job, Match, Matched
 from dgc_pose.batch.workers import RunTasks, local_workers, ray_workers
-from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
@@ -83,7 +83,6 @@ def run_batch(
         "device": device_type(matcher.device),
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
-        "refinement": asdict(matcher.refinement),
         "estimation": asdict(estimation),
         "format": "jsonl",  # of the rows
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.calibration import Calibration
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import times
 from dgc_pose.cameras.formats.colmap import read_database

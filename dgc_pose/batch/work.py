@@ -14,9 +14,9 @@ from dgc_pose.errors import DgcPoseError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
-from dgc_pose.matchers import MatcherCaches, MatcherOptions
-from dgc_pose.matching.cache import BoundedCache
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.cache import BoundedCache, image_cache
+from dgc_pose.pose import solve_pair
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
 # refinement (12 MiB for each part of the image that is matched).
@@ -84,11 +84,8 @@ class Worker:
 
     def __init__(self, job: Job) -> None:
         self.job = job
-        self.caches = MatcherCaches()
-        for cache in (self.caches.features, self.caches.native, self.caches.key_points):
-            # A matcher uses two of them, and those of refinement are the larger.
-            cache.limit_bytes = job.memory_bytes * 2 // 3
-        self.matcher = job.matcher.load(self.caches)
+        self.cache = image_cache(job.memory_bytes)
+        self.matcher = job.matcher.load(self.cache)
         self._images: BoundedCache[str, Image | str] = BoundedCache(
             _bytes, job.memory_bytes, self._forget
         )
@@ -153,12 +150,11 @@ class Worker:
                 )
                 stored, error_px = given, matches.error_px
             else:
-                search = self.matcher.search(*given)
-                pose = pose_of_pair(search, *pair, options)
+                solved = solve_pair(*given, pair, self.matcher, options)
+                pose, error_px = solved.pose, solved.matches.error_px
                 # Of a mirror image no camera makes a pose.
                 again = not (pair[0].exact and pair[1].exact) and pose.status != "mirrored"
-                stored = pair_matches(search.last, estimable=again)
-                error_px = search.last.matches.error_px
+                stored = pair_matches(solved, estimable=again)
             fitted = None
             if pose.camera_covariance is not None and pose.camera1 and pose.camera2:
                 fitted = FittedCameras((pose.camera1, pose.camera2), pose.camera_covariance)

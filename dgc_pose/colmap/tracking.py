@@ -19,8 +19,8 @@ from dgc_pose.colmap.shared import Names, PairGeometry, SharedMatches, one_to_on
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.refinement.align import MIN_ZNCC, PATCH_RADIUS, locate, nearby_corners, spread
-from dgc_pose.refinement.consistency import LocalMatches, consistent
+from dgc_pose.matching.align import MIN_ZNCC, PATCH_RADIUS, locate, nearby_corners, spread
+from dgc_pose.matching.consistency import LocalMatches, consistent
 
 _AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
 # Farthest match that predicts a corner in the other image, as a share of the longer side.

@@ -23,7 +23,7 @@ class EstimationOptions:
 
     effort: Effort = option(
         "auto",
-        "fast: a quick pass over small images; auto: and more while the pose is uncertain; "
+        "fast: a coarse pass over small images; auto: and more while the pose is uncertain; "
         "thorough: all that may help.",
         metavar="HOW",
     )

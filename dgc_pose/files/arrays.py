@@ -1,7 +1,6 @@
 """Arrays: those of an argument, and those of NumPy's files .npy and .npz."""
 
 import io
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -53,16 +52,7 @@ def read_arrays(path: str | Path) -> Mapping[str, np.ndarray]:
     `ARRAY_BYTES` unpacked; OSError if it cannot be read.
     """
     data = read_bytes(path, ARRAY_BYTES + 2**20)
-    with read_as("an .npz", path), zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = {
-            name: info
-            for info in archive.infolist()
-            if (name := info.filename.removesuffix(".npy")) != info.filename
-        }
-        if sum(info.file_size for info in members.values()) > ARRAY_BYTES:
+    with read_as("an .npz", path), np.load(io.BytesIO(data)) as file:
+        if sum(info.file_size for info in file.zip.infolist()) > ARRAY_BYTES:
             raise InputError(f"{path} is too large: at most {ARRAY_BYTES} bytes of arrays are read")
-        arrays = {}
-        for name, info in members.items():
-            with archive.open(info) as stream:
-                arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
-        return arrays
+        return {name: file[name] for name in file.files}

@@ -4,14 +4,13 @@ For a damaged file a reader of NumPy, Pillow or torch raises almost anything, so
 within `read_as`, which names it.
 """
 
-import io
 import os
 import stat
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files.outputs import writing
@@ -45,22 +44,7 @@ def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputEr
 def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
     """A regular file to read piece by piece. Raises as `read_bytes` does."""
     _regular_size(path, error)
-    return io.BufferedReader(_AtOnce(path, opener=_open_at_once))
-
-
-class _AtOnce(io.FileIO):
-    """A file that ends where its next byte has not come yet: the kernel's log, /proc/kmsg, is a
-    regular file whose next line may never come."""
-
-    def readinto(self, buffer: Any) -> int:
-        return super().readinto(buffer) or 0
-
-    def readall(self) -> bytes:
-        return super().readall() or b""
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+    return open(path, "rb")
 
 
 def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> None:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dgc_pose.batch.pair_choice import similarity
-from dgc_pose.cameras.calibration import KDetails, image_camera
+from dgc_pose.cameras.by_image import KDetails
+from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -25,7 +26,7 @@ from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.model import Model
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.pose import solve_pair
 from dgc_pose.system.options import check_type
 
 if TYPE_CHECKING:
@@ -104,13 +105,14 @@ class Locator:
         seconds |= {"match": 0.0, "estimate": 0.0}
         while (name := search.next_image()) is not None:
             start = time.perf_counter()
-            pair = self.matcher.search(self._images.get(name), image)
             cameras = self.model.cameras[name], search.pair_camera
             # The pose of a further pair is hardly in doubt where the location is known.
             effort = "fast" if search.is_placed else self.options.effort
-            pose = pose_of_pair(pair, *cameras, replace(self.options, effort=effort))
-            matches, matched = pair.last.matches, time.perf_counter()
-            search.add(name, pose, matches, *self._points(name, image, pose, matches))
+            options = replace(self.options, effort=effort)
+            pair = solve_pair(self._images.get(name), image, cameras, self.matcher, options)
+            matched = time.perf_counter()
+            points = self._points(name, image, pair.pose, pair.matches)
+            search.add(name, pair.pose, pair.matches, *points)
             seconds["match"] += matched - start
             seconds["estimate"] += time.perf_counter() - matched
         self.matcher.forget(image)

@@ -6,7 +6,8 @@ import numpy as np
 from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.matcher import CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
+from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 
 LONGEST_SIDE = 640  # pixels; larger images are shrunk to it before the flow is computed

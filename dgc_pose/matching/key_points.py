@@ -28,8 +28,6 @@ class KeyPointMatcher(Matcher, ABC):
     cache: of key points; None to keep those of the last three images.
     """
 
-    cache: ImageCache
-
     def __init__(self, cache: ImageCache | None = None) -> None:
         self.cache = cache or LastImages()
 

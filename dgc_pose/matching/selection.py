@@ -1,4 +1,4 @@
-"""From a correspondence map to matches: by matchability, by cycle error, evenly spread."""
+"""From a correspondence map to matches: by matchability, evenly spread."""
 
 import math
 from dataclasses import dataclass
@@ -6,22 +6,22 @@ from typing import Literal
 
 import numpy as np
 
-from dgc_pose.errors import InputError
 from dgc_pose.matches import Matches
-from dgc_pose.matching.matcher import ERROR_CELLS, CorrespondenceMap
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.system.options import check_options, option
 
 MIN_SHARE = 0.01  # of all cells that must pass; a smaller patch matches by chance
-WEAK = 0.25  # mean matchability of a map that may be of images rotated or of different scales
 
 
 @dataclass(frozen=True)
 class MatchingOptions:
-    """Which cells of the dense map become matches. Raises InputError, naming the field, for a value
-    out of range.
+    """Which matches a dense map gives. Raises InputError, naming the field, for a value out of
+    range.
 
     Attributes:
         finest: Cells a side of the level that the map is taken from.
+        aligned: What a network refines on the originals: the matches selected from its map, or
+            those of its features; other matchers refine nothing.
     """
 
     finest: Literal[240, 120, 60] = option(
@@ -38,22 +38,20 @@ class MatchingOptions:
         max=1,
         section="matching",
     )
-    cycle_px: float | None = option(
-        None,
-        "Compute the reverse map too, and drop matches with a larger cycle error; for --refine "
-        "none and map.",
-        flag="--cycle",
-        metavar="PX",
-        above=0,
-        max=10**6,
-        section="matching",
-    )
     max_matches: int = option(
         2000,
         "Most matches, evenly spread.",
         metavar="N",
         min=1,
         max=2**31,
+        section="matching",
+    )
+    aligned: Literal["none", "auto", "map", "features"] = option(
+        "auto",
+        "Matches aligned on the originals: none; map; features, of the encoder at native "
+        "resolution; auto: these, and the map's if they are few.",
+        metavar="SOURCE",
+        flag="--refine",
         section="matching",
     )
 
@@ -65,18 +63,12 @@ def select_matches(
     correspondence_map: CorrespondenceMap, options: MatchingOptions, min_share: float = MIN_SHARE
 ) -> Matches:
     """The cells that pass the options, as matches; none if they are less than a share of all. With
-    matchability 0, no cycle_px and min_share 0 these are all cells that the map sends into image 1.
-
-    Raises InputError if the options have a cycle_px and the map has no cycle error.
+    matchability 0 and min_share 0 these are all cells that the map sends into image 1.
     """
     points1 = correspondence_map.map
     width, height = correspondence_map.size1
     keep = correspondence_map.matchability >= options.matchability
     keep &= (points1 >= -0.5).all(-1) & (points1 <= (width - 0.5, height - 0.5)).all(-1)
-    if options.cycle_px is not None:
-        if correspondence_map.cycle is None:
-            raise InputError("cycle_px needs a correspondence map with its cycle error")
-        keep &= correspondence_map.cycle <= options.cycle_px
     if keep.mean() < min_share:
         keep = np.zeros_like(keep)
     keep = even_subsample(keep, correspondence_map.matchability, options.max_matches)
@@ -84,7 +76,7 @@ def select_matches(
         points1[keep],
         correspondence_map.grid[keep],
         correspondence_map.matchability[keep],
-        error_px=ERROR_CELLS * correspondence_map.cell_size,
+        error_px=correspondence_map.error_px,
     )
 
 

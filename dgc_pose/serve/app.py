@@ -18,11 +18,17 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 
 from dgc_pose.errors import DgcPoseError, InputError
-from dgc_pose.serve.cameras import MAX_FILE_BYTES, CameraRequest
+from dgc_pose.serve.cameras import MAX_FILE_BYTES
 from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.guard import Guard
 from dgc_pose.serve.images import ImageStore, StoredImage, preview
-from dgc_pose.serve.options import ServeOptions
+from dgc_pose.serve.options import (
+    DECODE_SECONDS,
+    IMAGES,
+    UPLOAD_SECONDS,
+    WAITING,
+    ServeOptions,
+)
 from dgc_pose.serve.worker import Unavailable, Worker
 from dgc_pose.version import version
 
@@ -56,10 +62,10 @@ class Server:
         self.options = options
         self._example, self._token, self._estimator = example, token, estimator
         self._bundled_images: list[dict[str, Any]] = []  # of the example, once they are asked for
-        self._store = ImageStore(folder, options.images)
+        self._store = ImageStore(folder, IMAGES)
         # A photograph need not wait for a pose.
-        self._decoding, self._estimating = Worker(options.waiting), Worker(options.waiting)
-        self._uploads = asyncio.Semaphore(options.waiting)
+        self._decoding, self._estimating = Worker(WAITING), Worker(WAITING)
+        self._uploads = asyncio.Semaphore(WAITING)
         self.app = Starlette(
             routes=[
                 Route("/", self._page),
@@ -90,8 +96,7 @@ class Server:
 
     async def _image(self, request: Request) -> Response:
         """An image, the body as it is; answers with its identifier, its size and a picture."""
-        options = self.options
-        most, seconds = options.max_megabytes, options.upload_seconds
+        most = self.options.max_megabytes
         too_large = (
             f"the file is too large: at most {most:g} MB are taken "
             "(--max-megabytes of dgc-pose serve)"
@@ -100,10 +105,10 @@ class Server:
             raise Unavailable("too many images are being sent: try again in a moment")
         try:
             async with self._uploads:
-                with anyio.fail_after(seconds):
+                with anyio.fail_after(UPLOAD_SECONDS):
                     content = await _body(request, int(most * 1e6), too_large)
         except TimeoutError:
-            text = f"the file did not arrive within {seconds:g} seconds"
+            text = f"the file did not arrive within {UPLOAD_SECONDS:g} seconds"
             raise HTTPException(408, text) from None
         name = request.query_params.get("name", "")
         name = "".join(letter for letter in name if letter.isprintable())[:_MAX_NAME] or "image"
@@ -131,12 +136,11 @@ class Server:
         """Lines of JSON: what is being done, and at last the result or an error."""
         data = await _json(request)
         image1, image2 = (self._store.get(data.get(key)) for key in ("image1", "image2"))
-        camera = CameraRequest.of(data.get("camera"))
-        lines = self._progress(image1, image2, camera)
+        lines = self._progress(image1, image2, data.get("camera"))
         return StreamingResponse(lines, media_type="application/x-ndjson")
 
     async def _progress(
-        self, image1: StoredImage, image2: StoredImage, camera: CameraRequest
+        self, image1: StoredImage, image2: StoredImage, camera: object
     ) -> AsyncIterator[str]:
         loop = asyncio.get_running_loop()
         lines: asyncio.Queue[Mapping[str, Any]] = asyncio.Queue()
@@ -173,8 +177,8 @@ class Server:
 
     async def _described(self, path: Path, name: str) -> dict[str, Any]:
         """The image as the page gets it, once it is decoded and kept."""
-        most, seconds = int(self.options.max_megapixels * 1e6), self.options.decode_seconds
-        shown = await self._decoding.call(preview, path, most, seconds=seconds)
+        most = int(self.options.max_megapixels * 1e6)
+        shown = await self._decoding.call(preview, path, most, seconds=DECODE_SECONDS)
         return {"id": self._store.keep(StoredImage(path, name)), "name": name, **shown}
 
 

@@ -1,14 +1,11 @@
 """The cameras that a client asks for. No path that it names is opened."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import re
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from dataclasses import replace
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
@@ -16,76 +13,62 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.image import Image
 
-Kind = Literal["auto", "fov", "k", "file"]
 MAX_FILE_BYTES = 1_000_000  # of a file of cameras
 _MAX_TEXT = 300  # characters of a K
 
 
-@dataclass(frozen=True)
-class CameraRequest:
-    """The client's choice of both cameras. Raises InputError for anything else."""
+def requested_cameras(
+    data: object, image1: Image, image2: Image
+) -> tuple[tuple[Camera, Camera], tuple[str, str]]:
+    """The cameras of both images that a client asks for, checked, and each as --K takes it.
 
-    kind: Kind
-    k1: str = ""  # of image 1, or of both: fx,fy,cx,cy or MODEL,width,height,parameters, or auto
-    k2: str = ""  # of image 2; empty for k1
-    fov_deg: float | None = None  # horizontal field of view of both images
-    file_name: str = ""  # of a file of cameras, without its folder
-    content: bytes = b""  # of that file
+    data: the client's JSON: `kind`; of "k" `k1` and `k2`, texts, the second empty if one camera
+    took both; of "fov" `fov`, the horizontal field of view of both images, degrees; of "file" its
+    `name` without the folder and its `content`, in base 64. Raises InputError for anything else.
+    """
+    request = data if isinstance(data, Mapping) else {}
+    match request.get("kind"):
+        case "auto":
+            return pair_cameras(None, None, image1, image2), ("auto", "auto")
+        case "fov":
+            if request.get("fov") is None:
+                raise InputError("give the field of view in degrees")
+            cameras = pair_cameras(None, None, image1, image2, fov=request["fov"])
+            Ks = (camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() for camera in cameras)
+            K1, K2 = (",".join(map(repr, K)) for K in Ks)
+            return cameras, (K1, K2)
+        case "k":
+            k1 = _text(request.get("k1", "")).strip()
+            k2 = _text(request.get("k2", "")).strip() or k1
+            names = ("K", "K") if k1 == k2 else ("K1", "K2")
+            first, second = _value(k1, names[0]), _value(k2, names[1])
+            return pair_cameras(first, second, image1, image2, names), (k1, k2)
+        case "file":
+            name = _text(request.get("name", ""))
+            content = _decoded(request.get("content"))
+            return _of_file(name, content, image1, image2), (name, name)
+    raise InputError("camera must have a kind: auto, fov, k, file")
 
-    @classmethod
-    def of(cls, data: object) -> CameraRequest:
-        """The request in the JSON of a client."""
-        kinds = get_args(Kind)
-        if not isinstance(data, Mapping) or data.get("kind") not in kinds:
-            raise InputError(f"camera must have a kind: {', '.join(kinds)}")
-        k1, k2, file_name = (_text(data.get(key, "")) for key in ("k1", "k2", "name"))
-        content = _decoded(data.get("content")) if data["kind"] == "file" else b""
-        fov = data.get("fov") if data["kind"] == "fov" else None
-        if data["kind"] == "fov" and fov is None:
-            raise InputError("give the field of view in degrees")
-        return cls(data["kind"], k1.strip(), k2.strip(), fov, file_name, content)
 
-    def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
-        """The cameras of both images, checked. Raises InputError for the client."""
-        if self.kind in ("auto", "fov"):
-            return pair_cameras(None, None, image1, image2, fov=self.fov_deg)
-        if self.kind == "file":
-            return self._of_file(image1, image2)
-        names = ("K1", "K2") if self.k2 not in ("", self.k1) else ("K", "K")
-        K1, K2 = _value(self.k1, names[0]), _value(self.k2 or self.k1, names[1])
-        return pair_cameras(K1, K2, image1, image2, names)
+def _of_file(name: str, content: bytes, image1: Image, image2: Image) -> tuple[Camera, Camera]:
+    with scratch_folder() as folder:
+        # A name without a folder, which keeps the ending: the format may depend on it.
+        path = folder / (re.sub(r"[^\w.-]", "_", name)[-50:].lstrip(".") or "K")
+        path.write_bytes(content)
 
-    def texts(self, cameras: tuple[Camera, Camera]) -> tuple[str, str]:
-        """The same as the command and the library take it."""
-        if self.kind == "auto":
-            return "auto", "auto"
-        if self.kind == "file":
-            return self.file_name, self.file_name
-        if self.kind == "k":
-            return self.k1, self.k2 or self.k1
-        K1, K2 = (camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() for camera in cameras)
-        return ",".join(map(repr, K1)), ",".join(map(repr, K2))
+        def as_named(text: str) -> str:
+            return text.replace(str(path), name)
 
-    def _of_file(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
-        with scratch_folder() as folder:
-            # A name without a folder, which keeps the ending: the format may depend on it.
-            path = folder / (re.sub(r"[^\w.-]", "_", self.file_name)[-50:].lstrip(".") or "K")
-            path.write_bytes(self.content)
+        def renamed(camera: Camera) -> Camera:
+            identity = None if camera.identity is None else as_named(camera.identity)
+            warnings = tuple(map(as_named, camera.warnings))
+            return replace(camera, warnings=warnings, identity=identity)
 
-            def as_named(text: str) -> str:
-                return text.replace(str(path), self.file_name)
-
-            def renamed(camera: Camera) -> Camera:
-                identity = None if camera.identity is None else as_named(camera.identity)
-                return replace(
-                    camera, warnings=tuple(map(as_named, camera.warnings)), identity=identity
-                )
-
-            try:
-                camera1, camera2 = pair_cameras(str(path), str(path), image1, image2, ("K", "K"))
-            except InputError as error:
-                raise InputError(as_named(str(error))) from None
-        return renamed(camera1), renamed(camera2)
+        try:
+            camera1, camera2 = pair_cameras(str(path), str(path), image1, image2, ("K", "K"))
+        except InputError as error:
+            raise InputError(as_named(str(error))) from None
+    return renamed(camera1), renamed(camera2)
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:

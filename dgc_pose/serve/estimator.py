@@ -7,16 +7,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image, picture_url
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.matching.warp import warp_image
-from dgc_pose.pose import pose_of_pair
+from dgc_pose.pair_result import PairResult
+from dgc_pose.pose import solve_pair
 from dgc_pose.scene import pose_scene
-from dgc_pose.serve.cameras import CameraRequest, command, python_text
+from dgc_pose.serve.cameras import command, python_text, requested_cameras
 from dgc_pose.serve.images import StoredImage, shrunk
-from dgc_pose.trace import Trace
 
 SHOWN_MATCHES = 3000  # more would slow the page down
 SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
@@ -35,54 +34,51 @@ class Estimator:
         report: Callable[[str], None],
         stored1: StoredImage,
         stored2: StoredImage,
-        request: CameraRequest,
+        camera: object,
     ) -> dict[str, Any]:
         """The pose and what the page shows of it, as values of JSON.
 
-        report: takes what is being done, for people; what it raises ends the work.
+        report: takes what is being done, for people; what it raises ends the work. camera: as of
+        `requested_cameras`.
         """
         report("reading the images")
         image1, image2 = (
             replace(load_image(stored.path), name=stored.name) for stored in (stored1, stored2)
         )
-        cameras = request.resolve(image1, image2)
-
+        cameras, texts = requested_cameras(camera, image1, image2)
         report("matching and estimating the pose")
-        search = self.matcher.search(image1, image2)
-        pose = pose_of_pair(search, *cameras, EstimationOptions())
-        trace = Trace.of(search, *cameras, pose)
+        result = solve_pair(image1, image2, cameras, self.matcher)
         report("drawing")
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
-        texts = request.texts(cameras)
         return {
-            "pose": trace.pose.to_dict(),
-            "reason": trace.pose.reason,
+            "pose": result.pose.to_dict(),
+            "reason": result.pose.reason,
             "names": list(names),
             "sizes": [list(image1.size), list(image2.size)],
-            "F": _fundamental(trace),
-            "matches": _matches(trace),
-            "scene": None if trace.pose.t is None else pose_scene(trace),
-            "map": None if trace.correspondence_map is None else _map(trace),
-            "correspondences": _correspondences(trace.correspondence_map),
+            "F": _fundamental(result),
+            "matches": _matches(result),
+            "scene": None if result.pose.t is None else pose_scene(result),
+            "map": None if result.correspondence_map is None else _map(result),
+            "correspondences": _correspondences(result.correspondence_map),
             "command": command(names, texts, weights),
             "python": python_text(names, texts, "".join(map(repr, weights[1:]))),
         }
 
 
-def _fundamental(trace: Trace) -> list[list[float]] | None:
+def _fundamental(result: PairResult) -> list[list[float]] | None:
     """F for pixels, of the pinhole cameras; None without a pose."""
-    if trace.pose.E is None:
+    if result.pose.E is None:
         return None
-    F = fundamental_from_essential(trace.pose.E, trace.camera1.K, trace.camera2.K)
+    F = fundamental_from_essential(result.pose.E, result.camera1.K, result.camera2.K)
     return (F / np.abs(F).max()).tolist()
 
 
-def _matches(trace: Trace) -> dict[str, list[Any]]:
+def _matches(result: PairResult) -> dict[str, list[Any]]:
     """At most `SHOWN_MATCHES` matches, inliers before outliers, each in a random order, so that the
     first few are spread over the images: points to 0.01 pixels, whether they are inliers,
     confidence, and the residual in pixels or null."""
-    matches, pose, residuals = trace.matches, trace.pose, trace.residuals_px
+    matches, pose, residuals = result.matches, result.pose, result.residuals_px
     points = np.hstack([matches.points1, matches.points2])
     chosen = np.flatnonzero(np.isfinite(points).all(1))
     chosen = np.random.default_rng(0).permutation(chosen)
@@ -112,13 +108,13 @@ def _correspondences(dense_map: CorrespondenceMap | None) -> dict[str, Any] | No
     }
 
 
-def _map(trace: Trace) -> dict[str, Any]:
+def _map(result: PairResult) -> dict[str, Any]:
     """The share of image 2 that the map covers; unless that is next to nothing, image 1 warped onto
     image 2, as transparent as it is unmatchable, and the matchability."""
-    dense_map = trace.correspondence_map
+    dense_map = result.correspondence_map
     assert dense_map is not None
-    height, width = shrunk(trace.image2.pixels).shape[:2]
-    warped = warp_image(trace.image1.pixels, dense_map.map, (width, height))
+    height, width = shrunk(result.image2.pixels).shape[:2]
+    warped = warp_image(result.image1.pixels, dense_map.map, (width, height))
     matchability = cv2.resize(dense_map.matchability.astype(np.float32), (width, height))
     inside = (dense_map.map >= -0.5) & (dense_map.map <= np.array(dense_map.size1) - 0.5)
     known = cv2.resize(np.asarray(inside.all(-1), np.float32), (width, height)) * matchability

@@ -59,13 +59,11 @@ def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
 
     The types must be importable at run time, not under TYPE_CHECKING alone.
     """
-    hints = get_type_hints(cls)
     types = {}
-    for of in fields(cls):
-        hint = hints[of.name]
+    for name, hint in get_type_hints(cls).items():
         kinds = [kind for kind in get_args(hint) if kind is not type(None)]
         only = get_origin(hint) in (Union, UnionType) and len(kinds) == 1
-        types[of.name] = (kinds[0], True) if only else (hint, False)
+        types[name] = (kinds[0], True) if only else (hint, False)
     return types
 
 
@@ -75,56 +73,44 @@ def check_options(options: Any) -> None:
 
     For `__post_init__` of option dataclasses. None passes if the type has it.
     """
-    cls: Any = type(options)
     for of in fields(options):
         name, info, value = ArgumentName(of.name), option_info(of), getattr(options, of.name)
-        kind, optional = field_types(cls)[name]
+        kind, optional = field_types(type(options))[name]
         if value is None and (optional or of.default is None):
             continue
         check_type(value, kind, name)
         if get_origin(kind) is Literal and value not in get_args(kind):
             choices = ", ".join(map(str, get_args(kind)))
             raise InputError(name, f"must be one of {choices}, not {value!r}")
-        if info is not None and not _in_range(info, value):
-            raise InputError(name, f"must {_range_text(info)}, not {value}")
         if isinstance(value, float) and math.isnan(value):
             raise InputError(name, "must be a number, not nan")
+        if info is not None:
+            low = info.min is not None and value < info.min
+            low = low or (info.above is not None and value <= info.above)
+            if low or (info.max is not None and value > info.max):
+                bounds = {"at least": info.min, "above": info.above, "at most": info.max}
+                texts = (f"{words} {n}" for words, n in bounds.items() if n is not None)
+                raise InputError(name, f"must be {' and '.join(texts)}, not {value}")
 
 
 def check_type(value: Any, kind: Any, name: str) -> None:
     """Raise InputError, naming the argument, for a value of another type than bool, int, float,
     str, Path, a class or a tuple of these."""
-    kinds, parts = get_args(kind), (value,)
-    if get_origin(kind) is tuple:
-        count = None if kinds[-1] is Ellipsis else len(kinds)
-        if not isinstance(value, tuple) or count not in (None, len(value)):
-            words = "must be a tuple" if count is None else f"must be a tuple of {count}"
-            raise InputError(ArgumentName(name), f"{words}, not {value!r}")
-        kinds, parts = kinds[:1], value
-    elif get_origin(kind) not in (Union, UnionType):
-        kinds = (kind,)
+    kinds: tuple[Any, ...] = (kind,)
+    parts = (value,)
+    if get_origin(kind) in (Union, UnionType):
+        kinds = get_args(kind)
+    elif get_origin(kind) is tuple:
+        inner = get_args(kind)
+        if not isinstance(value, tuple) or inner[-1] is not Ellipsis and len(inner) != len(value):
+            words = "a tuple" if inner[-1] is Ellipsis else f"a tuple of {len(inner)}"
+            raise InputError(ArgumentName(name), f"must be {words}, not {value!r}")
+        kinds, parts = inner[:1], value
     if not all(isinstance(kind, type) for kind in kinds):
         return
     allowed = tuple(_NUMBERS.get(kind, kind) for kind in kinds)
     for part in parts:
         if not isinstance(part, allowed) or (isinstance(part, bool) and bool not in kinds):
             names = " or ".join(_TYPE_NAMES.get(kind, f"a {kind.__name__}") for kind in kinds)
-            shown = (
-                repr(part) if part is None or isinstance(part, str | Real) else type(part).__name__
-            )
+            shown = repr(part) if isinstance(part, str | Real | None) else type(part).__name__
             raise InputError(ArgumentName(name), f"must be {names}, not {shown}")
-
-
-def _in_range(info: OptionInfo, value: Any) -> bool:
-    return (
-        (info.min is None or value >= info.min)
-        and (info.above is None or value > info.above)
-        and (info.max is None or value <= info.max)
-    )
-
-
-def _range_text(info: OptionInfo) -> str:
-    if info.min is not None and info.max is not None:
-        return f"lie in [{info.min}, {info.max}]"
-    bounds = {"above": info.above, "at least": info.min, "at most": info.max}
-    return "be " + " and ".join(f"{words} {n}" for words, n in bounds.items() if n is not None)

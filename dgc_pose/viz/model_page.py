@@ -14,9 +14,9 @@ import numpy as np
 from dgc_pose.errors import printable
 from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.model import Model
+from dgc_pose.pair_result import PairResult
 from dgc_pose.scene import frustum, mean_axes, pose_scene, scene_of
 from dgc_pose.system.threads import in_threads
-from dgc_pose.trace import Trace
 
 _FILES = resources.files("dgc_pose")
 _PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here
@@ -46,12 +46,12 @@ def model_page(model: Model, unit: str = "") -> str:
     return _page(model.root.resolve().name, facts + apart, scene, photographs)
 
 
-def pose_page(trace: Trace) -> str:
+def pose_page(result: PairResult) -> str:
     """The same of a pair: both cameras, and the inliers in camera 1's axes. Raises InputError
     without R and t."""
-    scene, images = pose_scene(trace), (trace.image1, trace.image2)
+    scene, images = pose_scene(result), (result.image1, result.image2)
     names = " and ".join(Path(image.name).name for image in images)
-    return _page(names, f"{trace.pose.num_inliers} inliers", scene, [*map(_thumbnail, images)])
+    return _page(names, f"{result.pose.num_inliers} inliers", scene, [*map(_thumbnail, images)])
 
 
 def _thumbnail(image: Image) -> str:

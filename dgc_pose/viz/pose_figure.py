@@ -11,8 +11,8 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.refinement.align import spread
-from dgc_pose.trace import Trace
+from dgc_pose.matching.align import spread
+from dgc_pose.pair_result import PairResult
 from dgc_pose.viz.figure import WIDTH, panel_rows, row_height
 from dgc_pose.viz.panels import (
     draw_curves,
@@ -34,7 +34,7 @@ _MAX_HEIGHT = 1.4  # of all rows, as a share of the width
 _NAME = 28  # characters of a file's name
 
 
-def plot_pose(trace: Trace) -> Figure:
+def plot_pose(result: PairResult) -> Figure:
     """Draw the inlier matches coloured by their residual, some epipolar lines and, if the matcher
     gives a map, the matchability and image 1 warped onto image 2.
 
@@ -42,16 +42,21 @@ def plot_pose(trace: Trace) -> Figure:
     is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
     lens with distortion an epipolar line is a curve.
     """
-    pose, image1, image2, dense = trace.pose, trace.image1, trace.image2, trace.correspondence_map
-    chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(trace.matches))
-    shown = _spread(trace, chosen, DRAWN_MATCHES)
-    matches, values, colours = trace.matches.subset(shown), trace.matches.confidence[shown], None
+    pose, image1, image2, dense = (
+        result.pose,
+        result.image1,
+        result.image2,
+        result.correspondence_map,
+    )
+    chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(result.matches))
+    shown = _spread(result, chosen, DRAWN_MATCHES)
+    matches, values, colours = result.matches.subset(shown), result.matches.confidence[shown], None
     legend = "magenta to cyan: confidence 0 to 1"
     if pose.E is not None:
-        values = trace.residuals_px[shown]
+        values = result.residuals_px[shown]
         colours = residual_colours(values)
         legend = f"cyan to magenta: residuals of 0 to {colours.get_clim()[1]:.2g} px"
-    panels = _panels(trace, f"{len(shown)} of {len(chosen)}", legend)
+    panels = _panels(result, f"{len(shown)} of {len(chosen)}", legend)
     for ends in _ARRANGEMENTS:
         rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
         heights = [row_height([aspect for aspect, _ in row], WIDTH) for row in rows]
@@ -60,12 +65,12 @@ def plot_pose(trace: Trace) -> Figure:
     figure, (lines_axes, left, right, *map_axes) = panel_rows(rows, _headline(pose))
     points = matches.points1, matches.points2
     draw_matches(lines_axes, image1.pixels, image2.pixels, *points, values, colours=colours)
-    matches = trace.matches.subset(_spread(trace, chosen, DRAWN_LINES))
+    matches = result.matches.subset(_spread(result, chosen, DRAWN_LINES))
     draw_image(left, image1.pixels)
     draw_image(right, image2.pixels)
     if pose.E is not None:
-        lines = homogeneous(trace.camera1.normalise(matches.points1)) @ pose.E.T
-        draw_curves(right, [_through_lens(line, trace.camera2) for line in lines])
+        lines = homogeneous(result.camera1.normalise(matches.points1)) @ pose.E.T
+        draw_curves(right, [_through_lens(line, result.camera2) for line in lines])
     draw_points(left, matches.points1)
     draw_points(right, matches.points2)
     if dense is not None:
@@ -87,15 +92,17 @@ def _headline(pose: RelativePose) -> str:
     )
 
 
-def _panels(trace: Trace, counts: str, legend: str) -> list[tuple[float, str]]:
+def _panels(result: PairResult, counts: str, legend: str) -> list[tuple[float, str]]:
     """The aspects and titles of the panels."""
-    aspect1, aspect2 = (width / height for width, height in (trace.image1.size, trace.image2.size))
-    *_, width, height, _ = second_place(trace.image1.pixels, trace.image2.pixels)
-    paths = Path(trace.image1.name), Path(trace.image2.name)
+    aspect1, aspect2 = (
+        width / height for width, height in (result.image1.size, result.image2.size)
+    )
+    *_, width, height, _ = second_place(result.image1.pixels, result.image2.pixels)
+    paths = Path(result.image1.name), Path(result.image2.name)
     same = paths[0].name == paths[1].name
     name1, name2 = (shortened(printable(str(p) if same else p.name), _NAME) for p in paths)
-    kind = "inlier matches" if trace.pose.inliers.any() else "matches, no inliers"
-    lines = "no epipolar lines without a pose" if trace.pose.E is None else "their epipolar lines"
+    kind = "inlier matches" if result.pose.inliers.any() else "matches, no inliers"
+    lines = "no epipolar lines without a pose" if result.pose.E is None else "their epipolar lines"
     panels = [
         (width / height, f"{name1} and {name2}: {counts} {kind}; {legend}"),
         (aspect1, f"{name1}: points"),
@@ -103,7 +110,7 @@ def _panels(trace: Trace, counts: str, legend: str) -> list[tuple[float, str]]:
         (aspect2, f"{name2}: matchability, dark 0 to yellow 1"),
         (aspect2, f"{name1} warped onto {name2}, pale if not matchable"),
     ]
-    return panels[: 3 if trace.correspondence_map is None else 5]
+    return panels[: 3 if result.correspondence_map is None else 5]
 
 
 def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
@@ -121,11 +128,11 @@ def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
     return np.where(near.all(axis=1, keepdims=True), pixels, np.nan)
 
 
-def _spread(trace: Trace, chosen: np.ndarray, count: int) -> np.ndarray:
+def _spread(result: PairResult, chosen: np.ndarray, count: int) -> np.ndarray:
     """Indices of the most confident of the chosen matches, spread over image 2, with finite
     points."""
-    matches = trace.matches
+    matches = result.matches
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
     points2, confidence = matches.points2[chosen], matches.confidence[chosen]
-    return chosen[spread(points2, confidence, trace.image2.size, count)]
+    return chosen[spread(points2, confidence, result.image2.size, count)]

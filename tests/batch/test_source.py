@@ -7,7 +7,8 @@ import PIL.Image
 import pytest
 
 from dgc_pose.batch.source import Source, open_source, survey
-from dgc_pose.cameras.calibration import KDetails, read_calibration
+from dgc_pose.cameras.by_image import KDetails
+from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.errors import InputError
 
 

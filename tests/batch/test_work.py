@@ -15,7 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions, load_matcher
-from dgc_pose.pose import estimate_relative_pose
+from dgc_pose.pose import solve_pair
 
 COUNT = 3
 NAMES = tuple(f"view{i}.png" for i in range(COUNT))
@@ -38,22 +38,20 @@ def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(
 ) -> None:
     """To the bit, with memory for all images and for hardly one, and matches that are searched
     again as of a pose in doubt."""
-    monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: True)
+    monkeypatch.setattr("dgc_pose.schedule.in_doubt", lambda *arguments: True)
     view_folder(tmp_path, COUNT)
     ample, matched = _worker(tmp_path, COUNT * IMAGE_BYTES)
-    assert ample.caches.features.made == COUNT
-    assert ample.caches.native.made == 4 * COUNT  # its texture, and squeezed along either axis
+    # Of the map and of native resolution, its texture, and squeezed along either axis.
+    assert ample.cache.made == 5 * COUNT
     scarce, again = _worker(tmp_path, IMAGE_BYTES)
-    assert scarce.caches.features.made > COUNT
+    assert scarce.cache.made > 5 * COUNT
     assert matched.rows == again.rows and all(row.success for row in matched.rows)
     matcher = load_matcher()
     first = matcher.match(*(load_image(tmp_path / name) for name in PAIRS[0]))
     assert len(first.matches) < len(matched.matches[0].scores)
     for k, names in enumerate(PAIRS):
-        paths = (tmp_path / name for name in names)
-        alone = estimate_relative_pose(
-            *paths, Camera(K, SIZE), matcher=matcher, options=ESTIMATION, trace=True
-        )
+        images, camera = (load_image(tmp_path / name) for name in names), Camera(K, SIZE)
+        alone = solve_pair(*images, (camera, camera), matcher, ESTIMATION)
         assert matched.rows[k] == row_of(names, alone.pose, alone.matches.error_px)
         for stored in (matched.matches[k], again.matches[k]):
             expected = alone.matches.points1.astype(np.float32)

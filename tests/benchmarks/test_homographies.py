@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from dgc_pose.benchmarks.homographies import (
     VIEWPOINTS,
     find_homography_pairs,
+    homography_set,
     load_pair,
     true_map,
 )
@@ -49,7 +50,7 @@ def test_nothing_beyond_the_horizon_is_valid() -> None:
 
 def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
     scene.write_annotated(tmp_path, "wall")
-    (pair,) = find_homography_pairs(tmp_path).pairs
+    ((pair,), _) = find_homography_pairs(tmp_path)
     pairs = load_pair(pair)
     assert pairs.image1.shape == pairs.image2.shape == (1, 3, 240, 240)
     normalised = (2 * pairs.map + 1) / 240 - 1
@@ -73,15 +74,17 @@ def test_pairs_of_every_layout_are_found_and_those_without_files_named(tmp_path)
     (tmp_path / "v_wall" / "H_1_5").unlink()
     scene.write_vgg(tmp_path / "graf")
     scene.write_annotated(tmp_path / "homogr", "tower", "city")
-    found = find_homography_pairs(tmp_path)
-    groups = ["", "", "", "", *VIEWPOINTS, "I", "III", "V"]
-    assert [pair.group for pair in found.pairs] == groups
+    pairs, missing = find_homography_pairs(tmp_path)
+    groups = ["graf", "graf", "homogr", "homogr", *VIEWPOINTS, "I", "III", "V"]
+    assert [pair.group for pair in pairs] == groups
     names = ["graf 1-2", "graf 1-3", "homogr/city", "homogr/tower", "v_adam 1-2", "v_adam 1-3"]
-    assert [pair.name for pair in found.pairs[:6]] == names
+    assert [pair.name for pair in pairs[:6]] == names
     graf = [f"graf 1-{k}" for k in (4, 5, 6)]
-    assert found.missing == (*graf, "v_wall 1-3", "v_wall 1-5")
-    np.testing.assert_array_equal(found.pairs[0].H, scene.H)
-    assert len(find_homography_pairs(tmp_path / "homogr").pairs) == 2
+    assert missing == [*graf, "v_wall 1-3", "v_wall 1-5"]
+    np.testing.assert_array_equal(pairs[0].H, scene.H)
+    data = homography_set(tmp_path)
+    assert (data.total, data.facts["sequences"]) == (12, 2) and "graf 1-4" in data.title
+    assert len(find_homography_pairs(tmp_path / "homogr")[0]) == 2
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from dgc_pose.benchmarks.map_scores import (
     PCK_THRESHOLDS,
     Comparison,
     LevelMap,
+    pooled,
     score_map,
-    summarise_maps,
 )
 
 
@@ -27,7 +27,7 @@ def comparison(seed: int = 0, *, masked: bool = True, blind: bool = False) -> Co
 
 
 def offsets(pair: Comparison) -> list[tuple[int, int, float, float]]:
-    level = pair.finest
+    level = pair.levels[-1]
     return [
         (y, x, *(level.points[y, x] - level.truth[y, x]).tolist())
         for y, x in np.argwhere(level.valid).tolist()
@@ -65,7 +65,7 @@ def test_the_mask_is_scored_against_both_meanings() -> None:
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     pairs = [comparison(0), comparison(1)]
     own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
-    found = summarise_maps(own, "I")
+    found = pooled(own, "I")
     assert (found.method, found.group, found.pairs) == ("net", "I", 2)
     assert found.aepe == pytest.approx((own[0].aepe + own[1].aepe) / 2)
     for level in range(5):
@@ -74,19 +74,19 @@ def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
     distances = [math.hypot(dx, dy) for pair in pairs for _, _, dx, dy in offsets(pair)]
     expected = [np.mean([d <= limit for d in distances]) for limit in PCK_THRESHOLDS]
     np.testing.assert_allclose(found.pck, expected)
-    assert found.within[1] == pytest.approx(np.mean([d <= 3 for d in distances]))
+    assert found.data["pck3"] == pytest.approx(np.mean([d <= 3 for d in distances]))
     assert found.jaccard == pytest.approx((own[0].jaccard + own[1].jaccard) / 2)
-    pooled = found.reliability
-    assert pooled is not None and pooled.counts.sum() == 2 * 144
-    assert summarise_maps(own).group == "all"
+    together = found.reliability
+    assert together is not None and together.counts.sum() == 2 * 144
+    assert pooled(own).group == "all"
 
 
 def test_a_pair_with_nothing_to_find_has_no_error() -> None:
     blind = score_map("net", "I", "blind", comparison(2, blind=True))
     assert blind.valid == 0 and math.isnan(blind.aepe)
     seen = score_map("net", "I", "seen", comparison(3))
-    both = summarise_maps([blind, seen])
+    both = pooled([blind, seen])
     assert both.pairs == 2
     assert both.aepe == seen.aepe
-    np.testing.assert_array_equal(both.pck, summarise_maps([seen]).pck)
-    assert np.isnan(summarise_maps([blind]).pck).all()
+    np.testing.assert_array_equal(both.pck, pooled([seen]).pck)
+    assert np.isnan(pooled([blind]).pck).all()

@@ -10,13 +10,10 @@ from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
-from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import MatchingOptions
-from dgc_pose.refinement import RefinementOptions
 
 BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
 IMAGE = Image(cv2.resize(BLOTS, (200, 200)))
-UNREFINED = RefinementOptions(source="none")
 
 
 def test_names_stand_for_methods() -> None:
@@ -43,7 +40,7 @@ def test_names_stand_for_methods() -> None:
         (["dis:runs=many"], [], "runs cannot be 'many'"),
         (["sift:refine=map"], [], "refine=map needs the features of a network"),
         (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
-        (["net:matchability=2"], [], "net:matchability=2: matchability must lie in"),
+        (["net:matchability=2"], [], "net:matchability=2: matchability must be at"),
     ],
 )
 def test_names_that_stand_for_none(names, stored, reason) -> None:
@@ -53,23 +50,20 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
 
 def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
     (method,) = parse_methods(["net:refine=features:max_matches=300:runs=2"])
-    assert method.matcher.matching == MatchingOptions(max_matches=300)
+    assert method.matcher.matching == MatchingOptions(max_matches=300, aligned="features")
     assert method.estimation == EstimationOptions(runs=2)
-    assert method.matcher.refinement.source == "features"
-    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60:cycle_px=3"])
+    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60"])
     assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
-    assert other.matcher.matching == MatchingOptions(finest=60, cycle_px=3.0)
-    (none,) = parse_methods(
-        ["net:cycle_px=none"], MatcherOptions(matching=MatchingOptions(cycle_px=3.0))
-    )
-    assert none.matcher.matching.cycle_px is None
+    assert other.matcher.matching == MatchingOptions(finest=60)
+    (none,) = parse_methods(["net:threshold_px=none"], None, EstimationOptions(threshold_px=1.0))
+    assert none.estimation.threshold_px is None
 
 
 def test_networks_alone_are_refined_unless_asked_for() -> None:
-    names = ["net", "net:refine=none", "net/all", "dis", "sift", "deepmatching", "raft"]
+    names = ["net", "net:refine=none", "net/all", "dis", "sift", "raft"]
     methods = parse_methods(names, stored=["raft"])
-    sources = [method.matcher.refinement.source for method in methods]
-    assert sources == ["auto", "none", "auto", "none", "none", "none", "none"]
+    sources = [method.matcher.matching.aligned for method in methods]
+    assert sources == ["auto", "none", "none", "none", "none", "none"]
 
 
 def test_a_path_may_hold_colons_and_equals_signs() -> None:
@@ -90,20 +84,12 @@ def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
     assert methods[1].estimation.runs == 2
 
 
-def test_a_matcher_is_loaded_once() -> None:
-    methods = parse_methods(["dis", "dis/all", "mine"], stored=["mine"])
+def test_a_network_is_read_once_for_all_methods() -> None:
+    names = ["dgcm-lite0", "mine", "dgcm-lite0:finest=60", "dis/all"]
     mine = FileMatcher("mine", {})
-    loaded = load_matchers(methods, device="cpu", stored={"mine": mine})
-    assert [options.weights for options in loaded] == ["dis", "mine"]
-    assert loaded[methods[2].matcher].name == "mine"
+    methods = parse_methods(names, stored=["mine"])
+    network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": mine})
+    assert other.engine is network.engine is not None and other is not network
+    assert (stored.name, dis.name) == ("mine", "dis")
     with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
         load_matchers(parse_methods(["nowhere"]), device="cpu")
-
-
-def test_a_network_is_read_once_for_all_its_passes() -> None:
-    names = ["dgcm-lite0", "dgcm-lite0:finest=60", "dgcm-lite0:finest=60:refine=none"]
-    methods = parse_methods(names)
-    loaded = load_matchers(methods, device="cpu", keep_features=True)
-    assert len(loaded) == 3
-    refined, coarse, plain = (loaded[method.matcher] for method in methods)
-    assert coarse.engine is plain.engine is refined.engine is not None

@@ -1,103 +1,37 @@
-import json
 from dataclasses import replace
 
 import dense_scene
 import numpy as np
 import pytest
-from command_line import run as run_command
-from photos import write_photos
+from evaluation_pairs import posed_pairs
 
-from dgc_pose.benchmarks import posed_pairs
-from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.evaluate import Evaluation
-from dgc_pose.benchmarks.methods import Method
-from dgc_pose.benchmarks.posed_pairs import (
-    ListedPairs,
-    RenderedPosedPairs,
-)
+from dgc_pose.benchmarks.metrics import median_and_mean, true_fundamental
+from dgc_pose.benchmarks.posed_pairs import ListedPairs
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching import Matcher, MatchResult
-from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.refinement import RefinementOptions
-
-OPTIONS = EstimationOptions(runs=2, iterations=200)
 
 
-class Backwards(Matcher):
-    """The true matches with the images exchanged: a pose that is wrong by a known amount."""
-
-    name = "backwards"
-
-    def _match(self, image1, image2):
-        found = dense_scene.MapMatcher(dense_scene.true_map()).match(image1, image2).matches
-        return MatchResult(replace(found, points1=found.points2, points2=found.points1), None)
-
-
-def run(pairs, matchers, options):
-    """The records of matchers by name, one by one."""
-    unrefined = RefinementOptions(source="none")
-    methods = [
-        Method(name, MatcherOptions(name, refinement=unrefined), options, CameraTrial())
-        for name in matchers
-    ]
-    loaded = {method.matcher: matchers[method.name] for method in methods}
-    for scores in Evaluation(ListedPairs(pairs), methods, loaded).run():
-        yield from scores
+@pytest.mark.parametrize("size", [None, (256, 256)])
+def test_a_size_changes_images_and_cameras_alike(tmp_path, size) -> None:
+    """A point that both cameras see stays the same point of the scene: true matches stay true,
+    their distances from the epipolar lines being zero after the resize as before."""
+    found = dense_scene.true_map()
+    shown = posed_pairs(tmp_path, 1, size).pair(0)
+    truth, expected = shown.truth, size or dense_scene.SIZE
+    assert truth.camera1.size == truth.camera2.size == expected
+    for image in (shown.image1, shown.image2):
+        assert image.size == expected
+        assert (image.stored_size or image.size) == dense_scene.SIZE
+    scale = np.divide(expected, dense_scene.SIZE)
+    points1, points2 = ((p + 0.5) * scale - 0.5 for p in (found.map, found.grid))
+    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+    assert max(median_and_mean(points1, points2, F)) < 1e-3
+    names = (shown.image1.name, truth.ids["image1"])
+    assert names == (str(tmp_path / "one.png"), "one.png")
 
 
-@pytest.fixture
-def pairs(tmp_path):
-    return read_pairs(dense_scene.write_pair_list(tmp_path, pairs=2))
-
-
-def test_a_wrong_pose_has_its_error(pairs):
-    (result,) = run(pairs[:1], {"backwards": Backwards()}, OPTIONS)
-    # The pose found is cam1_from_cam2: its rotation is off by twice the true one.
-    assert result.success
-    assert result.rotation_error_deg == pytest.approx(2 * result.true_rotation_deg, abs=0.1)
-    cosine = float(dense_scene.T @ (-dense_scene.R.T @ dense_scene.T))
-    assert result.translation_error_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.3)
-    folded = min(result.translation_error_deg, 180 - result.translation_error_deg)
-    assert result.translation_folded_deg == folded
-
-
-def test_the_K_of_another_image_is_refused(pairs):
+def test_the_K_of_another_image_is_refused(tmp_path) -> None:
+    (pair,) = posed_pairs(tmp_path, 1).pairs
     far = Camera(np.array([[900.0, 0, 800], [0, 900, 600], [0, 0, 1]]))
-    with pytest.raises(InputError, match=r"K of .*two\.png"):
-        list(run([replace(pairs[0], camera2=far)], {"backwards": Backwards()}, OPTIONS))
-
-
-@pytest.fixture
-def photos(tmp_path, monkeypatch):
-    monkeypatch.setattr(posed_pairs, "RENDERED_SIZE", 160)
-    write_photos(tmp_path / "photos", 60)
-    return tmp_path / "photos"
-
-
-def test_rendered_pairs_are_the_same_from_any_of_them_on(photos):
-    pairs = RenderedPosedPairs(photos, 3, 7)
-    whole, rest = list(pairs.read()), list(pairs.read(1))
-    assert [one.truth.ids for one in whole] == pairs.ids
-    assert [one.truth.ids for one in rest] == pairs.ids[1:]
-    for one, again in zip(whole[1:], rest, strict=True):
-        assert np.array_equal(one.image2.pixels, again.image2.pixels)
-        assert np.array_equal(one.truth.R, again.truth.R)
-    for one in whole:
-        assert one.image1.size == one.truth.camera1.size == (160, 160)
-        assert 5 <= rotation_error_deg(one.truth.R, np.eye(3)) <= 45
-        assert np.linalg.norm(one.truth.t) > 0
-
-
-def test_rendered_pairs_have_their_distances_from_the_epipolar_lines(photos, tmp_path):
-    words = ("--rendered", 2, "--photos", photos, "--methods", "dis,sift")
-    answer = run_command("bench-pairs", *words, "--json", tmp_path / "s.json")
-    assert answer.exit_code == 0, answer.output
-    head, *lines = answer.stdout.splitlines()[-3:]
-    assert head.split()[-7:] == ["D_e", "all", "D_e", "conf", "matches", "pose", "s"]
-    assert [line.split()[0] for line in lines] == ["dis", "sift"]
-    dis, sift = json.loads((tmp_path / "s.json").read_text())["methods"]
-    assert dis["median_epipolar_px"] > 0 and sift["median_epipolar_px"] is None
+    with pytest.raises(InputError, match=r"K of .*two_2\.png"):
+        ListedPairs([replace(pair, camera2=far)]).pair(0)

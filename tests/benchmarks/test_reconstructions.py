@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 from batch_runs import view_folder
@@ -17,7 +16,6 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.benchmarks.reconstructions import (
     model_figures,
     pair_figures,
-    views_of_dtu,
     views_of_list,
 )
 from dgc_pose.cameras.camera import Camera
@@ -64,19 +62,6 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
         views_of_list(folder.parent / "broken.txt", folder)
     with pytest.raises(InputError, match="not an image of the folder"):
         views_of_list(path, folder / "other")
-
-
-def test_dtu(tmp_path: Path, scene: tuple[Path, Path, list[View]]) -> None:
-    calibration = tmp_path / "cal18"
-    calibration.mkdir()
-    for i, view in enumerate(scene[2][:2], start=1):
-        np.savetxt(calibration / f"pos_{i:03d}.txt", K @ np.column_stack([view.R, view.t]))
-        cv2.imwrite(str(tmp_path / f"rect_{i:03d}_3_r5000.png"), view.pixels)
-    found = views_of_dtu(calibration, tmp_path)
-    np.testing.assert_allclose(found.centre("rect_001_3_r5000.png"), scene[2][0].centre, atol=1e-12)
-    np.testing.assert_allclose(found.cameras["rect_002_3_r5000.png"].K, K, atol=1e-9)
-    with pytest.raises(InputError, match="no images rect_NNN"):
-        views_of_dtu(calibration, calibration)
 
 
 def _model(views: Model, error: float) -> Model:

@@ -36,9 +36,9 @@ def _map(folder: Path, size: tuple[int, int] = SHOWN) -> CorrespondenceMap:
 
 
 def _flow(size: tuple[int, int] = STORED) -> np.ndarray:
-    """Smooth, and a multiple of 1/64, so that KITTI's format holds it exactly."""
+    """Smooth."""
     x, y = np.moveaxis(pixel_grid(size), -1, 0)
-    return np.round(np.stack([3 + 0.05 * x - 0.02 * y, -2 + 0.04 * y], -1) * 64) / 64
+    return np.stack([3 + 0.05 * x - 0.02 * y, -2 + 0.04 * y], -1)
 
 
 def _write_flo(path: Path, flow: np.ndarray) -> None:
@@ -51,19 +51,9 @@ def _write_flo(path: Path, flow: np.ndarray) -> None:
                 stream.write(struct.pack("<ff", u, v))
 
 
-def _write_kitti(path: Path, flow: np.ndarray) -> None:
-    """As KITTI's development kit: u and v times 64 plus 2^15, and whether they are valid."""
-    known = np.isfinite(flow).all(-1)
-    stored = np.nan_to_num(flow) * 64 + 2**15
-    rgb = np.dstack([stored, known]).astype(np.uint16)
-    cv2.imwrite(str(path), rgb[..., ::-1])
-
-
 WRITERS = {
     "flow.flo": lambda path, flow: _write_flo(path, np.nan_to_num(flow, nan=1e10)),
-    "flow.png": _write_kitti,
     "flow.npy": np.save,
-    "planes.npy": lambda path, flow: np.save(path, np.moveaxis(flow, -1, 0)[None]),
     "flow.npz": lambda path, flow: np.savez(path, flow=flow),
     "map.npz": lambda path, flow: np.savez(path, map=pixel_grid(STORED) + flow),
     "grid.npz": lambda path, flow: np.savez(
@@ -96,11 +86,10 @@ def test_a_format_gives_the_points_of_its_flow(tmp_path, writer) -> None:
     assert unknown > 0
 
 
-def test_matchability_and_certainty_are_taken(tmp_path) -> None:
+def test_matchability_is_taken(tmp_path) -> None:
     values = np.random.default_rng(0).random((60, 80)).astype(np.float32)
-    for key in ("matchability", "certainty"):
-        np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), **{key: values})
-        assert np.array_equal(_map(tmp_path, STORED).matchability, values)
+    np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), matchability=values)
+    assert np.array_equal(_map(tmp_path, STORED).matchability, values)
 
 
 def test_points_are_given_in_pixels_of_the_images_shown(tmp_path) -> None:
@@ -132,10 +121,13 @@ def _bad_archive(**arrays: np.ndarray):
         (".npy", lambda path: np.save(path, np.full((4, 5, 2), "a")), "could not convert"),
         (".npz", _bad_archive(other=np.zeros(3)), "found other"),
         (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), matchability=np.ones((5, 4))), r"\(4, 5\)"),
-        (".npz", _bad_archive(flow=np.zeros((4, 5, 2)), certainty=np.full((4, 5), 2.0)), "0 to 1"),
+        (
+            ".npz",
+            _bad_archive(flow=np.zeros((4, 5, 2)), matchability=np.full((4, 5), 2.0)),
+            "0 to 1",
+        ),
         (".npz", _bad_archive(map=np.zeros((4, 5, 2)), grid=np.zeros((4, 4, 2))), "grid"),
         (".npz", _bad_archive(points1=np.zeros((4, 2)), points2=np.zeros((3, 2))), "length"),
-        (".png", lambda path: cv2.imwrite(str(path), np.zeros((4, 5, 3), np.uint8)), "16-bit"),
     ],
 )
 def test_a_malformed_file_is_named(tmp_path, suffix, write, reason) -> None:

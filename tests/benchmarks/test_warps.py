@@ -2,13 +2,17 @@
 
 import cv2
 import numpy as np
+import pytest
 import torch
+from scipy.interpolate import RBFInterpolator
 
 from dgc_pose.benchmarks.warps import (
+    TPS_KNOTS,
     affine_warp,
     apply_homography,
     homography_from_corners,
     homography_warp,
+    thin_plate_spline,
 )
 from dgc_pose.training.draw import Draw
 
@@ -52,3 +56,16 @@ def test_homography_of_the_paper_moves_the_corners_by_at_most_80_of_240_pixels()
         largest.append(np.abs(shift).max())
     assert np.quantile(largest, 0.99) < 2 / 3 + 0.01
     assert np.quantile(largest, 0.5) > 0.5
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.2, 1.0])
+def test_a_spline_is_scipys(spread: float) -> None:
+    rng = np.random.default_rng(3)
+    knots = TPS_KNOTS.double().numpy()
+    values = knots + spread * rng.normal(size=(4, 9, 2))
+    points = rng.uniform(-1.5, 1.5, (4, 50, 2))
+    spline = thin_plate_spline(TPS_KNOTS.double(), torch.from_numpy(values))
+    found = spline(torch.from_numpy(points)).numpy()
+    for own, targets, places in zip(found, values, points, strict=True):
+        expected = RBFInterpolator(knots, targets, kernel="thin_plate_spline", degree=1)(places)
+        np.testing.assert_allclose(own, expected, atol=1e-9)

@@ -7,9 +7,8 @@ import numpy as np
 import pycolmap
 import pytest
 
+from dgc_pose.cameras.by_image import Calibration, KDetails
 from dgc_pose.cameras.calibration import (
-    Calibration,
-    KDetails,
     camera_data,
     pair_cameras,
     parse_camera_data,

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import guarded
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.system.options import check_options, option
 
 
@@ -20,7 +20,7 @@ def _pair(text: str) -> tuple[int, int]:
     try:
         first, second = map(int, text.split("x"))
     except ValueError:
-        raise InputError(f"size must be WxH, not {text}") from None
+        raise InputError(f"--size must be WxH, not {text}") from None
     return first, second
 
 
@@ -50,6 +50,8 @@ class Options:
 
     def __post_init__(self) -> None:
         check_options(self)
+        if "c" in self.names:
+            raise InputError(ArgumentName("names"), "has c")
 
 
 def _invoke(*words: str) -> tuple[Any, Any]:
@@ -92,14 +94,13 @@ def test_the_help_has_texts_choices_defaults_and_sections() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--limit", "0"], "--limit must be above 0, not 0"),
-        (["--limit", "nan"], "--limit must be above 0, not nan"),
-        (["--share", "1.5"], r"--share must lie in \[0, 1\], not 1.5"),
-        (["--size", "big"], "size must be WxH, not big"),
+        (["--limit", "0"], "'--limit': 0.0 is not in the range x>0."),
+        (["--limit", "nan"], "'--limit': nan is no number"),
+        (["--share", "1.5"], "'--share': 1.5 is not in the range 0<=x<=1."),
+        (["--size", "big"], "--size must be WxH, not big"),
+        (["--names", "c"], "--names has c"),
     ],
 )
-def test_what_the_class_refuses_names_the_flag(words: list[str], message: str) -> None:
+def test_what_is_refused_names_the_flag(words: list[str], message: str) -> None:
     result, _ = _invoke("--folder", "f", *words)
-    assert isinstance(result.exception, InputError)
-    with pytest.raises(InputError, match=message):
-        raise result.exception
+    assert message in result.output or message == str(result.exception)

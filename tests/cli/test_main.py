@@ -117,7 +117,10 @@ def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy)
         (["estimte"], "error: No such command 'estimte'. Did you mean 'estimate'?\n"),
         (["estimate", "a.png"], "IMG2"),
         (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
-        (["estimate", "a.png", "b.png", "--K", "auto", "--runs", "0"], "error: --runs must lie in"),
+        (
+            ["estimate", "a.png", "b.png", "--K", "auto", "--runs", "0"],
+            "error: Invalid value for '--runs': 0 is not in",
+        ),
         (["match", "a.png", "b.png"], "--out"),
     ],
 )

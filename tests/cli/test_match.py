@@ -14,10 +14,7 @@ def network(tmp_path, monkeypatch):
     dense_scene.write_pictures(tmp_path)
 
     def use(correspondence_map):
-        def load_dense_matcher(weights, *, options, **others):
-            return dense_scene.MapMatcher(correspondence_map, options)
-
-        monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", load_dense_matcher)
+        dense_scene.replace_network(monkeypatch, lambda weights: correspondence_map)
 
     return use
 

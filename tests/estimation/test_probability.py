@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from dgc_pose import load_dense_matcher
+from dgc_pose import load_matcher
 from dgc_pose.estimation.competition import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
@@ -169,7 +169,7 @@ def test_a_model_is_of_the_networks_that_it_is_fitted_on(weights, key_points, ki
 
 
 def test_the_package_s_own_file_can_be_read() -> None:
-    assert shipped_models().weights == {load_dense_matcher().fingerprint}
+    assert shipped_models().weights == {load_matcher().fingerprint}
     for model in shipped_models().by_kind.values():
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())
         assert set(model.choice) <= {*CHOICE_FEATURES, "lapse"}

@@ -1,29 +1,17 @@
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.files.arrays import as_numpy
-from dgc_pose.files.inputs import TEXT_BYTES, open_regular, read_start, read_text
-from dgc_pose.images.image import image_header
+from dgc_pose.files.inputs import TEXT_BYTES, read_start, read_text
 
 
 def test_an_error_of_the_reading_names_the_file() -> None:
     """A fault that root meets too: the memory begins with a page that is not there."""
     with pytest.raises(OSError, match="Input/output error: '/proc/self/mem'"):
         read_start("/proc/self/mem", 8)
-
-
-@pytest.mark.skipif(not os.access("/proc/kmsg", os.R_OK), reason="the kernel's log is closed")
-def test_a_regular_file_that_waits_for_its_next_line_is_not_waited_for() -> None:
-    read_start("/proc/kmsg", 2**26)  # more than the log holds
-    assert len(read_start("/proc/kmsg", 2**26)) < 2**26
-    with open_regular("/proc/kmsg") as stream:
-        assert isinstance(stream.read(8), bytes) and isinstance(stream.read(), bytes)
-    with pytest.raises(ImageError, match="/proc/kmsg"):
-        image_header(Path("/proc/kmsg"))
 
 
 @pytest.mark.parametrize(

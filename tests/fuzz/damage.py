@@ -1,4 +1,4 @@
-"""Damage to files as strategies: bytes anywhere, and words and members where a format has them, so
+"""Damage to files as a strategy: bytes anywhere, and words and members where a format has them, so
 that the damage gets past compression."""
 
 import io
@@ -13,17 +13,17 @@ _WORDS = (
 ).split() + ["", "9" * 5000, "\0", "\ufeff", "é" * 300, '"' + "x" * 140_000, "[" * 2000, "\n\r"]
 
 
-def damaged(data: bytes) -> st.SearchStrategy[bytes]:
-    """The data themselves, or with damage of the kinds that their format allows."""
-    kinds = [st.just(data), _edited(data), _edited(data).flatmap(_edited)]
-    if data.startswith(b"PK"):
-        kinds += 3 * [_members(data)]
-    elif b"\0" not in data:
-        kinds += 3 * [_words(data)]
-    return st.one_of(kinds)
-
-
 @st.composite
+def damaged(draw: st.DrawFn, data: bytes) -> bytes:
+    """The data with damage of the kinds that their format allows, now and then none."""
+    kinds = [lambda: data, lambda: _edited(draw, data), lambda: _edited(draw, _edited(draw, data))]
+    if data.startswith(b"PK"):
+        kinds += 3 * [lambda: _members(draw, data)]
+    elif b"\0" not in data:
+        kinds += 3 * [lambda: _words(draw, data)]
+    return draw(st.sampled_from(kinds))()
+
+
 def _edited(draw: st.DrawFn, data: bytes) -> bytes:
     """Some bytes are replaced, missing, or come several times; mostly in the header."""
     start = draw(st.integers(0, min(256, len(data))) | st.integers(0, len(data)))
@@ -37,23 +37,20 @@ def _edited(draw: st.DrawFn, data: bytes) -> bytes:
     return data[:start] + new + data[end:]
 
 
-@st.composite
 def _words(draw: st.DrawFn, data: bytes) -> bytes:
     """Words of a text, or what parts them, become others."""
     parts = re.split(rb"([\s,:]+)", data)
-    places = st.lists(st.integers(0, len(parts) - 1), min_size=1, max_size=3)
-    for place in draw(places):
+    for place in draw(st.lists(st.integers(0, len(parts) - 1), min_size=1, max_size=3)):
         parts[place] = draw(st.sampled_from(_WORDS)).encode()
     return b"".join(parts)
 
 
-@st.composite
 def _members(draw: st.DrawFn, data: bytes) -> bytes:
     """A member of a ZIP archive is damaged, renamed or missing, all packed or none."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name = draw(st.sampled_from([*members]))
-    body = draw(_edited(members.pop(name)))
+    body = _edited(draw, members.pop(name))
     for new_name in draw(st.sampled_from(([name], [name], [name + "x"], ["../" + name], []))):
         members[new_name] = body
     stream = io.BytesIO()

@@ -1,9 +1,8 @@
-"""The readers of files that users have, with good files that the tests make themselves."""
+"""The readers of files that users have, with good files that the tests make themselves: of each
+kind what writes such files into a folder, and what reads one of them."""
 
 import json
-from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 
 import cv2
 import dense_scene
@@ -11,40 +10,28 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import torch
+from command_line import run
 from PIL.TiffImagePlugin import IFDRational
+from world_scene import world_scene, write_colmap
 
-from dgc_pose.batch.matches_file import FittedCameras, PairMatches, PoseInputs
-from dgc_pose.batch.plan import Plan, read_plan, write_plan
-from dgc_pose.batch.result import read_batch, summary_of, write_pairs
-from dgc_pose.batch.rows import BAD_INPUT, HypothesisRow, PairRow
-from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import Matched
+from dgc_pose.batch.result import read_batch
 from dgc_pose.benchmarks.stored_matches import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
-from dgc_pose.matches import Matches
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
 from dgc_pose.training.run import save_weights
 
-Make = Callable[[Path], object]  # writes good files into a folder
-Read = Callable[[Path, Path], object]  # of the folder and the damaged file in it
+PIXELS = cv2.resize(np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8), (40, 30))
 
 
-def _pixels(size: tuple[int, int] = (40, 30)) -> np.ndarray:
-    rng = np.random.default_rng(0)
-    return cv2.resize(rng.integers(0, 256, (5, 7, 3), np.uint8), size)
-
-
-def _make_images(folder: Path) -> None:
-    picture = PIL.Image.fromarray(_pixels())
+def _make_images(folder):
+    picture = PIL.Image.fromarray(PIXELS)
     for ending in ("png", "jpg", "tiff", "bmp", "ppm", "webp", "gif", "jp2", "avif"):
         with suppress(KeyError, OSError, ValueError):  # a Pillow without that format
             picture.save(folder / f"plain.{ending}")
@@ -60,75 +47,60 @@ def _make_images(folder: Path) -> None:
     picture.save(folder / "camera.tiff", exif=exif.tobytes())
     picture.convert("P").save(folder / "palette.png")
     picture.save(folder / "packed.tiff", compression="tiff_lzw")
-    deep = _pixels().astype(np.uint16) * 200
-    floats = _pixels().astype(np.float32) / 255
-    for name, pixels in (
-        ("deep.png", deep),
-        ("deep.tiff", deep),
-        ("deep.pgm", deep[:, :, 0]),
-        ("floats.tiff", floats),
-    ):
-        cv2.imwrite(str(folder / name), pixels)
+    deep = PIXELS.astype(np.uint16) * 200
+    for name in ("deep.png", "deep.tiff", "deep.pgm"):
+        cv2.imwrite(str(folder / name), deep[:, :, 0] if name == "deep.pgm" else deep)
+    cv2.imwrite(str(folder / "floats.tiff"), PIXELS.astype(np.float32) / 255)
 
 
-def _read_image(folder: Path, path: Path) -> None:
-    try:
-        image_size(path)
-    finally:
-        image = load_image(path)
-    assert image.pixels.dtype == np.uint8 and image.pixels.shape[2] == 3
-    read_pixels(path)
+def _camera_of_image(path):
+    auto_camera(image_header(path))
 
 
-def _make_cameras(folder: Path) -> None:
-    (folder / "K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
-    (folder / "line.txt").write_text("\ufeff300 0 159.5 0 300 119.5 0 0 1", encoding="utf-8")
-    np.save(folder / "K.npy", dense_scene.K)
-    (folder / "pinhole.arg").write_text(dense_scene.K_TEXT)
-    (folder / "opencv.arg").write_text("OPENCV,320,240,300,300,160,120,0.1,0.01,0,0")
-    (folder / "radial.arg").write_text("SIMPLE_RADIAL,320,240,300,160,120,-0.1")
-
-
-def _read_camera(folder: Path, path: Path) -> None:
-    text = str(path)
-    if path.suffix == ".arg":  # what a user might type
-        text = path.read_bytes().decode("utf-8", "surrogateescape")
-    parse_camera(text).normalise(np.array([[10.0, 20.0]]))
-
-
-def _make_calibrations(folder: Path) -> None:
-    (folder / "table.csv").write_text("name,fx,fy,cx,cy,width,height\na.png,9,9,4,3,10,8\n")
+def _make_calibrations(folder):
     frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
     nerf = {"fl_x": 9.0, "fl_y": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "frames": frames}
-    (folder / "transforms.json").write_text(json.dumps(nerf))
+    texts = {
+        "pinhole.arg": dense_scene.K_TEXT,
+        "opencv.arg": "OPENCV,320,240,300,300,160,120,0.1,0.01,0,0",
+        "radial.arg": "SIMPLE_RADIAL,320,240,300,160,120,-0.1",
+        "K.txt": "\ufeff300 0 159.5\n0 300 119.5\n0 0 1\n",
+        "table.csv": "name,fx,fy,cx,cy,width,height\na.png,9,9,4,3,10,8\n",
+        "transforms.json": json.dumps(nerf),
+        "pose.json": json.dumps({"K1": [9, 9, 5, 4], "K2": [9, 9, 5, 4]}),
+        "ros.yaml": "image_width: 10\nimage_height: 8\ndistortion_model: plumb_bob\n"
+        "camera_matrix: {data: [9, 0, 5, 0, 9, 4, 0, 0, 1]}\n",
+        "kalibr.yaml": "cam0: {intrinsics: [9, 9, 5, 4], resolution: [10, 8]}\n",
+        "text/cameras.txt": "1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n",
+        "text/images.txt": "1 1 0 0 0 0 0 0 1 a.png\n2 3 -1\n",
+        "calib.txt": "P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n",
+    }
+    (folder / "text").mkdir()
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    np.save(folder / "K.npy", dense_scene.K)
     storage = cv2.FileStorage(str(folder / "opencv.yml"), cv2.FILE_STORAGE_WRITE)
     storage.write("camera_matrix", dense_scene.K)
     storage.write("distortion_coefficients", np.array([0.1, 0.01, 0.0, 0.0]))
     storage.release()
-    (folder / "ros.yaml").write_text(
-        "image_width: 10\nimage_height: 8\ndistortion_model: plumb_bob\n"
-        "camera_matrix: {data: [9, 0, 5, 0, 9, 4, 0, 0, 1]}\n"
-    )
-    (folder / "kalibr.yaml").write_text("cam0: {intrinsics: [9, 9, 5, 4], resolution: [10, 8]}\n")
-    (folder / "pose.json").write_text(json.dumps({"K1": [9, 9, 5, 4], "K2": [9, 9, 5, 4]}))
-    (folder / "calib.txt").write_text("P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n")
-    model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera.create_from_model_name(1, "OPENCV", 9.0, 10, 8)
-    model.add_camera_with_trivial_rig(camera)
-    image = pycolmap.Image(name="a.png", camera_id=1, image_id=1)
-    image.points2D = pycolmap.Point2DList([pycolmap.Point2D([2.0, 3.0])])
-    model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
-    for name in ("text", "binary"):
-        (folder / name).mkdir()
-    model.write_text(folder / "text")
-    model.write_binary(folder / "binary")
+    write_colmap(world_scene(count=9), folder / "binary")
 
 
-def _read_calibration(folder: Path, path: Path) -> None:
-    read_calibration(str(path if path.parent == folder else path.parent))
+def _read_calibration(path):
+    if path.suffix == ".arg":  # what a user might type
+        text = path.read_bytes().decode("utf-8", "surrogateescape")
+        parse_camera(text).normalise(np.array([[10.0, 20.0]]))
+    else:
+        read_calibration(str(path.parent if path.parent.name in ("text", "binary") else path))
 
 
-def _make_database(folder: Path) -> None:
+def _make_lists(folder):
+    """Of pairs with their poses, of names, and a COLMAP database."""
+    dense_scene.write_pair_list(folder, pairs=2)
+    for picture in folder.glob("*.png"):
+        picture.unlink()
+    (folder / "plain.txt").write_text("a.png b.png\n# c\na.png c.png\n")
+    (folder / "table.csv").write_text("name1,name2\na.png,b.png\n")
     with pycolmap.Database.open(folder / "a.db") as database:
         camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 9.0, 10, 8)
         camera.has_prior_focal_length = True
@@ -139,110 +111,59 @@ def _make_database(folder: Path) -> None:
         database.write_matches(1, 2, np.array([[0, 0], [1, 1]], np.uint32))
 
 
-def _make_pair_list(folder: Path) -> None:
-    dense_scene.write_pair_list(folder, pairs=2)
-    for picture in folder.glob("*.png"):
-        picture.unlink()
+def _read_list(path):
+    if path.suffix == ".db":
+        read_database(path)
+    else:
+        read_pair_list(path)
+        if path.name == "pairs.txt":
+            read_pairs(path)
 
 
-def _make_batch_lists(folder: Path) -> None:
-    (folder / "plain.txt").write_text("a.png b.png\n# c\na.png c.png\n")
-    (folder / "table.csv").write_text("name1,name2\na.png,b.png\n")
-    _make_pair_list(folder)
-
-
-def _make_weights(folder: Path) -> None:
+def _make_weights(folder):
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite0")), folder / "a.safetensors")
     state = {"pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3), "x": torch.ones(3)}
-    torch.save({"state_dict": state}, folder / "a.pth")
+    torch.save({"state_dict": state}, folder / "part.pth")
     torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
 
 
-def _make_matches(folder: Path) -> None:
+def _make_matches(folder):
     """A folder of each format, as `--matches` takes them."""
     flow = np.random.default_rng(0).normal(size=(30, 40, 2)).astype(np.float32)
-    for name in ("flo", "npy", "flow", "map", "points", "kitti"):
+    for name in ("flo", "npy", "flow", "map", "points"):
         (folder / name).mkdir()
     cv2.writeOpticalFlow(str(folder / "flo/pair.flo"), flow)
     np.save(folder / "npy/pair.npy", flow)
-    np.savez(folder / "flow/pair.npz", flow=flow, certainty=np.ones((30, 40)))
+    np.savez(folder / "flow/pair.npz", flow=flow, matchability=np.ones((30, 40)))
     grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(30.0)), -1)
     maps = {"map": grid + 1, "grid": grid, "matchability": np.ones((30, 40))}
     np.savez_compressed(folder / "map/pair.npz", **maps)
     points = {"points1": grid.reshape(-1, 2), "points2": grid.reshape(-1, 2), "error_px": 1.0}
     np.savez(folder / "points/pair.npz", **points, confidence=np.ones(1200), key_points=True)
-    kitti = np.dstack([np.ones((30, 40)), flow[..., ::-1] * 64 + 2**15]).astype(np.uint16)
-    cv2.imwrite(str(folder / "kitti/pair.png"), kitti)
 
 
-def _read_matches(folder: Path, path: Path) -> None:
-    images = [Image(_pixels(), name) for name in ("one", "two")]
+def _read_matches(path):
+    images = [Image(PIXELS, name) for name in ("one", "two")]
     FileMatcher("files", {("one", "two"): path}).match(*images)
 
 
-def make_batch(folder: Path) -> None:
-    """A finished batch: a pose of two images, and a pair with a bad image."""
-    plan, store = make_unfinished_batch(folder)
-    rows = write_pairs(folder, store.blocks(), store.byte_count)
-    summary = summary_of(plan, rows, store.bad, []) | {"matched_now": 2, "seconds": 0.5}
-    store.remove()
-    (folder / "summary.json").write_text(json.dumps(summary))
+def make_batch(folder):
+    """A finished batch of three photographs, one of which shows nothing, in folder/batch."""
+    (folder / "views").mkdir()
+    dense_scene.write_pictures(folder / "views")
+    cv2.imwrite(str(folder / "views/void.png"), np.zeros((240, 320), np.uint8))
+    words = ("--pairs", "exhaustive", "--weights", "sift", "--K", dense_scene.K_TEXT)
+    settings = ("--workers", "1", "--runs", "1", "--iterations", "100")
+    done = run("batch", folder / "views", "--out", folder / "batch", *words, *settings)
+    assert done.exit_code == 0, done.output
 
 
-def make_photographs(folder: Path) -> None:
-    """Those of the batch of `make_batch` that can be read."""
-    for name in ("a.png", "b.png"):
-        cv2.imwrite(str(folder / name), _pixels((10, 8)))
-
-
-def make_unfinished_batch(folder: Path) -> tuple[Plan, PairStore]:
-    """The pairs of a batch that has matched all and has no result."""
-    names = ("a.png", "b.png", "c.png")
-    K = np.array([[9.0, 0, 4], [0, 9, 3], [0, 0, 1]])
-    cameras = {
-        "a.png": Camera(K, (10, 8), focal_std=0.4, focal_source="size"),
-        "b.png": Camera(K, (10, 8), Distortion("OPENCV", (0.1, 0.0, 0.0, 0.0))),
-    }
-    states = {name: (100, 10**18) for name in names}
-    settings = {"runtime": "auto"}
-    indices = np.array([[0, 1], [1, 2]])
-    plan = Plan(folder, cameras, {"c.png": "too small"}, states, names, indices, settings)
-    write_plan(folder, plan)
-    store = PairStore(folder, plan)
-    values = {"R": (1, 0, 0, 0, 1, 0, 0, 0, 1), "t": (1, 0, 0)}
-    values |= {"alternatives": (HypothesisRow(values["R"], (0, 0, 1), 7, 0.25),)}
-    values |= {"num_matches": 8, "num_inliers": 8, "error_px": 0.5}
-    good = PairRow(*names[:2], "ok", True, "a pose", **values)
-    rows = [good, PairRow(*names[1:], BAD_INPUT, False, "too small")]
-    store.add(Matched((0, 1), rows, [_matches(8), _matches(0)], {"c.png": "too small"}))
-    return plan, store
-
-
-def _matches(count: int) -> PairMatches:
-    points = np.random.default_rng(count).uniform(0, 7, (count, 2)).astype(np.float32)
-    scores, every = np.ones(count, np.float32), np.ones(count, bool)
-    camera = Camera(np.array([9.0, 9.0, 4.5, 3.5]), (10, 8), focal_std=0.1)
-    fitted = FittedCameras((camera, camera), np.eye(12))
-    again = PoseInputs(0.5, False, Matches(points, points + 1, scores, 2.0))
-    return PairMatches(points, points + 1, scores, every, again, fitted)
-
-
-def _read_store(folder: Path, path: Path) -> None:
-    if path.stem == "matched":
-        list(PairStore(folder, read_plan(folder)).blocks())
-
-
-READERS: dict[str, tuple[Make, Read]] = {
-    "images": (_make_images, _read_image),
-    "cameras of images": (_make_images, lambda _, path: auto_camera(image_header(path))),
-    "cameras": (_make_cameras, _read_camera),
+READERS = {
+    "images": (_make_images, image_size, load_image, read_pixels, _camera_of_image),
     "calibrations": (_make_calibrations, _read_calibration),
-    "databases": (_make_database, lambda _, path: read_database(path)),
-    "pair lists": (_make_pair_list, lambda _, path: read_pairs(path)),
-    "batch lists": (_make_batch_lists, lambda _, path: read_pair_list(path)),
-    "weights": (_make_weights, lambda _, path: load_network(path)),
+    "lists": (_make_lists, _read_list),
+    "weights": (_make_weights, load_network),
     "matches": (_make_matches, _read_matches),
-    "batches": (make_batch, lambda folder, _: pair_geometries(read_batch(folder))),
-    "unfinished batches": (make_unfinished_batch, _read_store),
+    "batches": (make_batch, lambda path: pair_geometries(read_batch(path.parent))),
 }

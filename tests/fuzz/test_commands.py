@@ -1,118 +1,151 @@
-"""What every command refuses, and what it never destroys."""
+"""What every command refuses, and what it never destroys: its inputs, and files of the user."""
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 import dense_scene
 import pytest
 from command_line import assert_refused, contents, run
-from fuzz.bad_values import command_lines, make_files
-from fuzz.hang import no_hang
+from fuzz.readers import make_batch
 from hypothesis import given
 from hypothesis import strategies as st
+from photos import write_photos
+from world_scene import world_scene, write_colmap
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
-from dgc_pose.cli.main import SUBCOMMANDS, main
+from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
 
-HANG_S = 120  # of a command, on a busy machine
-ESTIMATE = ("estimate", "one.png", "two.png", "--refine", "none", "--runs", "1")
+_LONG = "9" * 5000
+NUMBERS = ("nan", "inf", "-inf", "1e400", "-1e3", "x", "", "9" * 30, _LONG, "1;2", "٣x", "\udcff")
+_BOTH = ("", "/dev/null", "fifo", "one.png", "K.txt", "x" * 5000)
+OUTPUTS = (*_BOTH, "dir", "dir/", "junk", "loop", "no/x/y", "-/", "link")
+INPUTS = ("", "nowhere", "dir", "/dev/zero", "/dev/null", "/proc/kmsg", "fifo", "loop", "empty")
+INPUTS += ("junk", "junk.npy", "junk.pth", "x" * 5000, "\udcff.png")
+_NUMBERED = click.types.IntParamType | click.types.FloatParamType
+
 K = ("--K", dense_scene.K_TEXT)
-BENCH = ("bench-pairs", "pairs.txt", "--methods", "sift", "--limit", "1", "--runs", "1")
+ESTIMATE = ("estimate", "one.png", "two.png", "--weights", "sift", "--runs", "1")
+BATCH = ("--pairs", "sequential:1", *K, "--workers", "1", "--runs", "1", "--weights", "sift")
+# A command line that would succeed, but for what a case changes.
+BASES = {
+    "estimate": (*ESTIMATE[1:], *K),
+    "match": (*ESTIMATE[1:5], "--out", "new.npz"),
+    "demo": ("--refine", "none", "--runs", "1"),
+    "batch": ("photos", "--out", "new", *BATCH),
+    "reconstruct": ("photos", "--out", "new", *BATCH),
+    "export-colmap": ("batch", "--database", "new.db"),
+    "export": ("model", "--to", "nerfstudio", "--out", "new"),
+}
 
 
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Two pictures, a list and K.txt in the working folder; the network is a map."""
-    monkeypatch.chdir(tmp_path)
-    dense_scene.write_pair_list(tmp_path)
-    Path("K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
-    monkeypatch.setattr("dgc_pose.matchers.load_dense_matcher", _map_matcher)
-    yield tmp_path
-
-
-def _map_matcher(weights, *, options, **_):
-    return dense_scene.MapMatcher(dense_scene.true_map(), options)
+def command_lines():
+    """Those of every command but the laboratory's, with one option or argument that is bad."""
+    lines = []
+    for name in [*SECTIONS["Poses"], *SECTIONS["Many photographs"], "info"]:
+        base = BASES.get(name, ())
+        for parameter in main.get_command(click.Context(main), name).params:
+            numbered = isinstance(parameter.type, _NUMBERED)
+            if name == "serve" and not numbered:
+                continue  # it runs until it is stopped, whatever its weights are
+            flag = max(parameter.opts, key=len)
+            if isinstance(parameter, click.Argument):
+                lines += [(name, value, *base[1:]) for value in INPUTS if value and base]
+            elif isinstance(parameter.type, OutputFile):
+                lines += [(name, *base, flag, value) for value in OUTPUTS]
+            elif isinstance(parameter.type, OutputFolder):
+                lines += [(name, *base, flag, value) for value in (*_BOTH, "loop/x")]
+            elif numbered:
+                lines += [(name, *base, flag, value) for value in NUMBERS]
+            elif isinstance(parameter.type, click.Choice):
+                lines += [(name, *base, flag, value) for value in ("", "nosuch", _LONG)]
+            elif not parameter.is_flag:
+                lines += [(name, *base, flag, value) for value in INPUTS]
+    return list(dict.fromkeys(lines))
 
 
 @pytest.fixture(scope="module")
-def bad(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[Path, bytes]]:
-    """A folder with the files of the bad values."""
-    folder = tmp_path_factory.mktemp("bad")
-    make_files(folder)
+def files(tmp_path_factory):
+    """A folder with the files that the command lines name, and their contents."""
+    folder = tmp_path_factory.mktemp("files")
+    dense_scene.write_pair_list(folder)
+    (folder / "K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
+    (folder / "empty").write_text("")
+    for name in ("junk", "junk.npy", "junk.pth"):
+        (folder / name).write_bytes(bytes(range(256)) * 8)
+    write_photos(folder / "photos", 24)
+    write_colmap(world_scene(count=9), folder / "model")
+    for name in ("dir", "sparse/1"):
+        (folder / name).mkdir(parents=True)
+    make_batch(folder)
+    (folder / "sparse/1/letter.txt").write_text("of the user")
+    os.mkfifo(folder / "fifo")
+    (folder / "loop").symlink_to("loop")
+    (folder / "link").symlink_to("one.png")
     return folder, contents(folder)
 
 
+@pytest.fixture
+def folder(files, monkeypatch):
+    """The working folder, which a test leaves as it was."""
+    monkeypatch.chdir(files[0])
+    yield files[0]
+    assert contents(files[0]) == files[1]
+
+
 @given(words=st.sampled_from(command_lines()))
-def test_bad_values_are_refused_in_one_line_and_change_nothing(
-    words: tuple[str, ...],
-    bad: tuple[Path, dict[Path, bytes]],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    folder, before = bad
-    monkeypatch.chdir(folder)
-    with no_hang(HANG_S):
-        result = run(*words)
-    assert_refused(result)
-    assert contents(folder) == before
+def test_bad_values_are_refused_in_one_line_and_change_nothing(words, folder, files, begin_anew):
+    begin_anew()
+    assert_refused(run(*words))
+    assert contents(folder) == files[1]
 
 
-def test_every_number_option_has_a_range() -> None:
+def test_every_number_option_has_a_range(folder):
     """Of the dataclasses' options too: they refuse what lies outside when they are made."""
     for words in command_lines():
         if words[-1] in ("9" * 30, "-inf"):
             assert_refused(run(*words))
 
 
+MATCH = ("match", "one.png", "two.png")
+RECONSTRUCT = ("reconstruct", "batch", "--out", ".", *K)
+EXPORT = ("export-colmap", "batch", "--overwrite")
+
+
 @pytest.mark.parametrize(
-    "arguments",
+    ("words", "line"),
     [
-        (*ESTIMATE, *K, "--matches", "one.png"),
-        (*ESTIMATE, *K, "--json", "./link"),
-        (*ESTIMATE, "--K", "K.txt", "--json", "K.txt"),
-        ("match", "one.png", "two.png", "--weights", "w.pth", "--out", "w.pth"),
-        (*BENCH, "--methods", "w.pth:runs=1", "--json", "w.pth"),
-        (*BENCH, "--json", "hard.json"),
-        (*BENCH, "--json", "one.png"),
+        ((*ESTIMATE, *K, "--overwrite", "--matches", "one.png"), "would be lost"),
+        ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "would be lost"),
+        ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
+        ((*MATCH, "--overwrite", "--weights", "junk.pth", "--out", "junk.pth"), "would be lost"),
+        ((*EXPORT, "--database", "batch/matches.h5"), ""),
+        ((*EXPORT, "--database", "views/one.png"), ""),
+        (RECONSTRUCT, "is there already"),
+        ((*RECONSTRUCT, "--resume"), "sparse: holds other files"),
+        ((*ESTIMATE, *K, "--json", "junk"), "junk is there already: --overwr"),
+        ((*ESTIMATE, *K, "--max-pixels", "76799"), "320 x 240"),
     ],
-    ids=" ".join,
+    ids=str,
 )
-def test_no_output_replaces_an_input(folder: Path, arguments: tuple) -> None:
-    Path("link").symlink_to("one.png")
-    os.link("pairs.txt", "hard.json")
-    Path("w.pth").write_bytes(b"weights")
-    before = contents(folder)
-    assert_refused(run(*arguments, "--overwrite"), "would be lost")
-    assert contents(folder) == before
+def test_no_output_replaces_an_input_or_what_is_the_users(folder, words, line):
+    assert_refused(run(*words), line)
 
 
-@pytest.mark.parametrize(
-    ("option", "name"), [("--json", "pose.json"), ("--matches", "m.npz"), ("--plot", "photo.jpg")]
-)
-def test_an_output_that_exists_is_replaced_with_overwrite_alone(
-    folder: Path, option: str, name: str
-) -> None:
-    Path(name).write_bytes(b"of the user")
-    assert_refused(run(*ESTIMATE, *K, option, name), option, f"{name} is there already: --overwr")
-    assert Path(name).read_bytes() == b"of the user"
-    assert run(*ESTIMATE, *K, option, name, "--overwrite").exit_code == 0
-    assert Path(name).read_bytes() != b"of the user"
-
-
-def test_max_pixels_bounds_what_is_decoded(folder: Path) -> None:
-    assert_refused(run(*ESTIMATE, *K, "--max-pixels", "76799"), "320 x 240", "--max-pixels")
-    assert run(*ESTIMATE, *K, "--max-pixels", "76800").exit_code == 0
+def test_an_output_is_replaced_with_overwrite(folder):
+    Path("pose.json").write_bytes(b"of the user")
+    words = (*ESTIMATE, *K, "--max-pixels", "76800", "--json", "pose.json", "--overwrite")
+    assert run(*words).exit_code == 0
+    assert Path("pose.json").read_bytes() != b"of the user"
     assert "DGC_POSE_MAX_PIXELS" not in os.environ
+    Path("pose.json").unlink()
 
 
-def test_every_output_of_every_command_is_declared() -> None:
+def test_every_output_of_every_command_is_declared():
     """The guard knows the outputs by their types alone."""
     names = {"out", "json", "plot", "matches", "json_path", "plot_path"}
     for name in SUBCOMMANDS:
-        command = main.get_command(click.Context(main), name)
-        assert command is not None
-        for parameter in command.params:
+        for parameter in main.get_command(click.Context(main), name).params:
             last = (parameter.name or "").rpartition("__")[2]
             if last in names and not getattr(parameter, "is_flag", False) and name != "bench-dtu":
                 assert isinstance(parameter.type, OutputFile | OutputFolder), (name, parameter)

@@ -1,6 +1,7 @@
-"""Processes that are stopped or killed, or lose their streams: what they leave and print.
+"""Processes that are stopped or killed, lose their streams or meet a full disk: what they leave and
+print.
 
-The command is a light one that opens its output, writes half of it, and waits to be told more.
+COMMAND is a light one that opens its output, writes half of it, and waits to be told more.
 """
 
 import os
@@ -8,9 +9,10 @@ import resource
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
+import dense_scene
 import pytest
+from fuzz.readers import make_batch
 
 pytestmark = pytest.mark.slow
 
@@ -40,39 +42,33 @@ main()
 """
 
 
-def start(folder: Path, *arguments: str, **settings: object) -> subprocess.Popen[str]:
+def start(folder, *arguments, **settings):
     words = ("demo", "--overwrite", "--json", "out.json", *arguments)
     pipes = {"stdin": -1, "stdout": -1, "stderr": -1, **settings}
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     return subprocess.Popen(
         [sys.executable, "-c", COMMAND, *words], cwd=folder, text=True, env=environment, **pipes
-    )  # type: ignore
+    )
 
 
-def ready(process: subprocess.Popen[str]) -> subprocess.Popen[str]:
-    assert process.stdout is not None and process.stdout.readline() == "ready\n"
+def ready(process):
+    assert process.stdout.readline() == "ready\n"
     return process
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_stopped_command_leaves_nothing(tmp_path: Path, number: signal.Signals) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_a_stopped_command_leaves_nothing_and_a_killed_one_what_the_next_clears(tmp_path, number):
     (tmp_path / "out.json").write_text("{}")
     process = ready(start(tmp_path))
-    assert len(os.listdir(tmp_path)) == 2
     process.send_signal(number)
     _, printed = process.communicate(timeout=60)
-    assert process.returncode == 128 + number
-    assert printed.startswith("error: ") and printed.count("\n") == 1
-    assert os.listdir(tmp_path) == ["out.json"]
     assert (tmp_path / "out.json").read_text() == "{}"
-
-
-def test_a_killed_and_a_second_writer(tmp_path: Path) -> None:
-    """What the first left is cleared; the second is refused."""
-    process = ready(start(tmp_path))
-    process.kill()
-    process.communicate()
-    assert os.listdir(tmp_path) == [".out.json.partial"]
+    if number != signal.SIGKILL:
+        assert process.returncode == 128 + number
+        assert printed.startswith("error: ") and printed.count("\n") == 1
+        assert os.listdir(tmp_path) == ["out.json"]
+        return
+    assert set(os.listdir(tmp_path)) == {"out.json", ".out.json.partial"}
     first = ready(start(tmp_path))
     refused = start(tmp_path).communicate("on\n", timeout=60)
     assert refused == ("", "error: out.json: another run is writing there\n")
@@ -81,27 +77,51 @@ def test_a_killed_and_a_second_writer(tmp_path: Path) -> None:
     assert os.listdir(tmp_path) == ["out.json"]
 
 
-def test_a_full_disk_and_a_lost_stdout_are_one_line(tmp_path: Path) -> None:
-    def full() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-
-    process = start(tmp_path, "--size", "100000", preexec_fn=full)
-    assert process.communicate("on\n", timeout=60) == ("", "error: out.json: File too large\n")
-    assert (process.returncode, os.listdir(tmp_path)) == (2, [])
-    process = start(tmp_path, preexec_fn=lambda: os.close(1))
-    _, printed = process.communicate("on\n", timeout=60)
-    assert (process.returncode, printed) == (2, "error: stdout is closed\n")
-    assert os.listdir(tmp_path) == []  # that was before the work
+def test_a_lost_stdout_is_one_line(tmp_path):
     with open("/dev/full", "w") as stdout:
         process = start(tmp_path, "--size", "5", stdout=stdout)
         _, printed = process.communicate("on\n", timeout=60)
-    assert (process.returncode, printed) == (2, "error: stdout: No space left on device\n")
+    assert (process.returncode, printed) == (2, "error: No space left on device\n")
     read, write = os.pipe()
     os.close(read)  # as `head` does
     process = start(tmp_path, "--size", "5", stdout=write)
     os.close(write)
     assert process.communicate("on\n", timeout=60)[1] == ""
     assert process.returncode == 128 + signal.SIGPIPE
+
+
+ESTIMATE = (
+    "estimate",
+    "views/one.png",
+    "views/two.png",
+    "--K",
+    dense_scene.K_TEXT,
+    "--weights",
+    "sift",
+)
+
+
+@pytest.mark.parametrize(
+    ("size", "line", "words"),
+    [
+        (60_000, "x.db: File too large\n", ("export-colmap", "batch", "--database", "x.db")),
+        (500, "x.ply: ", (*ESTIMATE, "--ply", "x.ply")),
+    ],
+)
+def test_a_full_disk_is_one_line(tmp_path, size, line, words):
+    """SQLite's and HDF5's errors once ended the process, and left files."""
+    make_batch(tmp_path)
+    before = set(os.listdir(tmp_path))
+    ended = subprocess.run(
+        [sys.executable, "-m", "dgc_pose", *words],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size)),
+    )
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith(f"error: {line}") and ended.stderr.count("\n") == 1
+    assert set(os.listdir(tmp_path)) == before
 
 
 HANDLERS = """
@@ -115,7 +135,7 @@ print(pycolmap.__name__, "goes on", os.environ["ORT_DISABLE_TELEMETRY"])
 """
 
 
-def test_libraries_take_no_signal_and_report_nothing(tmp_path: Path) -> None:
+def test_libraries_take_no_signal_and_report_nothing(tmp_path):
     """pycolmap's import alone made SIGTERM print a stack trace; ONNX Runtime's telemetry starts a
     thread and keeps a file."""
     environment = {k: v for k, v in os.environ.items() if k != "ORT_DISABLE_TELEMETRY"}

@@ -8,7 +8,8 @@ from multi_view import SIZE, K, render_views, write_views
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.localization import locate
-from dgc_pose.matchers import MatcherCaches, MatcherOptions
+from dgc_pose.matchers import load_matcher
+from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model
 
 
@@ -20,12 +21,11 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
         for name, view in zip(write_views(tmp_path, views), views, strict=True)
     }
     model = Model(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
-    caches = MatcherCaches()
+    cache = image_cache()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
-    locator = locate.Locator(model, MatcherOptions().load(caches), options)
+    locator = locate.Locator(model, load_matcher(cache=cache), options)
     locator._images.limit_bytes = 1
     location = locator.locate(photo.pixels, K)
-    assert location.success and caches.features.made > 4
-    for cache in (caches.features, caches.native):
-        assert len({key[0].name for key in cache._kept} - {"query"}) <= 1
-        assert "query" not in {key[0].name for key in cache._kept}
+    assert location.success and cache.made > 8
+    kept = {key[0].name for key in cache._kept}
+    assert len(kept) <= 1 and "query" not in kept

@@ -1,4 +1,4 @@
-"""The network as a matcher: sizes, the half-pixel rule, the cycle error, rotations."""
+"""The network as a matcher: sizes, the half-pixel rule, rotations."""
 
 from dataclasses import replace
 from typing import Any
@@ -12,7 +12,9 @@ from map_nets import SMALL
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import within
 from dgc_pose.images.image import Image
-from dgc_pose.matching import CorrespondenceMap, DenseMatcher, MatchingOptions
+from dgc_pose.matching import CorrespondenceMap, MatchingOptions, NetworkMatcher
+from dgc_pose.matching.cache import image_cache
+from dgc_pose.matching.dense import dense_map
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -38,46 +40,29 @@ def _image(width: int, height: int, seed: int = 0) -> Image:
     return Image(cv2.resize(blots, (width, height), interpolation=cv2.INTER_CUBIC))
 
 
-def _map(matcher: DenseMatcher, first: Image, second: Image) -> CorrespondenceMap:
-    return matcher.correspondence_map(first, second)
+def _map(engine: TorchEngine, first: Image, second: Image) -> CorrespondenceMap:
+    return dense_map(engine, first, second, image_cache())
 
 
 @pytest.mark.parametrize("align_corners", [True, False])
 def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> None:
     """The map that is the identity at 240 scales by the half-pixel rule to any pair of sizes."""
-    matcher = DenseMatcher(TorchEngine(_constant_net(align_corners=align_corners)))
+    engine = TorchEngine(_constant_net(align_corners=align_corners))
     first, second = _image(1600, 1200), _image(320, 90)
-    found = _map(matcher, first, second)
+    found = _map(engine, first, second)
     cells = np.arange(240)
     for points, size in ((found.map, first.size), (found.grid, second.size)):
         np.testing.assert_allclose(points[7, :, 0], (cells + 0.5) * size[0] / 240 - 0.5, atol=2e-3)
         np.testing.assert_allclose(points[:, 9, 1], (cells + 0.5) * size[1] / 240 - 0.5, atol=2e-3)
     assert found.map.dtype == found.grid.dtype == found.matchability.dtype == np.float32
-    assert found.matchability.shape == (240, 240) and found.cycle is None
-
-
-def test_the_cycle_error_is_the_distance_after_both_maps() -> None:
-    """Forward by +1 cell and back by +1 cell is an error of 2 cells, in pixels of image 2."""
-    options = MatchingOptions(cycle_px=5.0, matchability=0.0)
-    matcher = DenseMatcher(TorchEngine(_constant_net(2 / 240, align_corners=False)), options)
-    pair = _image(480, 480), _image(960, 480)
-    result = matcher.match(*pair)
-    found = result.correspondence_map
-    assert found is not None and found.cycle is not None
-    np.testing.assert_allclose(found.cycle[:, :200], 2 * 960 / 240, atol=0.05)
-    assert len(result.matches) == 0
-    still = DenseMatcher(TorchEngine(_constant_net(0.0)), options)
-    result = still.match(*pair)
-    assert result.correspondence_map is not None
-    np.testing.assert_allclose(result.correspondence_map.cycle, 0, atol=0.05)
-    assert len(result.matches) > 1000
+    assert found.matchability.shape == (240, 240)
 
 
 def test_a_mask_network_has_no_coarser_level() -> None:
-    masked = DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))))
-    assert masked.coarse_map(_image(100, 100), _image(100, 100)) is None
+    masked = NetworkMatcher(TorchEngine(DGCNet(preset("dgcm"))))
+    assert masked.coarse(_image(100, 100), _image(100, 100)) is None
     with pytest.raises(InputError, match="finest"):
-        DenseMatcher(TorchEngine(DGCNet(preset("dgcm"))), MatchingOptions(finest=120))
+        NetworkMatcher(TorchEngine(DGCNet(preset("dgcm"))), MatchingOptions(finest=120))
     with pytest.raises(InputError, match="finest"):
         MatchingOptions(finest=100)  # type: ignore[arg-type]
 
@@ -86,7 +71,7 @@ def test_nothing_is_nan_whatever_the_network_says() -> None:
     net = _constant_net()
     with torch.no_grad():
         net.get_submodule("reg_0.final").bias.fill_(torch.nan)
-    matcher = DenseMatcher(TorchEngine(net), MatchingOptions(matchability=0.0))
+    matcher = NetworkMatcher(TorchEngine(net), MatchingOptions(matchability=0.0, aligned="none"))
     result = matcher.match(_image(100, 100), _image(100, 100))
     assert result.correspondence_map is not None
     assert np.isfinite(result.correspondence_map.map).all()
@@ -112,7 +97,7 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
         return replace(decode(*given), matchability=np.full((240, 240), value))
 
     monkeypatch.setattr(engine, "decode", decode_upright_alone)
-    found = _map(DenseMatcher(engine), upright, second)
+    found = _map(engine, upright, second)
     assert len(calls) == 2 and found.matchability.shape == (240, 240)
     # The identity between the whole of image 1 and the view of image 2.
     truth = (view2.to_view(found.grid) + 0.5) / view2.size * upright.size - 0.5

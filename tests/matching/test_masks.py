@@ -16,9 +16,8 @@ from dgc_pose.geometry.pixels import within
 from dgc_pose.images.image import Image
 from dgc_pose.images.mask import masked
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions, MatchResult
+from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher, network_matcher
 from dgc_pose.matching.flow import FlowMatcher
-from dgc_pose.refinement import RefinementOptions, refiner
 
 SIDE = 4 * np.array(dense_scene.SIZE)  # more than textures are computed on
 CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
@@ -72,18 +71,21 @@ def test_no_step_of_the_network_matches_masked_pixels(
     plain: list[Image], images: list[Image], monkeypatch: pytest.MonkeyPatch, min_aligned: int
 ) -> None:
     """Of aligned matches, and where those that agree complete them."""
-    monkeypatch.setattr(refiner, "MIN_ALIGNED", min_aligned)
+    monkeypatch.setattr(network_matcher, "MIN_ALIGNED", min_aligned)
     hypotheses = [TwoViews(CAMERA, CAMERA, dense_scene.R, dense_scene.T)]
     matcher = load_matcher()
-    searches = matcher.search(*images), matcher.search(*plain)
-    for step in ("quick", "fine", "whole", "more"):
-        results = []
-        for search in searches:
-            result = getattr(search, step)(*([hypotheses] if step == "more" else []))
-            assert result is not None, step
-            results.append(result.matches)
-        _assert_none_masked(results[0], *images)
-        assert len(results[0]) > 50 and _on_masked(results[1].points2, images[1]).mean() > 0.2
+    assert isinstance(matcher, NetworkMatcher)
+    steps = []
+    for pair in (images, plain):
+        coarse, full = matcher.coarse(*pair), matcher.match(*pair)
+        assert coarse is not None
+        results = coarse, matcher.refined(*pair, coarse), full
+        steps.append([*results, matcher.guided(*pair, full, hypotheses)])
+    for result, other in zip(*steps, strict=True):
+        assert result is not None and other is not None
+        _assert_none_masked(result.matches, *images)
+        assert len(result.matches) > 50
+        assert _on_masked(other.matches.points2, images[1]).mean() > 0.2
 
 
 @pytest.mark.parametrize("name", ["sift", "dis", "map", "none", "onnx"])
@@ -91,7 +93,7 @@ def test_no_other_matcher_does(
     name: str, plain: list[Image], images: list[Image], tmp_path: Path
 ) -> None:
     if name in ("map", "none"):
-        matcher = load_matcher(refinement=RefinementOptions(name))  # type: ignore[arg-type]
+        matcher = load_matcher(matching=MatchingOptions(aligned=name))  # type: ignore[arg-type]
     else:
         matcher = load_matcher(_patches(tmp_path) if name == "onnx" else name)
     matches = matcher.match(*images).matches

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.search import search_views
 from dgc_pose.matching.view import View
+from dgc_pose.matching.view_search import search_views
 from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
 
 

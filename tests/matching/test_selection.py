@@ -3,10 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from dgc_pose.errors import InputError
-from dgc_pose.matching.matcher import CorrespondenceMap
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.selection import (
     MatchingOptions,
     even_subsample,
@@ -20,13 +18,12 @@ def _map(seed: int = 0, side: int = 60) -> CorrespondenceMap:
     grid = np.stack(np.meshgrid(axis, axis), -1).astype(np.float32)
     points1 = grid + rng.normal(0, 3, grid.shape).astype(np.float32)
     matchability = rng.random((side, side)).astype(np.float32)
-    cycle = rng.exponential(4, (side, side)).astype(np.float32)
-    return CorrespondenceMap(points1, grid, matchability, (600, 600), (600, 600), cycle)
+    return CorrespondenceMap(points1, grid, matchability, (600, 600), (600, 600))
 
 
 def test_filters_against_a_loop() -> None:
     correspondence_map = _map()
-    options = MatchingOptions(matchability=0.6, cycle_px=3.0, max_matches=10_000)
+    options = MatchingOptions(matchability=0.6, max_matches=10_000)
     found = select_matches(correspondence_map, options)
     expected = []
     for row in range(60):
@@ -34,7 +31,7 @@ def test_filters_against_a_loop() -> None:
             x, y = correspondence_map.map[row, column]
             inside = -0.5 <= x <= 599.5 and -0.5 <= y <= 599.5
             sure = correspondence_map.matchability[row, column] >= 0.6
-            if inside and sure and correspondence_map.cycle[row, column] <= 3.0:
+            if inside and sure:
                 expected.append((x, y, *correspondence_map.grid[row, column]))
     assert 300 < len(expected) < 1500
     np.testing.assert_array_equal(
@@ -65,9 +62,3 @@ def test_a_small_patch_is_no_match() -> None:
     patch = replace(correspondence_map, matchability=few)
     assert len(select_matches(patch, MatchingOptions(), 0.01)) == 0
     assert len(select_matches(patch, MatchingOptions(), 0.0)) == 16
-
-
-def test_a_cycle_error_is_required_if_asked_for() -> None:
-    one_way = replace(_map(), cycle=None)
-    with pytest.raises(InputError, match="cycle"):
-        select_matches(one_way, MatchingOptions(cycle_px=2.0))

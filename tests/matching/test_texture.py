@@ -12,10 +12,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher
+from dgc_pose.matching import Matcher, MatchingOptions
 from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
-from dgc_pose.refinement import Refiner
 
 SIZE = (320, 240)
 PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)
@@ -31,17 +30,18 @@ def _blank(kind: BlankKind, seed: int = 0) -> Image:
     return Image(blank(kind, SIZE, np.random.default_rng([seed, BLANKS.index(kind)])))
 
 
-def _everywhere() -> Matcher:
+def _everywhere(options: MatchingOptions | None = None) -> Matcher:
     """A network that is sure of every pixel of any two images."""
     dense = dense_scene.true_map()
-    return dense_scene.MapMatcher(replace(dense, matchability=np.ones_like(dense.matchability)))
+    sure = replace(dense, matchability=np.ones_like(dense.matchability))
+    return dense_scene.MapMatcher(sure, options)
 
 
 @pytest.mark.parametrize("source", ["map", "map refined", "sift"])
 def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image) -> None:
     matcher = SiftMatcher() if source == "sift" else _everywhere()
     if source == "map refined":
-        matcher = Refiner(matcher)
+        matcher = _everywhere(MatchingOptions(aligned="map"))
     camera = Camera(dense_scene.K, SIZE)
     for kind in BLANKS:
         image = _blank(kind)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.dense import load_dense_matcher
+from dgc_pose.matchers import load_matcher
 from dgc_pose.network.config import preset
 
 
@@ -31,7 +31,7 @@ def test_a_wide_pair_is_matched_in_its_shape():
         picture += resize(noise, (640, 220)).astype(float) / 3
     pixels = picture.astype(np.uint8)
     pair = Image(pixels[:180, :540].copy()), Image(pixels[30:210, 60:600].copy())
-    dense = load_dense_matcher("dgcm-lite0").match(*pair).correspondence_map
+    dense = load_matcher("dgcm-lite0").match(*pair).correspondence_map
     height, width = dense.matchability.shape
     assert (width, height) == preset("dgcm-lite0").input_size((540, 180))
     offset = (dense.map - dense.grid)[height // 4 : -height // 4, width // 4 : -width // 4]

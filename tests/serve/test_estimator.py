@@ -7,20 +7,18 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-import serve_parts
 from PIL import Image
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.serve.cameras import CameraRequest
+from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.images import StoredImage
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory):
-    paths = dense_scene.write_pictures(tmp_path_factory.mktemp("pictures"))
-    stored = [StoredImage(path, path) for path in paths]
-    request = CameraRequest("k", dense_scene.K_TEXT)
-    return serve_parts.estimator().estimate(lambda text: None, *stored, request)
+def result(pictures, map_matcher):
+    stored = [StoredImage(path, path) for path in pictures]
+    request = {"kind": "k", "k1": dense_scene.K_TEXT}
+    return Estimator(map_matcher, None).estimate(lambda text: None, *stored, request)
 
 
 def decoded(url):

@@ -9,49 +9,112 @@ import dense_scene
 import numpy as np
 import pytest
 from ambiguous_pose import ambiguous_pose
-from serve_parts import DONE, estimate_rendered
 
-from dgc_pose.cameras.pair_list import rendered_pair
+from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
+from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.matchers import load_matcher
 
 pytestmark = pytest.mark.slow
 
-
-def numbers(text):
-    """Those of a matrix, as the page shows it."""
-    return np.array([[float(cell) for cell in line.split()] for line in text.splitlines()])
-
-
-def test_the_rendered_pair_gets_its_pose(rendered):
-    assert rendered.text("#verdict") == "A pose"
-    assert "inliers" in rendered.text("#numbers") and "expected error" in rendered.text("#numbers")
-    pair = rendered_pair()
-    R, t = (numbers(rendered.text(f"#poses table[aria-label={name}]")) for name in "Rt")
-    np.testing.assert_allclose(R, pair.R, atol=0.01)
-    np.testing.assert_allclose(t[:, 0], pair.t / np.linalg.norm(pair.t), atol=0.02)
-    # The server's folders are none of the page's business.
-    assert str(pair.path1.parent) not in rendered.evaluate("document.documentElement.innerHTML")
-    assert rendered.text("#command").startswith("dgc-pose estimate image1.jpg image2.jpg --K1 ")
-    assert "--weights sift" in rendered.text("#command")
-    # A matcher of key points has no map.
-    assert rendered.evaluate("document.querySelector('#map-part').hidden")
+DONE = "document.querySelector('#progress').textContent.startsWith('done')"
+STALE = "document.querySelector('#result').classList.contains('stale')"
+# Elements that do not lie within the window.
+OUTSIDE = """[document.scrollingElement, ...document.querySelectorAll('body *')].filter((part) => {
+  const { left, right, width } = part.getBoundingClientRect();
+  return width && (left < -0.5 || right > innerWidth + 0.5);
+}).map((part) => part.outerHTML.slice(0, 100))"""
 
 
-def test_the_bundled_photographs_are_taken_without_k(page):
-    page.click("[value=k]")
-    page.click("#example")
-    page.wait(DONE)
-    assert page.text("#verdict") == "A pose" and "K was not known" in page.text("#basis")
-    assert page.text("#command").startswith("dgc-pose estimate image1.jpg image2.jpg --K auto ")
-    assert page.text("#caption1") == "image1.jpg, 1280 x 960"
-    expected = re.search(r"expected error\n(.*)", page.text("#numbers"))
-    assert expected and expected[1].endswith(", nine times in ten if the pose is right")
+def set_value(page, selector, value):
+    page.evaluate(
+        f"(() => {{ const e = document.querySelector('{selector}'); e.value = '{value}';"
+        "e.dispatchEvent(new Event('input', { bubbles: true })); })()"
+    )
 
 
-# The answer with so much more.
+def matrices(page):
+    """Those of the poses that the page shows."""
+    texts = page.evaluate("[...document.querySelectorAll('#poses table')].map((t) => t.innerText)")
+    return [np.array([line.split() for line in text.splitlines()], float) for text in texts]
+
+
+def assert_fits(page, widths):
+    for width in widths:
+        page.resize(width, 900)
+        for kind in ("auto", "file", "fov", "k"):
+            page.click(f"[value={kind}]")
+            assert page.evaluate(OUTSIDE) == []
+    page.resize(1400, 1600)
+
+
+def test_a_pair_of_files_gives_its_pose(open_page, map_matcher, pictures, tmp_path):
+    bad = tmp_path / "bad <b>.png"
+    bad.write_bytes(b"not an image")
+    with open_page(map_matcher, images=2) as page:
+        page.choose("#file1", bad)
+        page.wait("!document.querySelector('#error').hidden")
+        page.errors.clear()  # the browser notes the refusal
+        assert page.text("#error").startswith("bad <b>.png: the file is not an image of a known")
+        page.click("[value=k]")
+        set_value(page, "#k1", dense_scene.K_TEXT)
+        page.choose("#file1", *map(Path, pictures))
+        page.wait(DONE)
+        assert page.evaluate("document.querySelector('#error').hidden")
+        assert page.text("#verdict") == "A pose" and "expected error" in page.text("#numbers")
+        R, t = matrices(page)
+        np.testing.assert_allclose(R, dense_scene.R, atol=0.01)
+        np.testing.assert_allclose(t[:, 0], dense_scene.T, atol=0.02)
+        # The server's folders are none of the page's business.
+        assert str(tmp_path) not in page.evaluate("document.documentElement.innerHTML")
+        assert page.text("#command").startswith("dgc-pose estimate one.png two.png --K ")
+        for place in ((0.25, 0.5), (0.7, 0.6)):
+            assert_pointed(page, place)
+        assert_fits(page, (360, 1280))
+        set_value(page, "#k1", "310,310,159.5,119.5")
+        assert page.evaluate(STALE) and "has changed" in page.text("#stale")
+        # Another tab sends two images, which are all that this server keeps.
+        page.choose("#kfile", Path(pictures[0]))
+        page.evaluate(
+            "(async () => { const token = document.querySelector('meta[name=token]').content;"
+            "for (const name of ['a', 'b']) await fetch(`/images?name=${name}`, { method: 'POST',"
+            " headers: { 'x-dgc-pose-token': token },"
+            " body: await document.querySelector('#kfile').files[0].arrayBuffer() }); })()"
+        )
+        page.click("#estimate")
+        page.wait(f"!{STALE}")
+        assert "310.0 px" in page.text("#numbers")
+        assert "410" in page.errors.pop()  # which the browser notes
+        page.evaluate(
+            "(() => { window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob);"
+            " return 'data:,'; }; HTMLAnchorElement.prototype.click = () => {}; })()"
+        )
+        page.click("#save-json")
+        page.wait("saved.length === 1")
+        data = json.loads(page.evaluate("saved[0].text()"))
+        assert data["status"] == "ok" and len(data["matches"]["points"]) > 100
+
+
+def assert_pointed(page, place):
+    """The map's point stands in the other image, on the epipolar line."""
+    before = page.text("#pointed")
+    page.hover("#view", place)
+    page.wait(f"document.querySelector('#pointed').innerText !== {json.dumps(before)}")
+    page.wait("document.querySelector('#pointed').textContent.includes('by the map')")
+    numbers = re.findall(r"image ([12]) \(([-.\d]+), ([-.\d]+)\)", page.text("#pointed"))
+    (image, at), (_, there) = [(int(n), np.array([float(x), float(y)])) for n, x, y in numbers[:2]]
+    assert image == (1 if place[0] < 0.5 else 2)
+    x1, x2 = (at, there) if image == 1 else (there, at)
+    # The server rounds to 0.1 pixels, and its map has an error of 0.2.
+    np.testing.assert_allclose(dense_scene.points_in_image1(x2), x1, atol=1.2)
+    distance = re.search(r"([.\d]+) px from the epipolar line", page.text("#pointed"))
+    assert distance is not None and float(distance[1]) < 1.2
+
+
+# The server's answers with another result.
 CHANGED = """(() => {
-  const asked = window.asked_of_the_server = window.fetch;
+  const ask = window.fetch;
   window.fetch = async (path, ...rest) => {
-    const answer = await asked(path, ...rest);
+    const answer = await ask(path, ...rest);
     if (path !== '/poses') return answer;
     const lines = (await answer.text()).split('\\n').map((line) => {
       const data = line && JSON.parse(line);
@@ -64,194 +127,98 @@ CHANGED = """(() => {
 })()"""
 
 
-def test_both_poses_of_an_ambiguous_pair_are_shown(page):
-    pose = ambiguous_pose().to_dict()
-    changes = {"pose": pose, "reason": pose["warnings"][0], "F": None, "scene": None}
-    page.evaluate(CHANGED % json.dumps(changes))
-    estimate_rendered(page)
-    assert page.text("#verdict") == "Two poses explain these photographs"
-    assert "do not show which of them is right" in page.text("#reason")
-    tables = "[...document.querySelectorAll('#poses %s')].map((part) => part.innerText)"
-    captions = page.evaluate(tables % "figcaption")
-    assert captions == [
-        "Pose 1: probability 52 %, 271 inliers, rotation 28.65°",
-        "Pose 2: probability 45 %, 270 inliers, rotation 18.12°",
-    ]
-    shown = list(map(numbers, page.evaluate(tables % "table")))
-    for R, t, pose in zip(shown[::2], shown[1::2], ambiguous_pose().alternatives, strict=True):
-        np.testing.assert_allclose(R, pose.R, atol=1e-6)
-        np.testing.assert_allclose(t[:, 0], pose.t, atol=1e-6)
-    # Nothing that is known of one pose alone.
-    assert page.evaluate("document.querySelector('#alternatives').hidden")
-    facts = page.text("#numbers")
-    assert "probability" not in facts and "K1" not in facts and "angle" not in facts
-    assert page.text("#pointed") == "There is no pose, so there are no epipolar lines."
-    # The next pose takes the place of both.
-    page.evaluate("window.fetch = asked_of_the_server")
-    page.click("#estimate")
-    page.wait("document.querySelector('#verdict').textContent === 'A pose'")
-    assert page.evaluate("document.querySelectorAll('#poses table').length") == 2
+def test_both_poses_of_an_ambiguous_pair_are_shown(open_page, map_matcher):
+    ambiguous = ambiguous_pose()
+    data = ambiguous.to_dict()
+    changes = {"pose": data, "reason": data["warnings"][0], "F": None, "scene": None}
+    with open_page(map_matcher) as page:
+        page.evaluate(CHANGED % json.dumps(changes))
+        page.click("#example")
+        page.wait(DONE)
+        assert page.text("#verdict") == "Two poses explain these photographs"
+        assert "do not show which of them is right" in page.text("#reason")
+        assert "Pose 2: probability 45 %, 270 inliers" in page.text("#poses")
+        shown = matrices(page)
+        for R, t, pose in zip(shown[::2], shown[1::2], ambiguous.alternatives, strict=True):
+            np.testing.assert_allclose(R, pose.R, atol=1e-6)
+            np.testing.assert_allclose(t[:, 0], pose.t, atol=1e-6)
+        # Nothing that is known of one pose alone.
+        assert "probability" not in page.text("#numbers") and "K1" not in page.text("#numbers")
+        assert page.text("#pointed").endswith("no pose, so there are no epipolar lines.")
 
 
-def test_the_pointer_brings_epipolar_lines(rendered):
-    empty = rendered.drawn("#view")
-    rendered.hover("#view", (0.25, 0.5))
-    pointed = rendered.redrawn("#view", empty)
-    assert rendered.text("#pointed").startswith("image 1 (")
-    rendered.hover("#view", (0.75, 0.5))
-    rendered.redrawn("#view", pointed)
-    rendered.click("#show-epipolar")
-    rendered.click("#show-lines")
-    without = rendered.drawn("#view")
-    rendered.hover("#view", (0.25, 0.5))
-    rendered.wait("document.querySelector('#pointed').textContent.startsWith('image 1')")
-    pointed = rendered.redrawn("#view", without)  # the point alone
-    rendered.click("#show-epipolar")
-    rendered.hover("#view", (0.25, 0.5))
-    rendered.redrawn("#view", pointed)
+ROWS = "[...document.querySelectorAll('#pairs tbody tr')]"
+TEXTS = f"{ROWS}.map((row) => [...row.cells].map((cell) => cell.innerText.trim()))"
 
 
-def test_photographs_that_are_chosen_are_estimated_at_once(page, tmp_path):
-    pair = rendered_pair()
-    page.choose("#file1", pair.path1, pair.path2)  # both at once
-    page.wait(DONE)
-    assert page.text("#caption2").startswith("image2.jpg, 720 x 640")
-    assert "--K auto" in page.text("#command")
-    facts = page.text("#numbers")
-    assert "K1\nf " in facts and "K2\nf " in facts and " ± " in facts
-    assert "K was not known" in page.text("#basis")
-
-
-def test_a_file_of_cameras_is_sent_with_its_name(rendered, tmp_path):
-    (tmp_path / "my K.txt").write_text("800 0 390 0 800 310 0 0 1")
-    assert "K1\nf 820.0 px, cx 404.3, cy 296.8" in rendered.text("#numbers")
-    rendered.click("[value=file]")
-    rendered.choose("#kfile", tmp_path / "my K.txt")
-    rendered.click("#estimate")
-    rendered.wait("document.querySelector('#command').textContent.includes(\"--K 'my K.txt'\")")
-    assert "K1, K2\nf 800.0 px, cx 390.0, cy 310.0" in rendered.text("#numbers")
-
-
-def test_what_is_wrong_is_told(page, tmp_path):
-    bad = tmp_path / "bad <b>.png"
-    bad.write_bytes(b"not an image")
-    page.choose("#file1", bad)
-    page.wait("!document.querySelector('#error').hidden")
-    page.errors.clear()  # the browser notes the refusal
-    words = "bad <b>.png: the file is not an image of a known format"
-    assert page.text("#error").startswith(words)
-    good, turned = tmp_path / "good.png", tmp_path / "turned.png"
-    pixels = cv2.imread(str(rendered_pair().path1))[::4, ::4]
-    cv2.imwrite(str(good), pixels)
-    cv2.imwrite(str(turned), cv2.rotate(pixels, cv2.ROTATE_180))
-    page.choose("#file1", good)
-    page.wait("document.querySelector('#error').hidden")
-    page.choose("#file2", turned)
-    page.wait(DONE)
-    assert page.text("#verdict") == "A rotation alone"
-    assert page.text("#reason").endswith("(rotation_only).")
-
-
-def test_an_error_stays_until_its_photograph_is_there(page, tmp_path):
-    """Whatever is sent to the other place, or estimated, meanwhile."""
-    bad, good = tmp_path / "bad.png", rendered_pair().path1
-    bad.write_bytes(b"not an image")
-    page.choose("#file1", bad)
-    page.wait("document.querySelector('#error').textContent.startsWith('bad.png: ')")
-    page.errors.clear()  # the browser notes the refusal
-    page.choose("#file2", good)
-    page.wait("document.querySelector('#caption2').textContent.startsWith('image1.jpg')")
-    assert not page.evaluate("document.querySelector('#error').hidden")
-    assert page.text("#error").startswith("bad.png: ")
-    page.choose("#file1", rendered_pair().path2)
-    page.wait(DONE)
-    assert page.evaluate("document.querySelector('#error').hidden")
-
-
-def test_an_empty_field_of_view_is_asked_for(rendered):
-    rendered.click("[value=fov]")
-    set_value(rendered, "#fov", "")
-    rendered.click("#estimate")
-    rendered.wait("document.querySelector('#error').textContent.includes('field of view')")
-    rendered.errors.clear()  # the browser notes the refusal
-    assert rendered.text("#error") == "give the field of view in degrees"
-
-
-STALE = "document.querySelector('#result').classList.contains('stale')"
-
-
-def set_value(page, selector, value):
-    page.evaluate(
-        f"(() => {{ const e = document.querySelector('{selector}'); e.value = '{value}';"
-        "e.dispatchEvent(new Event('input', { bubbles: true })); })()"
-    )
-
-
-def test_a_result_belongs_to_its_inputs(map_page, tmp_path):
-    page = map_page
-    colour = "getComputedStyle(document.querySelector('#verdict')).color"
-    fresh = page.evaluate(colour)
-    assert not page.evaluate(STALE)
-    set_value(page, "#k1", "310,310,159.5,119.5")
-    assert page.evaluate(STALE) and page.evaluate(colour) != fresh
-    assert "has changed" in page.text("#stale")
-    set_value(page, "#k1", dense_scene.K_TEXT)
-    assert not page.evaluate(STALE) and page.evaluate(colour) == fresh
-    page.click("[value=auto]")
-    assert page.evaluate(STALE)
-    page.click("[value=k]")
-    assert not page.evaluate(STALE)
-    set_value(page, "#k1", "")
-    cv2.imwrite(str(tmp_path / "other.png"), dense_scene.pictures(seed=1)[0])
-    page.choose("#file2", tmp_path / "other.png")
-    page.wait("document.querySelector('#caption2').textContent.startsWith('other.png')")
-    page.wait("document.querySelector('#error').textContent.startsWith('give K')")
-    assert page.evaluate(STALE)
-    set_value(page, "#k1", dense_scene.K_TEXT)
-    page.click("#estimate")
-    page.wait(f"!{STALE}")
-
-
-@pytest.mark.parametrize("source", ["files", "example"])
-def test_images_that_the_server_has_dropped_are_sent_again(map_page, tmp_path, source):
-    page = map_page
-    paths = [Path(path) for path in dense_scene.write_pictures(tmp_path)]
-    if source == "files":
-        page.choose("#file1", *paths)
+def test_a_folder_gives_a_table_of_its_pairs(open_page, tmp_path):
+    """Of two photographs of a scene and one of another, among other files."""
+    folder = tmp_path / "folder"
+    (folder / "more").mkdir(parents=True)
+    one, two = dense_scene.pictures()
+    names = ("a1.png", "a2.png", "more/a10.png")
+    for name, picture in zip(names, (one, two, dense_scene.pictures(seed=1)[0]), strict=True):
+        cv2.imwrite(str(folder / name), picture[..., ::-1])
+    (folder / "notes.txt").write_text("of another kind")
+    with open_page(load_matcher("sift")) as page:
+        page.click("[value=k]")
+        set_value(page, "#k1", dense_scene.K_TEXT)
+        page.drop("#drop2", folder)
         page.wait(
-            f"{DONE} && document.querySelector('#caption1').textContent.startsWith('one.png')"
+            "document.querySelector('#pairs-progress').textContent === '3 pairs, 1 with a pose'"
         )
-    # Another tab sends two images, which are all that this server keeps.
-    page.choose("#kfile", paths[0])
-    page.evaluate(
-        "(async () => { const token = document.querySelector('meta[name=token]').content;"
-        "for (const name of ['a', 'b']) await fetch(`/images?name=${name}`, { method: 'POST',"
-        " headers: { 'x-dgc-pose-token': token },"
-        " body: await document.querySelector('#kfile').files[0].arrayBuffer() }); })()"
-    )
-    set_value(page, "#k1", "310,310,159.5,119.5")
-    page.click("#estimate")
-    page.wait(f"!{STALE}")
-    assert page.evaluate("document.querySelector('#error').hidden")
-    assert page.text("#verdict") == "A pose"
-    assert "310.0 px" in page.text("#numbers")
-    if source == "files":  # those of the package are kept
-        assert len(page.errors) == 1 and "410" in page.errors.pop()  # which the browser notes
+        assert page.text("#taken") == "3 of 4 files are photographs by type or name; 3 are taken."
+        first, *others = page.evaluate(TEXTS)
+        assert first[:2] == ["a1.png, a2.png", "A pose"]
+        angle = float(first[3].removesuffix("°"))
+        assert angle == pytest.approx(rotation_angle_deg(dense_scene.R), abs=0.5)
+        assert re.fullmatch(r"R within [\d.]+°, t within [\d.]+°", first[4])
+        assert [row[0] for row in others] == ["a1.png, a10.png", "a2.png, a10.png"]
+        for row in others:
+            assert row[1].startswith("No pose\n") and row[2:5] == ["", "", ""]
+        assert_fits(page, (390, 1280))
+        page.click("#pairs tbody tr:nth-child(1) button")
+        page.wait(DONE)
+        assert page.text("#verdict") == first[1]
+        assert f"rotation angle\n{first[3]}\n" in page.text("#numbers")
+        page.click("#pairs tbody tr:nth-child(2) button")
+        page.wait("document.querySelector('#verdict').textContent === 'No pose'")
+        assert page.text("#numbers").endswith("agree with the best essential matrix")
+        shown = (
+            "[...document.querySelectorAll('#result [data-posed], #result canvas')]"
+            ".filter((part) => part.offsetParent).map((part) => part.id)"
+        )
+        assert page.evaluate(shown) == ["view"]
 
 
-def test_without_a_pose_nothing_that_a_pose_alone_has_is_shown(page, tmp_path):
-    for name, seed in (("one.png", 1), ("two.png", 2)):
-        cv2.imwrite(str(tmp_path / name), dense_scene.pictures(seed)[0])
-    page.choose("#file1", tmp_path / "one.png", tmp_path / "two.png")
-    page.wait(DONE)
-    assert page.text("#verdict") == "No pose"
-    assert page.text("#reason").endswith(").")  # why, and the status
-    assert page.text("#numbers").endswith("agree with the best essential matrix")
-    shown = (
-        "[...document.querySelectorAll('#result [data-posed], #result canvas')]"
-        ".filter((part) => part.offsetParent).map((part) => part.id)"
-    )
-    assert page.evaluate(shown) == ["view"]
-    estimate_rendered(page)
-    assert page.text("#verdict") == "A pose"
-    assert {"view", "scene", "histogram"} <= set(page.evaluate(shown))
+def test_what_is_drawn_is_where_the_geometry_says(open_page, map_matcher):
+    """Both lines of a pixel are of one epipolar plane, and the scene is seen from behind camera 1,
+    with the eye far off."""
+    E = essential_from_pose(dense_scene.R, dense_scene.T)
+    F = fundamental_from_essential(E, dense_scene.K, dense_scene.K)
+    with open_page(map_matcher) as page:
+        for image, pixel in ((0, [40.0, 70.0, 1.0]), (1, [200.0, 30.0, 1.0])):
+            known = {
+                "pointer": [image, *pixel[:2]],
+                "result": {"F": (F / np.abs(F).max()).tolist()},
+            }
+            asked = (
+                "import('/static/view.js').then(({ View }) => View.prototype.epipolarLines.call("
+            )
+            lines = page.evaluate(f"{asked}{json.dumps(known)}))")
+            own, other = map(np.array, lines)
+            matrix = F if image == 0 else F.T
+            expected = matrix @ pixel
+            np.testing.assert_allclose(other / other[1], expected / expected[1])
+            # Through the pixel and the epipole, which the matrix takes to 0.
+            line = np.cross(pixel, np.linalg.svd(matrix)[2][2])
+            np.testing.assert_allclose(own / own[1], line / line[1], rtol=1e-6)
+        places = page.evaluate(
+            "import('/static/scene.js').then(({ Scene }) => {"
+            " const scene = new Scene(document.createElement('canvas'));"
+            " Object.assign(scene, { middle: [1, 2, 3], radius: 2, azimuth: 0, elevation: 0 });"
+            " const seen = scene.projection(100, 50, 10);"
+            " return [[1, 2, 3], [2, 2, 3], [1, 3, 3], [2, 2, 5]].map(seen); })"
+        )
+    expected = [[100, 50, 5.2], [100 + 10 / 5.2, 50, 5.2], [100, 50 + 10 / 5.2, 5.2]]
+    np.testing.assert_allclose(places, [*expected, [100 + 10 / 7.2, 50, 7.2]])

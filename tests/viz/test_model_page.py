@@ -16,10 +16,12 @@ from ambiguous_pose import ambiguous_pose
 from PIL import Image
 from world_scene import CAMERA, IMAGE, world_scene
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.images.image import load_image
 from dgc_pose.model import Model
-from dgc_pose.pose import estimate_relative_pose
+from dgc_pose.pose import solve_pair
 from dgc_pose.viz import model_page, pose_page
 
 # Of the upper left, the upper right, the lower right and the lower left quarter of a photograph.
@@ -124,29 +126,27 @@ def test_the_cameras_and_points_are_the_models(model):
     assert 0.96 * 300 < len(points) < 300 and (points[:, 2] > shown[:, 2].max()).all()
 
 
-def trace_of_dense_scene():
-    return estimate_relative_pose(
-        *dense_scene.pictures(),
-        dense_scene.K,
-        matcher=dense_scene.MapMatcher(dense_scene.true_map()),
-        options=EstimationOptions(runs=1, iterations=200),
-        trace=True,
-    )
+def result_of_dense_scene():
+    images = tuple(map(load_image, dense_scene.pictures()))
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    matcher = dense_scene.MapMatcher(dense_scene.true_map())
+    options = EstimationOptions(runs=1, iterations=200)
+    return solve_pair(*images, (camera, camera), matcher, options)
 
 
 def test_a_pair_is_shown_in_camera_1s_axes():
-    trace = trace_of_dense_scene()
-    page = pose_page(trace)
+    result = result_of_dense_scene()
+    page = pose_page(result)
     assert Parts(page).addresses == []
     first, second = (np.array(camera["corners"]) for camera in content_of(page)["cameras"])
     assert (first[0] == 0).all()
     width, height = dense_scene.SIZE
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
-    for corners in (first[1:], second[1:] @ trace.pose.R.T + trace.pose.t):
+    for corners in (first[1:], second[1:] @ result.pose.R.T + result.pose.t):
         seen = corners @ dense_scene.K.T
         np.testing.assert_allclose(seen[:, :2] / seen[:, 2:], pixels, atol=0.5)
-    with pytest.raises(InputError, match="trace has no R and t"):
-        pose_page(replace(trace, pose=ambiguous_pose()))
+    with pytest.raises(InputError, match="result has no R and t"):
+        pose_page(replace(result, pose=ambiguous_pose()))
 
 
 @pytest.fixture

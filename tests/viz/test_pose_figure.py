@@ -6,22 +6,21 @@ import numpy as np
 import pytest
 from ambiguous_pose import ambiguous_pose
 
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.images.image import Image
-from dgc_pose.pose import estimate_relative_pose
+from dgc_pose.images.image import Image, load_image
+from dgc_pose.pose import solve_pair
 from dgc_pose.viz.figure import save_figure
 from dgc_pose.viz.pose_figure import plot_pose
 
 
-def trace_of(correspondence_map):
-    return estimate_relative_pose(
-        *dense_scene.pictures(),
-        dense_scene.K,
-        matcher=dense_scene.MapMatcher(correspondence_map),
-        options=EstimationOptions(runs=1, iterations=200),
-        trace=True,
-    )
+def result_of(correspondence_map):
+    images = map(load_image, dense_scene.pictures(), ("image1", "image2"))
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    matcher = dense_scene.MapMatcher(correspondence_map)
+    options = EstimationOptions(runs=1, iterations=200)
+    return solve_pair(*images, (camera, camera), matcher, options)
 
 
 def title(axes):
@@ -29,9 +28,9 @@ def title(axes):
 
 
 def test_all_panels_are_there():
-    trace = trace_of(dense_scene.true_map())
-    figure, pose = plot_pose(trace), trace.pose
-    assert pose.success and len(plot_pose(replace(trace, correspondence_map=None)).axes) == 3
+    result = result_of(dense_scene.true_map())
+    figure, pose = plot_pose(result), result.pose
+    assert pose.success and len(plot_pose(replace(result, correspondence_map=None)).axes) == 3
     matches, points, lines, matchability, warp = figure.axes
     assert [axes.get_title() for axes in figure.axes] == [""] * 5  # all at the left
     segments = matches.collections[0].get_segments()
@@ -45,7 +44,7 @@ def test_all_panels_are_there():
     assert "warped" in title(warp)
     headline = figure.texts[0].get_text()
     assert "probability not known for such matches" in headline
-    likely = replace(trace, pose=replace(pose, probability=0.97))
+    likely = replace(result, pose=replace(pose, probability=0.97))
     text = plot_pose(likely).texts[0].get_text()
     assert "probability 97 % that R and t are within 10°" in text
     assert headline.startswith("rotation ") and headline.endswith("ten if the pose is right")
@@ -61,9 +60,9 @@ def test_all_panels_are_there():
 )
 def test_panels_have_the_names_of_the_files(paths, names, tmp_path):
     """As they are: no formula, and shortened if they are long."""
-    trace = trace_of(dense_scene.true_map())
-    images = (replace(trace.image1, name=paths[0]), replace(trace.image2, name=paths[1]))
-    figure = plot_pose(replace(trace, image1=images[0], image2=images[1]))
+    result = result_of(dense_scene.true_map())
+    images = (replace(result.image1, name=paths[0]), replace(result.image2, name=paths[1]))
+    figure = plot_pose(replace(result, image1=images[0], image2=images[1]))
     _, points, lines, *_ = figure.axes
     assert title(points) == f"{names[0]}: points"
     assert " ".join(title(lines).split()) == f"{names[1]}: the same, and their epipolar lines"
@@ -79,14 +78,15 @@ def test_panels_have_the_names_of_the_files(paths, names, tmp_path):
     ],
 )
 def test_each_match_lies_on_its_epipolar_line_or_curve(lens):
-    trace = trace_of(dense_scene.true_map())
-    camera = replace(trace.camera1, distortion=lens)
+    result = result_of(dense_scene.true_map())
+    camera = replace(result.camera1, distortion=lens)
     points = [
-        camera.project(trace.camera1.normalise(points))
-        for points in (trace.matches.points1, trace.matches.points2)
+        camera.project(result.camera1.normalise(points))
+        for points in (result.matches.points1, result.matches.points2)
     ]
-    moved = replace(trace.matches, points1=points[0], points2=points[1])
-    figure = plot_pose(replace(trace, camera1=camera, camera2=camera, matches=moved))
+    moved = replace(result.matches, points1=points[0], points2=points[1])
+    bent = replace(result.pose, camera1=camera, camera2=camera)
+    figure = plot_pose(replace(result, pose=bent, matches=moved))
     axes = figure.axes[2]
     drawn = axes.collections[0].get_offsets()
     assert 6 < len(drawn) == len(axes.lines) <= 12
@@ -103,9 +103,9 @@ def test_each_match_lies_on_its_epipolar_line_or_curve(lens):
 
 
 def test_of_an_ambiguous_pair_neither_pose_is_drawn():
-    trace = trace_of(dense_scene.true_map())
-    pose = ambiguous_pose(len(trace.matches))
-    figure = plot_pose(replace(trace, pose=pose))
+    result = result_of(dense_scene.true_map())
+    pose = ambiguous_pose(len(result.matches))
+    figure = plot_pose(replace(result, pose=pose))
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     matches, _, lines, *_ = figure.axes
     assert not lines.lines and title(lines).endswith("no epipolar lines without a pose")
@@ -113,25 +113,25 @@ def test_of_an_ambiguous_pair_neither_pose_is_drawn():
 
 
 def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
-    trace = trace_of(dense_scene.noise_map())
-    figure, pose = plot_pose(trace), trace.pose
+    result = result_of(dense_scene.noise_map())
+    figure, pose = plot_pose(result), result.pose
     assert not pose.success
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     nothing = dense_scene.make_map(
         np.full((4, 4, 2), -9.0, np.float32), np.zeros((4, 4, 2), np.float32)
     )
-    trace = trace_of(nothing)
-    figure = plot_pose(trace)
-    assert trace.pose.num_matches == 0
+    result = result_of(nothing)
+    figure = plot_pose(result)
+    assert result.pose.num_matches == 0
     save_figure(figure, tmp_path / "p.png")
     assert cv2.imread(str(tmp_path / "p.png")) is not None
 
 
 def test_the_colour_of_a_match_is_its_distance_from_the_epipolar_lines():
-    trace = trace_of(dense_scene.true_map(error_px=0.5))
-    figure = plot_pose(trace)
+    result = result_of(dense_scene.true_map(error_px=0.5))
+    figure = plot_pose(result)
     K = dense_scene.K
-    E = trace.pose.E
+    E = result.pose.E
     drawn = figure.axes[0].collections[0]
     # Image 2 has image 1's height, so it is drawn at its own scale.
     ends = np.array(drawn.get_segments())
@@ -146,9 +146,9 @@ def test_the_colour_of_a_match_is_its_distance_from_the_epipolar_lines():
     assert green[order[0]] > 0.8 and green[order[-1]] == 0
 
 
-def with_sizes(trace, size1, size2):
+def with_sizes(result, size1, size2):
     blank = [Image(np.zeros((height, width, 3), np.uint8)) for width, height in (size1, size2)]
-    return replace(trace, image1=blank[0], image2=blank[1])
+    return replace(result, image1=blank[0], image2=blank[1])
 
 
 @pytest.mark.parametrize(
@@ -162,8 +162,8 @@ def with_sizes(trace, size1, size2):
     ],
 )
 def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2):
-    trace = with_sizes(trace_of(dense_scene.true_map()), size1, size2)
-    figure = plot_pose(trace)
+    result = with_sizes(result_of(dense_scene.true_map()), size1, size2)
+    figure = plot_pose(result)
     width, height = figure.get_size_inches()
     assert width == 10 and 1 < height < 20
     figure.canvas.draw()

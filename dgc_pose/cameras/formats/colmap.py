@@ -16,11 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.cameras import colmap_camera
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.keyed import FileCameras, Size, pose_matrix
+from dgc_pose.cameras.formats.keyed import pose_matrix
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
+from dgc_pose.geometry.pixels import Size
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
@@ -63,7 +65,7 @@ def parse_line(text: str) -> Camera:
     return _camera(model.upper(), (width, height), parameters)
 
 
-def read_model(folder: Path) -> FileCameras:
+def read_model(folder: Path) -> Calibration:
     """The cameras of the folder of a model. Raises InputError."""
     for name in ("cameras.bin", "cameras.txt"):
         if (folder / name).is_file():
@@ -71,7 +73,7 @@ def read_model(folder: Path) -> FileCameras:
     raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
 
 
-def read_cameras(path: Path) -> FileCameras:
+def read_cameras(path: Path) -> Calibration:
     """The cameras of a cameras.txt or cameras.bin by their ids, and by the images in the images.txt
     or images.bin beside it; without one a single camera is that of all images.
 
@@ -92,8 +94,9 @@ def read_cameras(path: Path) -> FileCameras:
             posed = _text_images(data) if is_text else _binary_images(data)
         by_name = {name: cameras[key] for name, (key, _) in posed.items() if key in cameras}
         if by_name:
-            return FileCameras(by_name, parts, poses={name: posed[name][1] for name in by_name})
-    return FileCameras(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
+            poses = {name: posed[name][1] for name in by_name}
+            return Calibration("", by_name, parts, poses=poses)
+    return Calibration(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
 
 
 def _camera(model: str, size: Size, parameters: list[float]) -> Camera:

@@ -10,19 +10,19 @@ import csv
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError, reason, shortened
+from dgc_pose.geometry.pixels import Size
 from dgc_pose.geometry.rotation import rotation_of_quaternion
-
-Size = tuple[int, int]  # (width, height), pixels
 
 # Names of the matrix and the size as OpenCV's programs, ROS, Open3D and Record3D write them. The
 # `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
@@ -55,24 +55,12 @@ _MAY_MATTER = re.compile(
 )
 
 
-@dataclass(frozen=True)
-class FileCameras:
-    """The cameras of a file."""
-
-    by_name: Mapping[str, Camera] = field(default_factory=dict)  # of images, names as written
-    # Of a rig or a pair: "cam1" of Kalibr, "image_2" of KITTI, "K2" of the second image.
-    parts: Mapping[str, Camera] = field(default_factory=dict)
-    common: Camera | None = None  # of all other images
-    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
-    poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
-
-
 def xml_data(node: ElementTree.Element) -> Any:
     """The values of an XML of cv::FileStorage, as its YAML and JSON have them."""
     return {child.tag: xml_data(child) for child in node} if len(node) else node.text
 
 
-def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
+def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
     """The `keyed_camera`, and as the part "fisheye" the same with OpenCV's fisheye model, which
     four coefficients alone do not name; of {"K1", "K2"} or the output's {"camera1", "camera2"} two
     cameras, which are matrices or such mappings.
@@ -86,14 +74,14 @@ def keyed_cameras(data: Mapping[str, Any]) -> FileCameras:
     if present:
         require_read(data, *present)
         parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
-        return FileCameras(parts=parts)
+        return Calibration(parts=parts)
     data = dict(data)
     frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
     common, parts = keyed_camera(data), {}
     by_name = {str(n): replace(common, K=numbers_camera(values).K) for n, values in frames}
     with suppress(InputError):  # of other coefficients than four
         parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
-    return FileCameras(by_name, parts, common)
+    return Calibration("", by_name, parts, common)
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
@@ -147,7 +135,7 @@ def _require_whole(data: Mapping[str, Any]) -> None:
         raise InputError("binning or roi is set, and K is of the whole sensor's image")
 
 
-def camchain(data: Mapping[str, Any], path: Path) -> FileCameras | None:
+def camchain(data: Mapping[str, Any], path: Path) -> Calibration | None:
     """The cameras of a camchain by their names, of one alone as "cam0"; the first is that of images
     that lie below no folder of such a name. None for other files.
 
@@ -182,7 +170,7 @@ def _rig_camera(data: Mapping[str, Any]) -> Camera:
     return keyed_camera(values, "intrinsics")
 
 
-def read_table(text: str, path: Path) -> FileCameras:
+def read_table(text: str, path: Path) -> Calibration:
     """The cameras of a .csv with the columns name, fx, fy, cx, cy, and optionally width, height,
     focal_std, centre_std_px, lens_std, camera, equal for images of one camera, those of a lens, and
     qw, qx, qy, qz, tx, ty, tz of cam_from_world.
@@ -207,7 +195,7 @@ def read_table(text: str, path: Path) -> FileCameras:
             raise InputError(f"{path}:{number}: {reason(error)}") from None
     if not cameras:
         raise InputError(f"{path}: no cameras in this table")
-    return FileCameras(cameras, poses=poses)
+    return Calibration("", cameras, poses=poses)
 
 
 def pose_matrix(values: Sequence[float]) -> np.ndarray:
@@ -319,8 +307,8 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     return matrix_camera(array, name)
 
 
-def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> FileCameras:
+def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> Calibration:
     """The cameras of a rig, each of the images below a folder of its name; the first is that of
     other images. refused: of the rig's further cameras, why they are not read."""
     parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return FileCameras(parts=parts, common=next(iter(parts.values()), None), refused=refused)
+    return Calibration(parts=parts, common=next(iter(parts.values()), None), refused=refused)

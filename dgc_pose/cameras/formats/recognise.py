@@ -28,9 +28,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats import colmap, keyed
-from dgc_pose.cameras.formats.keyed import FileCameras, numbers, numbers_camera
+from dgc_pose.cameras.formats.keyed import numbers, numbers_camera
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as, read_text
@@ -48,26 +49,26 @@ _GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
 _NOT_READ = "is not read: give a cameras.txt of COLMAP's, or fx,fy,cx,cy"
 
 
-def read_file(path: Path) -> FileCameras:
+def read_file(path: Path) -> Calibration:
     """The cameras of a file, or of the folder of a COLMAP model.
 
     Raises InputError, with the path; OSError if a file cannot be read.
     """
     try:
         with read_as("a file of cameras", path):
-            return _read_file(path)
+            return replace(_read_file(path), where=str(path))
     except InputError as error:
         if str(error).startswith(str(path)):
             raise
         raise InputError(f"{path}: {error}") from error
 
 
-def _read_file(path: Path) -> FileCameras:
+def _read_file(path: Path) -> Calibration:
     ending = path.suffix.lower()
     if path.is_dir():
         return colmap.read_model(path)
     if ending == ".npy":
-        return FileCameras(common=numbers_camera(read_array(path)))
+        return Calibration(common=numbers_camera(read_array(path)))
     if ending == ".bin":
         return colmap.read_cameras(path)
     text = read_text(path, "a file of cameras")
@@ -87,23 +88,23 @@ def _read_file(path: Path) -> FileCameras:
         if lines[0].split()[0].isdecimal():
             return colmap.read_cameras(path)
         if len(lines) == 1:
-            return FileCameras(common=colmap.parse_line(lines[0]))
+            return Calibration(common=colmap.parse_line(lines[0]))
     if ending == ".csv" and numbers(lines[0]) is None:
         return keyed.read_table(text, path)
     if (values := numbers(" ".join(lines))) is not None:
-        return FileCameras(common=numbers_camera(values))
+        return Calibration(common=numbers_camera(values))
     raise InputError(
         "no 3x3 matrix, no fx fy cx cy, and no other file of cameras "
         f"(it begins with {shortened(lines[0].strip())!r})"
     )
 
 
-def _of_mapping(data: Any, path: Path) -> FileCameras:
+def _of_mapping(data: Any, path: Path) -> Calibration:
     """The cameras of what JSON, YAML or XML holds."""
     if isinstance(data, list) and data and isinstance(data[0], dict):
         raise InputError(f"a list of objects, as COLMAP's rig_config.json, {_NOT_READ}")
     if not isinstance(data, dict):
-        return FileCameras(common=numbers_camera(data))
+        return Calibration(common=numbers_camera(data))
     if data.keys() >= {"views", "intrinsics"}:
         raise InputError(f"a scene of openMVG or Meshroom {_NOT_READ}")
     if (rig := keyed.camchain(data, path)) is not None:
@@ -113,7 +114,7 @@ def _of_mapping(data: Any, path: Path) -> FileCameras:
     return keyed.keyed_cameras(data)
 
 
-def _kitti_cameras(text: str, path: Path) -> FileCameras:
+def _kitti_cameras(text: str, path: Path) -> Calibration:
     """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
     calib_cam_to_cam.txt of raw drives."""
     keyed.require_read(dict(_OTHERS.findall(text)))
@@ -139,7 +140,7 @@ def _with_size(data: dict[str, Any], folder: Path) -> dict[str, Any]:
     return data
 
 
-def _nerf_cameras(data: Mapping[str, Any], where: str) -> FileCameras:
+def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
     """The cameras of a transforms.json by the names of its frames, which may lack their ending.
 
     where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
@@ -163,7 +164,7 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> FileCameras:
             raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
     if common is None and not by_name:
         raise InputError("no fl_x, and no camera_angle_x with w or an image of that name")
-    return FileCameras(by_name, common=common, poses=poses)
+    return Calibration("", by_name, common=common, poses=poses)
 
 
 def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:

@@ -5,30 +5,24 @@ import numpy as np
 import pytest
 from dtu_layout import (
     SIZE,
-    WRITERS,
     Scan,
     grey_scan,
     rendered_scan,
-    write_mvsnet,
-    write_mvsnet_training,
     write_raw,
 )
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
+from dgc_pose.benchmarks.dtu.calibration import relative_pose
 from dgc_pose.benchmarks.dtu.dataset import open_dataset
 from dgc_pose.errors import InputError
 
-LAYOUTS = list(WRITERS)
 
-
-@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("extension", ["png", "jpg"])
-def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
+def test_scenes_are_found_by_looking(tmp_path, extension):
     scan = grey_scan([0, 10, 20])
     for number in (118, 4):
-        WRITERS[layout](tmp_path, scan, number=number, extension=extension)
+        write_raw(tmp_path, scan, number=number, extension=extension)
     dataset = open_dataset(tmp_path)
-    assert (dataset.layout, dataset.root, dataset.left_out) == (layout, tmp_path, ())
+    assert (dataset.root, dataset.left_out) == (tmp_path, ())
     assert [(scene.name, scene.number) for scene in dataset.scenes] == [
         ("scan4", 4),
         ("scan118", 118),
@@ -42,11 +36,10 @@ def test_each_layout_is_found_by_looking(tmp_path, layout, extension):
         assert scene.missing == views - 3
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_views_are_those_of_their_images(tmp_path, layout):
+def test_views_are_those_of_their_images(tmp_path):
     """A surface point has one colour, whichever image it is looked up in."""
     scan = rendered_scan()
-    WRITERS[layout](tmp_path, scan, extension="png")
+    write_raw(tmp_path, scan, extension="png")
     (scene,) = open_dataset(tmp_path).scenes
     images = {n: cv2.imread(str(path)).astype(float) for n, path in scene.images.items()}
     for one, two in combinations(scene.views, 2):
@@ -61,53 +54,6 @@ def test_views_are_those_of_their_images(tmp_path, layout):
         difference = np.abs(there - images[one]).mean(-1)[seen]
         moved = np.abs(images[two] - images[one]).mean(-1)[seen]
         assert np.median(difference) < 0.4 * np.median(moved)
-
-
-def full_size_scan(degrees) -> Scan:
-    """Cameras for images of 1600x1200, each image with one soft spot at its middle's point."""
-    K = np.array([[2892.33, 0, 823.205], [0, 2883.18, 619.071], [0, 0, 1]])
-    views = {n: DtuView(K, v.R, v.t + [n, 2.0, 0]) for n, v in grey_scan(degrees).views.items()}
-    y, x = np.mgrid[:1200, :1600].astype(float)
-    images = {}
-    for number, view in views.items():
-        u, v, w = view.K @ view.t  # the world's origin
-        spot = 255 * np.exp(-((x - u / w) ** 2 + (y - v / w) ** 2) / (2 * 12**2))
-        images[number] = np.repeat(spot.round().astype(np.uint8)[..., None], 3, axis=2)
-    return Scan(views, images, {})
-
-
-def centroid(image: np.ndarray) -> np.ndarray:
-    weights = image[..., 0].astype(float)
-    y, x = np.mgrid[: weights.shape[0], : weights.shape[1]]
-    return np.array([(weights * x).sum(), (weights * y).sum()]) / weights.sum()
-
-
-def test_half_size_crops_come_with_their_own_camera(tmp_path):
-    scan = full_size_scan([-9, 5])
-    crops = {}
-    for number, image in scan.images.items():
-        half = cv2.resize(image, (800, 600), interpolation=cv2.INTER_AREA)
-        crops[number] = half[44 : 44 + 512, 80 : 80 + 640]
-    write_mvsnet_training(tmp_path, Scan(scan.views, crops, {}), suffix="_train")
-    (scene,) = open_dataset(tmp_path).scenes
-    assert scene.size == (640, 512)
-    for number, view in scene.views.items():
-        assert scene.images[number].parent.name == "scan65_train"
-        u, v, w = view.K @ view.t
-        assert np.allclose((u / w, v / w), centroid(crops[number]), atol=0.02)
-        assert np.allclose(view.R, scan.views[number].R, atol=1e-12)
-        # What MVSNet's own Cameras/train say at a quarter of this size, but for half a pixel.
-        assert np.allclose(view.K[:2, 2] / 4, [82.900625, 66.383875], atol=0.07)
-        assert np.allclose(view.K[[0, 1], [0, 1]] / 4, [361.54125, 360.3975], atol=1e-9)
-
-
-def test_full_size_images_are_taken_where_both_are_there(tmp_path):
-    write_mvsnet_training(tmp_path, grey_scan([0, 10]), suffix="_train")
-    with pytest.raises(InputError, match="expected 640 x 512 pixels, found 160 x 120"):
-        open_dataset(tmp_path)
-    write_mvsnet_training(tmp_path, grey_scan([0, 10]))
-    (scene,) = open_dataset(tmp_path).scenes
-    assert (scene.images[1].parent.name, scene.size) == ("scan65", SIZE)
 
 
 def test_the_sample_set_has_everything_one_folder_further_down(tmp_path):
@@ -135,22 +81,11 @@ def test_cleaned_images_serve_where_there_are_no_rectified_ones(tmp_path):
     ]
 
 
-IMAGE_2 = {
-    "raw": "Rectified/scan65/rect_002_3_r5000.png",
-    "mvsnet": "scan65/images/00000001.png",
-}
-CALIBRATION_4 = {
-    "raw": "Calibration/cal18/pos_004.txt",
-    "mvsnet": "scan65/cams/00000003_cam.txt",
-}
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_views_that_are_not_there_are_left_out_and_named(tmp_path, layout):
+def test_views_that_are_not_there_are_left_out_and_named(tmp_path):
     scan = grey_scan([0, 10, 20, 30, 40])
-    WRITERS[layout](tmp_path, scan, extension="png")
-    (tmp_path / IMAGE_2[layout]).unlink()
-    (tmp_path / CALIBRATION_4[layout]).unlink()
+    write_raw(tmp_path, scan, extension="png")
+    (tmp_path / "Rectified/scan65/rect_002_3_r5000.png").unlink()
+    (tmp_path / "Calibration/cal18/pos_004.txt").unlink()
     (scene,) = open_dataset(tmp_path).scenes
     assert sorted(scene.views) == sorted(scene.images) == [1, 3, 5]
     assert scene.missing == 46
@@ -167,32 +102,16 @@ def test_scenes_of_fewer_than_two_views_are_left_out_but_not_when_asked_for(tmp_
     assert len(open_dataset(tmp_path, scenes=[7, 7]).scenes) == 1
 
 
-def test_what_is_no_known_layout_is_an_error_that_says_what_would_be(tmp_path):
-    with pytest.raises(InputError, match="none of the layouts .*cal18.*_cam.txt"):
+def test_what_is_no_copy_of_dtu_is_an_error_that_says_what_would_be(tmp_path):
+    with pytest.raises(InputError, match="no scene of DTU.*cal18.*Rectified"):
         open_dataset(tmp_path)
     with pytest.raises(InputError, match="nowhere: no such folder"):
         open_dataset(tmp_path / "nowhere")
-    (tmp_path / "Calibration/cal18").mkdir(parents=True)
-    with pytest.raises(InputError, match="no scene, expected .*Rectified/scan1"):
-        open_dataset(tmp_path)
-    write_raw(tmp_path, grey_scan([0, 10]))
-    with pytest.raises(InputError, match="expected mvsnet: Cameras/00000000_cam.txt"):
-        open_dataset(tmp_path, layout="mvsnet")
 
 
-def test_of_several_layouts_one_must_be_named(tmp_path):
-    write_raw(tmp_path, grey_scan([0, 10]))
-    write_mvsnet(tmp_path, grey_scan([0, 10, 20]))
-    with pytest.raises(InputError, match="layouts raw and mvsnet"):
-        open_dataset(tmp_path)
-    assert len(open_dataset(tmp_path, layout="raw").scenes[0].views) == 2
-    assert len(open_dataset(tmp_path, layout="mvsnet").scenes[0].views) == 3
-
-
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_a_calibration_of_another_image_size_is_refused(tmp_path, layout):
+def test_a_calibration_of_another_image_size_is_refused(tmp_path):
     scan = grey_scan([0, 10])
     small = dict.fromkeys(scan.views, np.zeros((60, 80, 3), np.uint8))
-    WRITERS[layout](tmp_path, Scan(scan.views, small, {}), extension="png")
+    write_raw(tmp_path, Scan(scan.views, small, {}), extension="png")
     with pytest.raises(InputError, match=r"\.png has its principal point .* the image has 80x60"):
         open_dataset(tmp_path)

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dtu_layout import SIZE, WRITERS, arc, grey_scan
+from dtu_layout import SIZE, arc, grey_scan, write_raw
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView
@@ -26,7 +26,7 @@ def dataset(*degrees):
         views = arc(angles)
         images = {n: Path(f"/dtu/scan{number}/{n}.png") for n in views}
         scenes.append(DtuScene(number, views, images, SIZE))
-    return Dataset(Path("/dtu"), "raw", tuple(scenes), ())
+    return Dataset(Path("/dtu"), tuple(scenes), ())
 
 
 def test_candidates_lie_within_the_limits():
@@ -90,7 +90,7 @@ def test_the_draw_is_seeded_balanced_over_scenes_and_spread_over_the_rotations_o
 
 def test_pairs_carry_the_calibration(tmp_path):
     scan = grey_scan([0, 12])
-    WRITERS["raw"](tmp_path, scan, extension="jpg")
+    write_raw(tmp_path, scan, extension="jpg")
     data = open_dataset(tmp_path)
     (found,) = find_view_pairs(data, ViewPairOptions(min_overlap=0))
     pair = listed_pair(data, found)
@@ -108,7 +108,7 @@ def test_views_of_one_centre_make_no_pair():
     views = dict(data.scenes[0].views)
     views[4] = DtuView(views[1].K, views[2].R, views[2].R @ views[1].R.T @ views[1].t)  # 1, turned
     scene = DtuScene(1, views, {n: Path(f"/dtu/{n}.png") for n in views}, SIZE)
-    data = Dataset(Path("/dtu"), "raw", (scene,), ())
+    data = Dataset(Path("/dtu"), (scene,), ())
     found = find_view_pairs(data, ViewPairOptions(min_rotation=0, min_overlap=0))
     assert [(p.view1, p.view2) for p in found] == [(1, 2), (1, 3), (2, 4), (3, 4)]
     for one, two in ((1, 4), (2, 3), (1, 1)):

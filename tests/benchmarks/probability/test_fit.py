@@ -28,8 +28,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, parse_models
 from dgc_pose.images.image import Image
-from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchResult, PairSearch
+from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
 from two_view import two_view_scene
 
@@ -37,11 +36,6 @@ OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")
 BLANK = Image(np.zeros((8, 8, 3), np.uint8))
 FOCAL_ERROR = {"slope": 0.0, "intercept": 0.0}
-
-
-class _Unfiltered(PairSearch):
-    def _textured(self, matches: Matches) -> Matches:
-        return matches
 
 
 class _Scenes(Matcher):
@@ -54,10 +48,7 @@ class _Scenes(Matcher):
         self.calls = 0
         self.matches = two_view_scene("random", count=60).matches
 
-    def search(self, image1: Image, image2: Image) -> PairSearch:
-        return _Unfiltered(self, image1, image2)
-
-    def _match(self, image1: Image, image2: Image) -> MatchResult:
+    def match(self, image1: Image, image2: Image) -> MatchResult:
         self.calls += 1
         return MatchResult(self.matches, None)
 

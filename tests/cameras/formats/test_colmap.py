@@ -8,7 +8,8 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dgc_pose.cameras.calibration import Calibration, parse_camera
+from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import intrinsics, parameters
 from dgc_pose.cameras.formats.colmap import read_database
@@ -94,47 +95,39 @@ def test_a_camera_in_colmaps_parameters_is_read_back(model: str, size: tuple[int
         parameters(np.array([[500.0, 3, 320], [0, 500, 240], [0, 0, 1]]), distortion)
 
 
+LEFT_RIGHT = ("left/1.png", "right/2.png")
+
+
 @pytest.mark.parametrize(
-    ("listed", "root", "name", "is_taken"),
+    ("listed", "root", "name", "taken"),
     [
-        (("left/1.png", "right/2.png"), "/F", "left/1.png", True),
-        (("left/1.png", "right/2.png"), "/F", "right/1.png", False),
-        (("left/1.png", "right/2.png"), "/F", "third/1.png", False),
-        (("left/1.png", "right/2.png"), "/F/right", "1.png", False),
-        (("left/1.png", "right/2.png"), "/copy", "1.png", True),
-        (("left/1.png", "right/2.png"), "", "1.png", True),
-        (("left/1.png", "right/2.png"), "", "/F/copy/left/1.png", True),
-        (("left/1.png", "right/2.png"), "", "/F/right/1.png", False),
-        (("a/left/1.png", "a/right/2.png", "b/left/2.png"), "/F", "b/left/1.png", False),
-        (("x/left/1.png", "x/right/2.png"), "", "x_8/left/1.png", True),
-        (("x/left/1.png", "x/right/2.png"), "/F", "x_8/left/1.png", False),
-        (("images/1.png", "images/2.png"), "", "/F/images_8/1.png", True),
-        (("../images/1", "../images/2"), "/F", "1.png", True),
-        (("1.png", "2.png"), "/F", "any/folder/1.png", True),
+        (LEFT_RIGHT, "/F", "left/1.png", 0),
+        (LEFT_RIGHT, "/F/right", "2.png", 1),
+        (LEFT_RIGHT, "/copy", "1.png", 0),  # the only one of its file name
+        (LEFT_RIGHT, "", "/F/copy/left/1.png", 0),
+        (LEFT_RIGHT, "", "3.png", None),
+        (("images/1", "./images/2"), "", "/F/images/2.png", 1),
+        (("../images/1", "../images/2"), "/F", "1.png", 0),
+        (("1.png", "2.png"), "/F", "any/folder/1.png", 0),
+        (("d/2.jpg", "e/2.jpg"), "", "/home/x/photos/e/2.jpg", 1),
+        (("2.jpg", "e/2.jpg"), "/F", "e/2.jpg", 1),
+        (("2.jpg", "e/2.jpg"), "/F", "2.jpg", 0),
     ],
 )
-def test_another_folder_contradicts(
-    listed: tuple[str, ...], root: str, name: str, *, is_taken: bool
+def test_an_image_has_the_camera_of_its_path_or_else_of_its_file_name(
+    listed: tuple[str, ...], root: str, name: str, taken: int | None
 ) -> None:
-    cameras = {
-        image: Camera(np.diag([500.0 + number, 500, 1])) for number, image in enumerate(listed)
-    }
+    cameras = {image: Camera(np.eye(3)) for image in listed}
     camera = Calibration("sparse", cameras).named(Path(root), name)
-    assert (camera is cameras[listed[0]]) if is_taken else camera is None
+    assert camera is (None if taken is None else cameras[listed[taken]])
 
 
-def test_a_name_without_folders_is_of_the_working_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    cameras = {name: Camera(np.eye(3)) for name in ("d/1.jpg", "d/2.jpg", "e/2.jpg", "e/3.jpg")}
-    calibration = Calibration("sparse", cameras)
-    assert calibration.named(Path(), "/home/x/photos/e/2.jpg") is cameras["e/2.jpg"]
-    with pytest.raises(InputError, match=r"has d/2.jpg and e/2.jpg, and 2.jpg may be either"):
+def test_a_file_name_of_two_cameras_is_refused() -> None:
+    calibration = Calibration(
+        "sparse", {name: Camera(np.eye(3)) for name in ("d/2.jpg", "e/2.jpg")}
+    )
+    with pytest.raises(InputError, match=r"^sparse has d/2.jpg and e/2.jpg, and 2.jpg may be "):
         calibration.named(Path(), "2.jpg")
-    (tmp_path / "e").mkdir()
-    monkeypatch.chdir(tmp_path / "e")
-    assert calibration.named(Path(), "1.jpg") is None
-    assert calibration.named(Path(), "3.jpg") is cameras["e/3.jpg"]
 
 
 def test_a_database(tmp_path: Path) -> None:

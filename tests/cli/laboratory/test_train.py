@@ -84,7 +84,7 @@ def test_an_ablation_gives_its_name_to_the_weights(
         (["--preset", "dgc"], "--encoder or init is needed"),
         (["--encoder", "x"], "--encoder is VGG-16, which dgcm-lite0 has not"),
         (["--preset", "dgc", "--encoder", "x"], "x cannot be read"),
-        (["--batch", "0"], "batch must lie in [1, 65536]"),
+        (["--batch", "0"], "'--batch': 0 is not in the range 1<=x<=65536"),
         (["--seconds", "3"], "in seconds or in steps, and one of them only"),
         (["--encoder-share", "2"], "encoder-share"),
     ],

@@ -1,1 +1,0 @@
-"""The methods that the paper compares with, as matchers of the benchmarks alone."""

@@ -1,0 +1,172 @@
+"""Cameras by the names of images, and the camera of an upright image by its K."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path, PurePath
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.checks import checked_camera, times
+from dgc_pose.cameras.prior import Sharing, auto_camera
+from dgc_pose.cameras.upright import orientation_of, upright_camera
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.images.image import size_in_file
+
+if TYPE_CHECKING:
+    from dgc_pose.images.header import Header
+    from dgc_pose.images.image import Image
+
+_PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
+_MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
+
+
+@dataclass(frozen=True)
+class KDetails:
+    """The size that a K refers to, and its deviations."""
+
+    size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
+    focal_std: float = 0.0  # relative, of the focal lengths
+    centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
+    lens_std: float = 0.0  # of the radial coefficient of a camera without a lens, see `Camera`
+
+
+NO_DETAILS = KDetails()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Cameras by the names of images, and the one of all others."""
+
+    where: str = ""  # of errors: the option or file that the cameras come from
+    by_name: Mapping[str, Camera] = field(default_factory=dict)  # names as written
+    # Of a rig or a pair: "cam1" of Kalibr, "image_2" of KITTI, "K2" of the second image.
+    parts: Mapping[str, Camera] = field(default_factory=dict)
+    common: Camera | None = None  # of all other images
+    # The images have no K. With "shared" one camera took all; with "two" one each.
+    auto: Sharing | None = None
+    details: KDetails = NO_DETAILS
+    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
+    poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
+
+    def camera(
+        self, root: Path, name: str, image: Image | Header, part: str | None = None
+    ) -> Camera:
+        """The camera of an upright image or its header, checked against its size; a K of the pixels
+        as stored is turned with them, see `upright_camera`.
+
+        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
+
+        Raises InputError if there is none, or if it is for another size.
+        """
+        camera = self.stated(root, name, part)
+        if camera is not None:
+            label = self.where if part and not self.by_name else f"{self.where}: {name}: K"
+            shown = f"image {part[-1]}" if part else "the image"
+            return fitted_camera(camera, self.details, image, label, shown)
+        if self.auto is not None:
+            return auto_camera(image, self.auto)
+        if self.parts or self.by_name:
+            *_, last = ("", *self.parts)
+            other = f": another of its cameras is {self.where}:{last}" if last else ""
+            raise InputError(f"{self.where} has no camera for {name}{other}")
+        raise InputError(f"no camera for {name}: give", ArgumentName("K"), "or auto in its place")
+
+    def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
+        """The camera of an image as the text or file states it; None without one."""
+        return self.named(root, name) or self._of_part(root / name, part) or self.common
+
+    def lacks(self, root: Path, name: str) -> bool:
+        """Whether an image may take a camera from elsewhere, such as a list of pairs."""
+        return self.common is None and self.auto is None and self.named(root, name) is None
+
+    def named(self, root: Path, name: str) -> Camera | None:
+        """The camera that the file has for an image: of the name that the image's path ends with,
+        or else of the only name with its file name. A name in the file may lack its ending.
+
+        Raises InputError if several names have its file name, and other cameras.
+        """
+        path = PurePath(os.path.abspath(root / name))
+        for start in range(1, len(path.parts)):
+            end = PurePath(*path.parts[start:])
+            for stated in (str(end), str(end.with_suffix(""))):
+                if stated in self._by_path:
+                    return self.by_name[self._by_path[stated]]
+        alike = self._by_file_name.get(path.name) or self._by_file_name.get(path.stem) or []
+        if len({id(self.by_name[stated]) for stated in alike}) > 1:
+            first, second, *_ = alike
+            raise InputError(f"{self.where} has {first} and {second}, and {name} may be either")
+        return self.by_name[alike[0]] if alike else None
+
+    @cached_property
+    def _by_path(self) -> dict[str, str]:
+        return {os.path.normpath(name): name for name in self.by_name}
+
+    @cached_property
+    def _by_file_name(self) -> dict[str, list[str]]:
+        names = defaultdict[str, list[str]](list)
+        for name in self.by_name:
+            names[PurePath(name).name].append(name)
+        return names
+
+    def _of_part(self, path: Path, part: str | None) -> Camera | None:
+        if part is not None and part in self.parts:
+            return self.parts[part]
+        for folder in reversed(path.absolute().parts if self.parts else ()):
+            match = _PART_FOLDER.fullmatch(folder)
+            if match and (key := f"{match[1]}{int(match[2])}") in self.parts:
+                return self.parts[key]
+        kinds = {(*camera.K.ravel().tolist(), camera.distortion) for camera in self.parts.values()}
+        if self.common is None or len(kinds) < 2:
+            return self.common
+        first, *_, last = self.parts
+        warning = (
+            f"{self.where} has {len(self.parts)} cameras, and {path} lies in no folder of their "
+            f"names: {first} is taken; {self.where}:{last} is another"
+        )
+        return replace(self.common, warnings=(*self.common.warnings, warning))
+
+
+def fitted_camera(
+    camera: Camera,
+    details: KDetails,
+    image: Image | Header,
+    name: str,
+    shown: str = "the image",
+) -> Camera:
+    """The camera of an upright image by its K: checked, scaled from the size of `details`, turned,
+    and with its deviations.
+
+    Raises InputError, naming K and the image by `name` and `shown`, if K states another size, if
+    the image is a crop, and as `checked_camera`.
+    """
+    is_turned = orientation_of(camera, image, details.size) != 1
+    size = size_in_file(image) if is_turned else image.size
+    of_K = details.size or size
+    if details.size is not None:
+        if camera.size not in (None, of_K):
+            raise InputError(
+                f"{name} states {times(camera.size)}, and", ArgumentName("K_size"), times(of_K)
+            )
+        if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
+            raise InputError(
+                f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
+                "aspect ratio: K cannot be scaled to it"
+            )
+    camera = checked_camera(camera, of_K, name, shown if details.size is None else "the image")
+    if details.size is not None:
+        camera = replace(camera, size=of_K).resized(size)
+    camera = upright_camera(camera, image)
+    return replace(
+        camera,
+        focal_std=details.focal_std or camera.focal_std,
+        centre_std=details.centre_std or camera.centre_std,
+        lens_std=camera.lens_std if camera.distortion else details.lens_std or camera.lens_std,
+    )

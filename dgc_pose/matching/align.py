@@ -1,0 +1,208 @@
+"""Alignment of patches of the original images: matches to a fraction of a pixel.
+
+Each match moves to the strongest corner near it in image 2. The patch around it and the one that
+the local affinity cuts from image 1 differ by a small shift, a gain and an offset: the shifts of
+all patches are computed at once. Few patches of views far apart are similar: their affinity is not
+known well enough, and the shift is larger than the structure. These are aligned on images shrunk
+until the error of the matches is a pixel, with their affinities adjusted, and then on the
+images. Patches that stay dissimilar are dropped. If the scales of the images differ much, the
+larger image is shrunk first: neighbouring samples of its patches would be many pixels apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from dgc_pose.geometry.pixels import rescale
+from dgc_pose.images.image import resize_by
+from dgc_pose.matching.consistency import LocalMatches
+from dgc_pose.matching.lucas_kanade import Patches, align_patches
+
+_CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
+PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
+MIN_ZNCC = 0.8  # least correlation of a pair of aligned patches
+CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner, by default
+_CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels beyond, which the block and its gradients reach
+_STRIP = 256  # rows measured at a time: of a large image all take hundreds of MiB
+_SHIFT = 5.0  # largest shift, in units of the error that the matches came with
+_SETTLED = 0.1  # pixels: the last step of an alignment that has converged
+_ENOUGH = 300  # patches aligned, with which the others are not tried again
+_SIMILAR = 1.5  # scale between the images up to which neither is shrunk
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """The result of alignment, in the order of the matches chosen."""
+
+    points1: np.ndarray  # (N, 2) float64, pixels of image 1
+    points2: np.ndarray  # (N, 2) float64, corners of image 2
+    # (N,) float64, correlation of the aligned patches, -1 to 1; NaN, as it is undefined, if one of
+    # them has no more contrast than noise
+    zncc: np.ndarray
+    converged: np.ndarray  # (N,) bool: at rest, within the tolerance of where it began
+    index: np.ndarray  # (N,) int, of the matches that they come from
+    pixel: float = 1.0  # of the images aligned, in pixels of the originals: mean over both
+
+
+def align(
+    pixels1: np.ndarray,
+    pixels2: np.ndarray,
+    matches: LocalMatches,
+    *,
+    error_px: float,
+    max_matches: int,
+    corner_radius: int = CORNER_RADIUS,
+) -> Aligned:
+    """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
+
+    pixels: (H, W, 3) uint8. error_px: of the matches, pixels of image 1; each moves by a few times
+    that at most. corner_radius: pixels of image 2 that a match moves along each axis at most, to a
+    corner.
+    """
+    areas = np.linalg.det(matches.affinity) if len(matches.index) else np.ones(1)
+    scale = float(np.median(np.sqrt(areas)))
+    shrinks = min(1.0, 1 / scale), min(1.0, scale)
+    if min(shrinks) > 1 / _SIMILAR:
+        shrinks = 1.0, 1.0
+    small1, small2, matches, scale1, scale2 = _shrunk(pixels1, pixels2, matches, *shrinks)
+    error = error_px * scale1  # along each axis
+    grey1, grey2 = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small1, small2))
+    corners, strength = nearby_corners(grey2, matches.points2, corner_radius)
+    rows = spread(corners, strength, (grey2.shape[1], grey2.shape[0]), max_matches)
+    chosen, corners = matches.subset(rows), corners[rows]
+    moved = corners - chosen.points2
+    start = chosen.points1 + np.einsum("nij,nj->ni", chosen.affinity, moved)
+    chosen = replace(chosen, points1=start, points2=corners)
+    grey1, grey2 = grey1.astype(np.float32), grey2.astype(np.float32)
+
+    patches = align_patches(grey1, grey2, chosen, PATCH_RADIUS)
+    converged = _converged(patches, start, grey1, _SHIFT * error)
+    points1, zncc = patches.points1, patches.zncc
+    rest = np.flatnonzero(~(converged & (zncc >= MIN_ZNCC)))
+    if len(rows) - len(rest) < _ENOUGH:
+        again1, again_zncc, similar = _from_coarse(grey1, grey2, chosen.subset(rest), error)
+        again = rest[similar]
+        points1[again], zncc[again], converged[again] = again1, again_zncc, True
+    return Aligned(
+        _to_original(points1, scale1),
+        _to_original(corners, scale2),
+        zncc,
+        converged,
+        chosen.index,
+        pixel=float((1 / scale1 + 1 / scale2).mean()) / 2,
+    )
+
+
+def _from_coarse(
+    grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, error: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (M, 2) and correlations (M,) of patches that become similar on shrunk images, with
+    their affinities, aligned on the originals if that succeeds; and which of the matches they are,
+    indices (M,). error: along each axis."""
+    shrink = min(1.0, 1 / float(error.mean()))
+    small1, small2, moved, scale1, scale2 = _shrunk(grey1, grey2, matches, shrink, shrink)
+    coarse = align_patches(small1, small2, moved, PATCH_RADIUS, affine=True)
+    coarse = replace(coarse, points1=_to_original(coarse.points1, scale1))
+    near = _converged(coarse, matches.points1, grey1, _SHIFT * error)
+    similar = np.flatnonzero(near & (coarse.zncc >= MIN_ZNCC))
+    affinity = coarse.affinity[similar] * scale2 / scale1[:, None]
+    points1, zncc = coarse.points1[similar], coarse.zncc[similar]
+    start = replace(matches.subset(similar), points1=points1, affinity=affinity)
+    fine = align_patches(grey1, grey2, start, PATCH_RADIUS)
+    better = _converged(fine, points1, grey1, _SHIFT * error) & (fine.zncc >= MIN_ZNCC)
+    points1 = np.where(better[:, None], fine.points1, points1)
+    return points1, np.where(better, fine.zncc, zncc), similar
+
+
+def _shrunk(
+    pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
+) -> tuple[np.ndarray, np.ndarray, LocalMatches, np.ndarray, np.ndarray]:
+    """Both images, each shrunk by a factor, the matches of their pixels, and of each image the
+    pixels of the shrunk one per pixel of the original (2,)."""
+    small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
+    sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
+    scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
+    moved = LocalMatches(
+        rescale(matches.points1, *sizes[:2]),
+        rescale(matches.points2, *sizes[2:]),
+        scale1[:, None] * matches.affinity / scale2,
+        matches.index,
+    )
+    return small1, small2, moved, scale1, scale2
+
+
+def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """Points of a shrunk image in pixels of the original: the inverse of `rescale`, to the bit."""
+    return (points + 0.5) / scale - 0.5
+
+
+def _converged(
+    patches: Patches, start: np.ndarray, image: np.ndarray, max_shift: np.ndarray | float
+) -> np.ndarray:
+    """Which patches came to rest, (N,) bool, on the image and near where they began."""
+    points = patches.points1
+    on_image = ((points >= 0) & (points <= np.subtract(image.shape[1::-1], 1))).all(1)
+    near = np.linalg.norm((points - start) / max_shift, axis=1) <= 1
+    return on_image & near & (patches.step < _SETTLED)
+
+
+def locate(
+    grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, *, radius: int, max_shift: float
+) -> Aligned:
+    """As `align`, of the points of image 2 as they are, all of them, on the images alone.
+
+    grey: (H, W) float32. matches: points1 are where the search begins. radius: of a patch, pixels
+    of image 2. max_shift: pixels of image 1.
+    """
+    patches = align_patches(grey1, grey2, matches, radius)
+    converged = _converged(patches, matches.points1, grey1, max_shift)
+    return Aligned(patches.points1, matches.points2, patches.zncc, converged, matches.index)
+
+
+def nearby_corners(
+    grey: np.ndarray, points: np.ndarray, radius: int = CORNER_RADIUS
+) -> tuple[np.ndarray, np.ndarray]:
+    """The strongest corner (N, 2) near each point, and its strength (N,).
+
+    grey: (H, W) uint8 or float32. points: (N, 2), pixels. radius: pixels along each axis.
+    """
+    height, width = grey.shape
+    near = np.arange(-radius, radius + 1)
+    x, y = np.rint(points).astype(np.int64).T[:, :, None] + near
+    x, y = x.clip(0, width - 1), y.clip(0, height - 1)
+    corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
+    strip = y[:, radius] // _STRIP
+    for number in np.unique(strip):
+        here = np.flatnonzero(strip == number)
+        columns, rows = x[here], y[here]
+        left, top = (max(0, int(axis.min()) - _CORNER_MARGIN) for axis in (columns, rows))
+        bottom, right = (int(axis.max()) + _CORNER_MARGIN + 1 for axis in (rows, columns))
+        measured = cv2.cornerMinEigenVal(grey[top:bottom, left:right], _CORNER_BLOCK)
+        values = measured[(rows - top)[:, :, None], (columns - left)[:, None]]
+        values = values.reshape(len(here), -1)
+        each, best = np.arange(len(here)), values.argmax(1)
+        row, column = np.divmod(best, len(near))
+        corners[here] = np.stack([columns[each, column], rows[each, row]], -1)
+        strength[here] = values[each, best]
+    return corners, strength
+
+
+def spread(
+    points: np.ndarray, strength: np.ndarray, size: tuple[int, int], most: int
+) -> np.ndarray:
+    """Indices of at most `most` of the points (N, 2): the strongest of each square block.
+
+    strength: (N,). size: (width, height) of the image of the points.
+    """
+    order = np.argsort(-strength, kind="stable")
+    x, y = points[order].T
+    side = 1.0
+    while True:
+        blocks = np.floor(x / side) + np.floor(y / side) * (size[0] // side + 1)
+        if np.count_nonzero(np.diff(np.sort(blocks))) < most:
+            _, first = np.unique(blocks, return_index=True)
+            return np.sort(order[first])
+        side *= 1.1

@@ -1,0 +1,158 @@
+"""The inverse compositional Lucas-Kanade iteration (Baker & Matthews, IJCV 2004) on many patches.
+
+A patch of image 2 and the one that an affinity cuts from image 1 differ by a small shift, a gain
+and an offset, and by what the affinity lacks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dgc_pose.geometry.sampling import bilinear_at
+from dgc_pose.matching.consistency import LocalMatches
+from dgc_pose.system.threads import in_threads, slices
+
+_ITERATIONS = 8
+_AFFINE_ITERATIONS = 12
+_STEP = 1.5  # pixels at most of one iteration
+_CHUNK = 256  # patches at a time, which stay in the processor's cache
+_STILL = 0.02  # pixels of a step after which a patch is not moved again
+_NOISE = 1.0  # grey levels, added to the contrast of a patch
+_FLAT = np.sqrt(2) * _NOISE  # contrast, with that, of a patch that has none itself
+_RIDGE = 1e-6  # on shifts, towards zero
+_STIFFNESS = 0.02  # on changes of the affinity, likewise: fewer patches diverge
+_STRETCH = 2.0  # most that an affinity may change by along any axis, or its inverse
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Patches of image 1 after alignment."""
+
+    points1: np.ndarray  # (N, 2) float64, their centres, pixels of image 1
+    affinity: np.ndarray  # (N, 2, 2) float64, of offsets in image 2 to offsets in image 1
+    # (N,) float64, correlation of the patches, -1 to 1; NaN, as it is undefined, if one of them has
+    # no more contrast than noise
+    zncc: np.ndarray
+    step: np.ndarray  # (N,) float64, pixels of the last step
+
+
+def align_patches(
+    grey1: np.ndarray,
+    grey2: np.ndarray,
+    matches: LocalMatches,
+    radius: int,
+    *,
+    affine: bool = False,
+) -> Patches:
+    """The patches in image 1 of those around the matches' points in image 2.
+
+    grey: (H, W) float32. matches: points1 and affinity are where the search begins. radius: of a
+    patch, pixels of image 2. affine: adjust the affinity too; one that changes much has a
+    correlation of -1.
+    """
+    parts = in_threads(
+        lambda part: _align(grey1, grey2, matches.subset(part), radius, affine),
+        slices(len(matches.index), _CHUNK),
+    )
+    return Patches(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+def _align(
+    grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, radius: int, affine: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The arrays of `Patches`."""
+    template = _Template.of(grey2, matches.points2, radius, affine)
+    most = min(_STEP, 0.4 * radius)  # below half the radius, a change of the affinity is invertible
+    points1, affinity = matches.points1.copy(), matches.affinity.copy()
+    zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
+    for _ in range(_AFFINE_ITERATIONS if affine else _ITERATIONS):
+        moving = np.flatnonzero(length >= _STILL)
+        if len(moving) == 0:
+            break
+        centres = points1[moving].astype(np.float32)
+        # The coordinates apart: NumPy is slow along an axis of two.
+        x, y = (affinity[moving].transpose(1, 0, 2) @ template.offsets.T).astype(np.float32)
+        x += centres[:, :1]
+        y += centres[:, 1:]
+        patch, contrast = _standardised(bilinear_at(grey1, x, y), template.weights)
+        expected = template.patches[moving]
+        flat = np.minimum(contrast, template.contrast[moving])[:, 0] < _FLAT
+        zncc[moving] = np.where(flat, np.nan, (patch * expected) @ template.weights)
+        step = (template.gain[moving] @ (patch - expected)[..., None])[..., 0]
+        length[moving] = np.linalg.norm(step[:, :2], axis=1)
+        if affine:
+            length[moving] = np.maximum(length[moving], np.abs(step[:, 2:]).max(1))
+        step *= np.minimum(1, most / np.maximum(length[moving], 1e-9))[:, None]
+        # The template moved by `step` equals the patch, so the patch moves back by it.
+        if affine:
+            change = step[:, 2:].reshape(-1, 2, 2).transpose(0, 2, 1) / radius
+            affinity[moving] = affinity[moving] @ np.linalg.inv(np.eye(2) + change)
+        points1[moving] -= (affinity[moving] @ step[:, :2, None])[..., 0]
+    if affine:
+        zncc[~_alike(matches.affinity, affinity)] = -1
+    return points1, affinity, zncc, length
+
+
+@dataclass(frozen=True)
+class _Template:
+    """Patches of image 2, and the motion that a difference from them stands for."""
+
+    offsets: np.ndarray  # (P, 2) of a patch's samples from its centre, pixels
+    weights: np.ndarray  # (P,) of the samples, their sum 1
+    patches: np.ndarray  # (N, P), standardised
+    contrast: np.ndarray  # (N, 1)
+    # (N, 2 or 6, P) by which a difference is multiplied for the shift in pixels and, times the
+    # radius, the columns of the change of the affinity
+    gain: np.ndarray
+
+    @classmethod
+    def of(cls, grey: np.ndarray, points: np.ndarray, radius: int, affine: bool) -> _Template:
+        axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
+        offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+        weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
+        weights /= weights.sum()
+        patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
+        across, down = _window(grey, points, halves, axis), _window(grey, points, axis, halves)
+        slopes = (
+            np.diff(across.reshape(-1, len(axis), len(halves)), axis=2),
+            np.diff(down.reshape(-1, len(halves), len(axis)), axis=1),
+        )
+        jacobian = np.stack(slopes, 1).reshape(-1, 2, len(offsets)) / contrast[..., None]
+        ridge = np.full(2, _RIDGE)
+        if affine:
+            x, y = (offsets.T / radius).astype(np.float32)
+            jacobian = np.concatenate([jacobian, jacobian * x, jacobian * y], 1)
+            ridge = np.append(ridge, np.full(4, _STIFFNESS))
+            # Without what gain and offset explain: an enlargement can resemble a gain.
+            jacobian -= (jacobian @ weights)[..., None]
+            jacobian -= ((jacobian * patches[:, None]) @ weights)[..., None] * patches[:, None]
+        weighted = jacobian * weights
+        hessian = weighted @ jacobian.transpose(0, 2, 1) + np.diag(ridge)
+        gain = np.linalg.inv(hessian).astype(np.float32) @ weighted
+        return cls(offsets, weights, patches, contrast, gain)
+
+
+def _alike(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Which affinities (N, 2, 2) differ by a stretch of less than `_STRETCH` along every axis."""
+    change = np.linalg.inv(first) @ second
+    stretch = np.linalg.svd(change, compute_uv=False)
+    little = np.all((stretch < _STRETCH) & (stretch > 1 / _STRETCH), axis=1)
+    return little & (np.linalg.det(change) > 0)
+
+
+def _window(grey: np.ndarray, points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Values (N, Y * X) of an image around points (N, 2), at offsets x (X,) of each of y (Y,)."""
+    columns, rows = (offset.ravel() for offset in np.meshgrid(x, y))
+    return bilinear_at(grey, points[:, :1] + columns, points[:, 1:] + rows)
+
+
+def _standardised(patches: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Patches (N, P) with weighted mean 0 and deviation 1, and their deviations (N, 1).
+
+    The noise is added to the deviation, so that flat patches stay small and correlate with nothing.
+    """
+    patches = patches - (patches @ weights)[:, None]
+    deviation = np.sqrt((patches**2 @ weights)[:, None] + _NOISE**2)
+    return patches / deviation, deviation

@@ -1,0 +1,105 @@
+"""The steps of the search for a pose, and the rule that decides on each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.focal_check import AGREEING_LOG_FOCAL
+from dgc_pose.estimation.options import Effort
+from dgc_pose.matching import Matcher, NetworkMatcher
+
+# What is done for a pose, in this order, see `solve_pair`:
+# - coarse: a pass over small images, which is enough for an easy pair
+# - refine: more accurate matches by the map of the coarse step, for a pose that is certain
+# - full: all that `Matcher.match` does
+# - mirrored: a coarse pass over image 1 and the mirror image of image 2, which may end the search
+# - guided: matches of squeezed images and near epipolar lines, pooled with those that are there
+Step = Literal["coarse", "refine", "full", "mirrored", "guided"]
+_STEPS: Mapping[Effort, Sequence[Step]] = {
+    "fast": ("coarse", "full", "mirrored"),
+    "auto": ("coarse", "refine", "full", "mirrored", "guided"),
+    "thorough": ("full", "mirrored", "guided"),
+}
+# Probabilities that a pose or an alternative is right beyond which no more is searched, and the
+# share of the pose that this needs.
+_MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
+# Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
+LIKELY = 0.9
+# It is not if its own is so probable, and the median epipolar error below this share of the
+# threshold: a scene that is nearly its mirror image does not fit as closely.
+_CLOSE = 0.1
+_FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
+_ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
+_LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
+
+
+def steps_of(matcher: Matcher, effort: Effort) -> Sequence[Step]:
+    """The steps of an effort, in order. A matcher that is no network matches in full alone."""
+    return _STEPS[effort] if isinstance(matcher, NetworkMatcher) else ("full",)
+
+
+def may_change(
+    step: Step, pose: RelativePose | None, camera1: Camera, camera2: Camera, effort: Effort
+) -> bool:
+    """Whether a step may change the answer. pose: after the steps before it, if there is one.
+
+    Cameras that are not exact skip all but the full step: few matches determine a focal length less
+    than many do, and epipolar lines that depend on it narrow nothing down.
+    """
+    exact = camera1.exact and camera2.exact
+    if step == "coarse":
+        return exact
+    if pose is None:
+        return step == "full"
+    if step == "refine":
+        return certain(pose) and not (accurate(pose) and focal_agrees(pose))
+    if step == "full":
+        return effort != "fast" and not certain(pose)
+    if step == "mirrored":
+        likely = pose.any_probability
+        if likely is None or pose.status in ("rotation_only", "same_picture"):
+            return False
+        return likely < LIKELY or pose.evidence is None or pose.evidence.residual >= _CLOSE
+    limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
+    return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
+
+
+def certain(pose: RelativePose) -> bool:
+    """Whether it is nearly certain that the pose is right."""
+    return pose.success and _is_clear(pose)
+
+
+def _is_clear(pose: RelativePose) -> bool:
+    """Whether a hypothesis is nearly certain to be right, and which one."""
+    likely = (pose.any_probability or 0.0) >= _MAX_SEARCHED
+    return likely and pose.hypotheses[0].share >= _CLEAR_SHARE
+
+
+def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
+    """Whether the expected errors of the pose are known, and below a limit."""
+    errors = pose.rotation_error_90_deg, pose.translation_error_90_deg
+    return all(error is not None and error < limit_deg for error in errors)
+
+
+def focal_agrees(pose: RelativePose) -> bool:
+    """Whether the matches suggest roughly the focal lengths that the cameras have. If they do not,
+    it takes many matches to distinguish a wrong K from a right one."""
+    if pose.evidence is None:
+        return False
+    check = pose.evidence.focal_check
+    most = 0.0 if check is None else max(AGREEING_LOG_FOCAL, _FOCAL_AGREES_STD * check.std)
+    return check is None or abs(math.log(check.factor)) < most
+
+
+def in_doubt(pose: RelativePose) -> bool:
+    """Whether more matches may change the answer: it is neither certain nor hopeless."""
+    likely = pose.any_probability
+    if likely is None or not pose.hypotheses:
+        return False
+    share = pose.hypotheses[0].share
+    of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
+    return of_others > _MIN_SEARCHED and not _is_clear(pose)

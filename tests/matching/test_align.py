@@ -1,0 +1,134 @@
+"""Alignment of patches: to a fraction of a pixel, invariant to gain and offset."""
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.images.image import resize
+from dgc_pose.matching.align import Aligned, align, locate, nearby_corners, spread
+from dgc_pose.matching.consistency import LocalMatches
+
+
+def _local(points2: np.ndarray, error: np.ndarray) -> LocalMatches:
+    """The surface's own matches and affinities (by differences of 1 px), points off by `error`."""
+    slopes = [
+        dense_scene.points_in_image1(points2 + half) - dense_scene.points_in_image1(points2 - half)
+        for half in ((0.5, 0.0), (0.0, 0.5))
+    ]
+    points1 = dense_scene.points_in_image1(points2) + error
+    return LocalMatches(points1, points2, np.stack(slopes, -1), np.arange(len(points2)))
+
+
+def _align(first: np.ndarray, second: np.ndarray, sigma: float = 1.0) -> Aligned:
+    rng = np.random.default_rng(1)
+    points2 = rng.uniform((60, 40), (260, 200), (400, 2))
+    local = _local(points2, rng.normal(0, sigma, points2.shape))
+    return align(first, second, local, error_px=1.2, max_matches=300)
+
+
+def _off(found: Aligned) -> np.ndarray:
+    truth = dense_scene.points_in_image1(found.points2)
+    return np.linalg.norm(found.points1 - truth, axis=1)
+
+
+@pytest.mark.parametrize("gain, offset", [(1.0, 0), (0.6, 40)])
+def test_aligned_to_a_fraction_of_a_pixel_at_any_gain_and_offset(gain: float, offset: int) -> None:
+    first, second = dense_scene.pictures()
+    first = np.rint(first * gain + offset).astype(np.uint8)
+    found = _align(first, second)
+    good = found.converged & (found.zncc > 0.8)
+    assert good.mean() > 0.9
+    assert np.median(_off(found)[good]) < 0.08
+    assert (_off(found)[good] < 0.5).mean() > 0.97
+
+
+def test_corners_are_those_of_the_whole_image() -> None:
+    """Over several strips, at the image's edges and beyond them."""
+    rng = np.random.default_rng(2)
+    grey = rng.uniform(0, 255, (600, 90)).astype(np.float32)
+    whole = cv2.cornerMinEigenVal(grey, 7)
+    points = rng.uniform((-9, -9), (99, 609), (500, 2))
+    corners, strength = nearby_corners(grey, points)
+    for point, corner, value in zip(np.rint(points).astype(int), corners, strength, strict=True):
+        x, y = ((point[k] + np.arange(-4, 5)).clip(0, grey.shape[1 - k] - 1) for k in (0, 1))
+        assert value == whole[np.ix_(y, x)].max() == whole[int(corner[1]), int(corner[0])]
+        assert corner[0] in x and corner[1] in y
+    no_corners, no_strength = nearby_corners(grey, points[:0])
+    assert no_corners.shape == (0, 2) and no_strength.shape == (0,)
+
+
+def test_other_pictures_and_flat_ones_do_not_align() -> None:
+    first, second = dense_scene.pictures()
+    other = dense_scene.pictures(seed=5)[0]
+    flat = np.full_like(second, 90)
+    for one, two in ((other, second), (flat, second), (first, flat), (flat, flat)):
+        found = _align(one, two)
+        assert (found.converged & (found.zncc > 0.8)).mean() < 0.02
+        assert np.isfinite(found.points1).all()
+
+
+def test_what_moved_too_far_did_not_converge() -> None:
+    first, second = dense_scene.pictures()
+    rng = np.random.default_rng(1)
+    local = _local(rng.uniform((60, 40), (260, 200), (100, 2)), np.zeros((100, 2)) + (3.0, 0.0))
+    near = align(first, second, local, error_px=1.2, max_matches=100)
+    strict = align(first, second, local, error_px=0.2, max_matches=100)
+    # Those that converge to the right point move by three pixels.
+    arrived = _off(near) < 0.3
+    assert arrived.mean() > 0.4 and not strict.converged[arrived].any()
+
+
+def test_what_shifts_alone_do_not_align_is_aligned_from_shrunk_images() -> None:
+    """Starts off by several pixels, affinities off by a fifth, as of views far apart."""
+    first, second = dense_scene.pictures()
+    rng = np.random.default_rng(1)
+    points2 = rng.uniform((60, 40), (260, 200), (250, 2))
+    local = _local(points2, rng.normal(0, 2.5, points2.shape))
+    skewed = local.affinity @ (np.eye(2) + rng.normal(0, 0.2, (250, 2, 2)))
+    local = LocalMatches(local.points1, local.points2, skewed, local.index)
+    grey1, grey2 = (
+        cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY).astype(np.float32) for pixels in (first, second)
+    )
+    shifted = locate(grey1, grey2, local, radius=7, max_shift=12.5)
+    truth = dense_scene.points_in_image1(points2)
+    near = np.linalg.norm(shifted.points1 - truth, axis=1) < 0.3
+    before = shifted.converged & (shifted.zncc > 0.8) & near
+    found = align(first, second, local, error_px=2.5, max_matches=300)
+    good = found.converged & (found.zncc >= 0.8)
+    assert (good & (_off(found) < 0.3)).sum() > 1.5 * before.sum()
+    assert (_off(found)[good] < 0.5).mean() > 0.8
+
+
+@pytest.mark.parametrize("larger", [1, 2])
+def test_an_image_at_three_times_the_size_is_shrunk_first(larger: int) -> None:
+    """The coordinates stay those of the originals, and the errors grow with their pixels."""
+    first, second = dense_scene.pictures()
+    rng = np.random.default_rng(1)
+    local = _local(rng.uniform((60, 40), (260, 200), (400, 2)), rng.normal(0, 0.5, (400, 2)))
+    times = np.array([3.0, 1.0]) if larger == 1 else np.array([1.0, 3.0])
+    if larger == 1:
+        first = resize(first, (960, 720))
+    else:
+        second = resize(second, (960, 720))
+    enlarged = LocalMatches(
+        (local.points1 + 0.5) * times[0] - 0.5,
+        (local.points2 + 0.5) * times[1] - 0.5,
+        local.affinity * times[0] / times[1],
+        local.index,
+    )
+    found = align(first, second, enlarged, error_px=1.2 * times[0], max_matches=300)
+    assert found.pixel == pytest.approx(2.0, rel=0.05)  # the mean of 1 and 3
+    good = found.converged & (found.zncc > 0.8)
+    assert good.mean() > 0.8
+    truth = dense_scene.points_in_image1((found.points2 + 0.5) / times[1] - 0.5)
+    off = np.linalg.norm((found.points1 + 0.5) / times[0] - 0.5 - truth, axis=1)
+    assert np.median(off[good]) < 0.1
+
+
+def test_spread_keeps_the_strongest_of_each_block() -> None:
+    points = np.array([[10.0, 10.0], [12.0, 11.0], [200.0, 10.0], [10.0, 200.0]])
+    strength = np.array([1.0, 2.0, 0.1, 0.2])
+    assert spread(points, strength, (300, 300), 10).tolist() == [0, 1, 2, 3]
+    assert spread(points, strength, (300, 300), 3).tolist() == [1, 2, 3]
+    assert spread(points[:0], strength[:0], (300, 300), 3).tolist() == []

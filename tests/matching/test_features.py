@@ -1,0 +1,195 @@
+"""The encoder's features at native resolution."""
+
+import cv2
+import dense_scene
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from dgc_pose.cameras.camera import Camera, TwoViews
+from dgc_pose.geometry.epipolar import sampson_distance
+from dgc_pose.geometry.pixels import rescale, within
+from dgc_pose.images.image import Image
+from dgc_pose.matches import Matches
+from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching.cache import image_cache
+from dgc_pose.matching.epipolar_band import EpipolarBand
+from dgc_pose.matching.features import (
+    MOST_HYPOTHESES,
+    equal_scales,
+    feature_matches,
+    guided_matches,
+    mutual_neighbours,
+)
+from dgc_pose.matching.view import View
+from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+
+
+@pytest.fixture(scope="module")
+def engine() -> TorchEngine:
+    return load_torch_engine("dgcm-lite0", torch.device("cpu"))
+
+
+def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
+    noise = np.random.default_rng(seed).random((height // 8, width // 8, 3), np.float32)
+    planes = torch.from_numpy(noise).permute(2, 0, 1)[None]
+    smooth = F.interpolate(planes, (height, width), mode="bicubic", align_corners=False)
+    return (255 * smooth[0].permute(1, 2, 0)).clamp(0, 255).byte().contiguous().numpy()
+
+
+def _guide(points1: np.ndarray, grid: np.ndarray, size1: tuple, size2: tuple) -> CorrespondenceMap:
+    matchability = np.full(grid.shape[:2], 0.9, np.float32)
+    return CorrespondenceMap(
+        points1.astype(np.float32), grid.astype(np.float32), matchability, size1, size2
+    )
+
+
+def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
+    axes = [(np.arange(cells) + 0.5) * side / cells - 0.5 for side in size]
+    return np.stack(np.meshgrid(*axes), -1)
+
+
+@pytest.mark.parametrize(
+    "size1, size2, scale, expected",
+    [
+        ((1600, 1200), (1200, 1600), 1.0, (0.5, 0.5)),
+        ((480, 300), (600, 400), 1.0, (1.0, 1.0)),  # not enlarged
+        ((300, 240), (320, 240), 1.0, (2.0, 2.0)),  # small: enlarged twice
+        ((450, 300), (320, 240), 1.0, (16 / 9, 16 / 9)),  # to the long side at most
+        ((1600, 1200), (320, 240), 5.0, (0.4, 2.0)),  # small at the common scale
+        ((1600, 1200), (1600, 1200), 2.0, (0.25, 0.5)),  # of larger scale in image 1
+    ],
+)
+def test_factors_make_the_scales_equal(
+    size1: tuple[int, int], size2: tuple[int, int], scale: float, expected: tuple[float, float]
+) -> None:
+    found = equal_scales(size1, size2, scale, 800)
+    assert found == pytest.approx(expected)
+    assert found[0] * scale == pytest.approx(found[1])
+
+
+def _match(
+    engine: TorchEngine,
+    first: np.ndarray,
+    second: np.ndarray,
+    guide: CorrespondenceMap,
+) -> Matches:
+    return feature_matches(engine, Image(first), Image(second), guide, image_cache(), 192)
+
+
+def _unit(features: np.ndarray) -> np.ndarray:
+    return features / np.linalg.norm(features, axis=-1, keepdims=True)
+
+
+def _random_features(seed: int, rows: int, columns: int) -> NativeFeatures:
+    rng = np.random.default_rng(seed)
+    levels = [
+        _unit(rng.standard_normal((k * rows, k * columns, 16), np.float32)) for k in (1, 2, 4)
+    ]
+    return NativeFeatures(levels[0], levels[1], levels[2], (16 * columns, 16 * rows))
+
+
+@pytest.mark.parametrize("banded", [False, True])
+def test_with_all_cells_as_candidates_it_is_the_full_mutual_search(banded: bool) -> None:
+    """Among the cells near the epipolar lines, if there is a band."""
+    source, target = _random_features(0, 3, 4), _random_features(1, 5, 3)
+    every = np.tile(np.arange(12), (15, 1))
+    full = source.middle.reshape(-1, 16).astype(float) @ target.middle.reshape(-1, 16).T
+    band = None
+    if banded:
+        seen = ((features, View.whole(features.size)) for features in (source, target))
+        camera = Camera(np.array([[60.0, 0, 30], [0, 60, 30], [0, 0, 1]]))
+        turned = TwoViews(camera, camera, dense_scene.R, dense_scene.T)
+        band = EpipolarBand(turned, *seen, children=True)
+        full[~band.all().T] = -np.inf
+    cells1, cells2, cosine = mutual_neighbours(source, target, every, band)
+    expected = {
+        (int(full[:, j].argmax()), j)
+        for j in range(full.shape[1])
+        if int(full[int(full[:, j].argmax())].argmax()) == j and full[:, j].max() > -np.inf
+    }
+    assert len(expected) > 5
+    index1, index2 = cells1 @ (1, 8), cells2 @ (1, 6)
+    found = list(zip(index1.tolist(), index2.tolist(), strict=True))
+    assert set(found) == expected and len(found) == len(expected)
+    np.testing.assert_allclose(cosine, full[index1, index2], atol=1e-5)
+
+
+@pytest.mark.parametrize("angle", [0.0, 90.0, 270.0, 150.0])
+def test_a_rotated_picture_matches_itself(engine: TorchEngine, angle: float) -> None:
+    """Image 2 is image 1 rotated; the map shows the rotation, with an error of 10 pixels."""
+    pixels = _picture(192, 160)
+    rotated = View.whole((192, 160), angle)
+    second = rotated.cut(pixels)
+    grid = _grid(rotated.size)
+    guide = _guide(rotated.to_image(grid) + 10, grid, (192, 160), rotated.size)
+    found = _match(engine, pixels, second, guide)
+    off = found.points1 - rotated.to_image(found.points2)
+    if angle % 90 == 0:
+        assert len(found) > 200
+        assert np.median(np.abs(off)) < 0.5 and (np.abs(off).max(1) < 3).mean() > 0.9
+        # The error is that of a quarter of a cell of stride 4, at the original's own size.
+        assert found.error_px == pytest.approx(1.0, rel=1e-6)
+    else:  # resampled, and with cells of the border
+        assert (np.abs(off).max(1) < 3).sum() > 30
+        assert within(found.points2, rotated.size).all()
+
+
+def test_matches_near_the_lines_of_a_hypothesis_are_near_them(engine: TorchEngine) -> None:
+    """Whatever the map says, and of a wrong hypothesis near wrong lines."""
+    first, second = (Image(pixels) for pixels in dense_scene.pictures())
+    guide = dense_scene.noise_map()
+    guide.matchability[:] = 0.0
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    true, wrong = (
+        TwoViews(camera, camera, dense_scene.R, t) for t in (dense_scene.T, np.array([0.0, 1, 0]))
+    )
+
+    def guided(hypotheses: list[TwoViews]) -> list[Matches]:
+        return guided_matches(engine, first, second, guide, image_cache(), hypotheses)
+
+    near = guided([true, wrong])[4:]
+    for matches, views in zip(near, (true, wrong), strict=True):
+        points = camera.normalise(matches.points1), camera.normalise(matches.points2)
+        off = dense_scene.K[0, 0] * sampson_distance(*points, views.E)
+        # A cell of stride 8 is 4 pixels, as features are of the pictures twice as large.
+        assert len(matches) > 100 and np.median(off) < 4 and np.percentile(off, 95) < 8
+    errors = [
+        np.abs(dense_scene.points_in_image1(matches.points2) - matches.points1).max(1)
+        for matches in near
+    ]
+    assert (errors[0] < 3).mean() > 2 * (errors[1] < 3).mean()
+    (alone,) = guided([true])[4:]
+    np.testing.assert_array_equal(alone.points1, near[0].points1)
+    assert len(guided([])) == 4
+    assert len(guided(9 * [true])) == 4 + MOST_HYPOTHESES
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("narrowed", [0, 1])
+def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
+    engine: TorchEngine, narrowed: int, axis: int
+) -> None:
+    """A picture and one of half its width or height: of the search's pairs of pictures that with
+    the other one squeezed likewise has most matches, and they are true."""
+    whole = _picture(384, 320)
+    size = (192, 320) if axis == 0 else (384, 160)
+    pictures = [whole, whole]
+    pictures[narrowed] = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
+    sizes = [(pixels.shape[1], pixels.shape[0]) for pixels in pictures]
+    grid = _grid(sizes[1])
+    guide = _guide(rescale(grid, sizes[1], sizes[0]), grid, *sizes)
+    guide.matchability[:] = 0.0
+    images = [Image(pixels) for pixels in pictures]
+    every = guided_matches(engine, *images, guide, image_cache(), [])
+    assert len(every) == 4
+    counts = []
+    for matches in every:
+        true = rescale(matches.points2, sizes[1], sizes[0])
+        counts.append((np.abs(matches.points1 - true).max(1) < 4).sum())
+    # The axes, of each the pictures. The pictures become alike, too, if the squeezed one is
+    # squeezed along its other axis.
+    alike = [2 * along + number for along, number in ((axis, 1 - narrowed), (1 - axis, narrowed))]
+    assert int(np.argmax(counts)) in alike and max(counts) > 200

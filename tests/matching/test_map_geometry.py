@@ -1,0 +1,75 @@
+"""What the dense map shows: points, rotation, scale, and the parts that match."""
+
+import dense_scene
+import numpy as np
+import pytest
+
+from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching.map_geometry import (
+    matchable_points,
+    points_in_image1,
+    rotation_between,
+    scale_between,
+    window_shown,
+)
+from dgc_pose.matching.view import View
+
+
+def test_points_between_cells_lie_on_the_surface() -> None:
+    rng = np.random.default_rng(0)
+    points2 = rng.uniform((5, 5), (314, 234), (40000, 2))  # more than one remap takes in a side
+    found = points_in_image1(dense_scene.true_map(), points2)
+    np.testing.assert_allclose(found, dense_scene.points_in_image1(points2), atol=0.02)
+
+
+@pytest.mark.parametrize("angle", [-150.0, -20.0, 0.0, 75.0, 170.0])
+def test_the_map_shows_the_rotation_of_image_2(angle: float) -> None:
+    """Image 2 such that it has the orientation of image 1 when it is rotated by the angle."""
+    axis = np.arange(24.0)
+    grid = np.stack(np.meshgrid(axis, axis), -1)
+    upright = View.whole((24, 24), angle).to_view(grid)
+    points1 = 0.7 * upright + 20
+    matchability = np.full((24, 24), 0.9, np.float32)
+    points1[:3], matchability[:3] = 500.0, 0.1  # cells of low matchability do not count
+    found = CorrespondenceMap(
+        points1.astype(np.float32), grid.astype(np.float32), matchability, (80, 80), (24, 24)
+    )
+    assert rotation_between(*matchable_points(found)) == pytest.approx(angle, abs=1e-3)
+    assert len(matchable_points(found)[0]) == 21 * 24
+    found.matchability[:] = 0.4
+    few = matchable_points(found)
+    assert rotation_between(*few) == 0 == len(few[0])
+
+
+def test_a_window_holds_the_points_with_a_margin() -> None:
+    rng = np.random.default_rng(0)
+    points = rng.uniform((100, 50), (180, 90), (2000, 2))
+    points[:10] = 600.0  # fewer than one in a hundred do not count
+    (width, height), centre = window_shown(points, (640, 480))
+    assert 115 < width < 130 and 55 < height < 65
+    assert centre == pytest.approx((140, 70), abs=2)
+    # Of whole pixels, and within the image.
+    assert centre[0] % 1 == (0.5 if width % 2 == 0 else 0.0)
+    (width, height), centre = window_shown(points - (100, 50), (640, 480))
+    assert centre[0] - (width - 1) / 2 == centre[1] - (height - 1) / 2 == 0
+
+
+@pytest.mark.parametrize("scale", [0.3, 1.0, 2.5])
+def test_the_map_shows_the_scale(scale: float) -> None:
+    """Rotated, sheared at constant area, noisy, and wrong at low matchability."""
+    rng = np.random.default_rng(0)
+    axis = np.arange(60.0)
+    grid = np.stack(np.meshgrid(5 * axis, 4 * axis), -1)  # cells of 5 by 4 pixels
+    angle = np.radians(70)
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    shear = np.array([[1.25, 0.4], [0.0, 0.8]])
+    points1 = grid @ (scale * rotation @ shear).T + rng.normal(0, 0.1, grid.shape)
+    matchability = np.full((60, 60), 0.9, np.float32)
+    points1[:25], matchability[:25] = rng.uniform(0, 900, (25, 60, 2)), 0.1
+    found = CorrespondenceMap(
+        points1.astype(np.float32), grid.astype(np.float32), matchability, (900, 900), (300, 240)
+    )
+    assert scale_between(found) == pytest.approx(scale, rel=0.03)
+    equal_fields = np.sqrt(900 * 900 / (300 * 240))
+    found.matchability[:] = 0.4
+    assert scale_between(found) == pytest.approx(equal_fields)
