@@ -1,21 +1,40 @@
 """Networks whose maps are known without any weights, and a small one."""
 
+from dataclasses import replace
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import PRESETS, DecoderConfig, NetworkConfig
-from dgc_pose.network.net import Prediction
+from dgc_pose.network.config import INPUT_SIZE, PRESETS, DecoderConfig, NetworkConfig
+from dgc_pose.network.coordinates import to_normalised
+from dgc_pose.network.net import DGCNet, Prediction
 
 # For squared images, with a mask, and fast.
 SMALL = NetworkConfig(
     "small",
     pyramid=((8,),) * 5,
     decoders=(DecoderConfig((8,), (1,)),) * 5,
-    output="displacement",
     matchability="decoder",
     align_corners=False,
 )
+
+
+class ShiftNet(DGCNet):
+    """A small net that maps every cell to itself, shifted in x by a normalised amount."""
+
+    def __init__(self, shift: float = 0.0, align_corners: bool = True) -> None:
+        super().__init__(replace(SMALL, align_corners=align_corners))
+        self.shift = shift
+
+    def decode(
+        self, source: list[Tensor], target: list[Tensor], finest: int = INPUT_SIZE
+    ) -> Prediction:
+        cells = torch.arange(float(finest))
+        grid = torch.stack(torch.meshgrid(cells, cells, indexing="xy"), -1)
+        points = to_normalised(grid, (finest, finest), self.config.align_corners)
+        points[..., 0] += self.shift
+        return Prediction((points.movedim(-1, 0)[None],), (torch.zeros(1, 1, finest, finest),))
 
 
 class MapNet(nn.Module):

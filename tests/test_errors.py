@@ -16,7 +16,7 @@ _PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg"
 _K = ("--K", "460,460,319.5,239.5")
 _TORCH = "torch, which is not installed: pip install '.[torch]'"
 _CUDA = f"device cuda needs {_TORCH}"
-_ENTRY = '{"name": "PART", "part": "PART", "kind": "rendered", "path": ["photos"]}'
+_ENTRY = '{"name": "PART", "part": "PART", "kind": "rendered", "path": "photos"}'
 _PLAN = "[" + ",".join(_ENTRY.replace("PART", part) for part in ("fit", "report")) + "]"
 
 

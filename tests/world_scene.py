@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.camera_spread import SIZE
 from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import SIZE
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.localization.sights import Sight, WorldPose
+from dgc_pose.localization.correspondences import PairCorrespondences, WorldPose
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
 
@@ -79,12 +79,14 @@ class WorldScene:
         pose = estimate_pose(self.matches(number, seed=seed), CAMERA, PHOTO_CAMERA, OPTIONS)
         return replace(pose, probability=probability, any_probability=probability)
 
-    def sight(self, number: int, seed: int = 0, photo: Camera = PHOTO_CAMERA) -> Sight:
+    def sight(
+        self, number: int, seed: int = 0, photo: Camera = PHOTO_CAMERA
+    ) -> PairCorrespondences:
         R, centre = self.references[number]
         problem = TwoViewProblem.of(self.matches(number, seed=seed), CAMERA, photo, OPTIONS)
         t = self.R @ (centre - self.centre)
         hypothesis = Hypothesis.of_pose(problem, self.R @ R.T, t / np.linalg.norm(t))
-        return Sight(R, centre, problem, [hypothesis])
+        return PairCorrespondences(R, centre, problem, [hypothesis])
 
     @property
     def pose(self) -> WorldPose:

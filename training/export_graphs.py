@@ -19,7 +19,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import COARSEST, DEVIATION, MEAN, STRIDE, preset
+from dgc_pose.network.config import COARSEST, DEFAULT_WEIGHTS, DEVIATION, MEAN, STRIDE, preset
 from dgc_pose.network.efficientnet import EfficientPyramid, upsample
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import COUNTER
@@ -65,9 +65,9 @@ def _decode(decoder: nn.Module, features: list[Tensor], previous: Tensor, cell: 
     return previous + decoder(torch.cat([*features, previous], 1)) * cell
 
 
-def export(name: str, folder: Path) -> None:
-    """Write the graphs of a preset into a folder."""
-    config = preset(name)
+def export(folder: Path) -> None:
+    """Write the graphs of the preset that has them into a folder."""
+    config = preset(DEFAULT_WEIGHTS)
     stored = DGCNet(config).eval()
     net = for_inference(stored)
     net.to(memory_format=torch.contiguous_format)  # type: ignore[call-overload]
@@ -145,6 +145,4 @@ def _without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    for name in graphs.PRESETS:
-        export(name, graphs.GRAPHS / name)
-        print(name)
+    export(graphs.GRAPHS)

@@ -1,29 +1,12 @@
-"""Initialising a run from trained weights, or its encoder from ImageNet's VGG-16."""
+"""Initialising a run's encoder from ImageNet's VGG-16."""
 
 from pathlib import Path
 
 from torch import nn
 
-from dgc_pose.errors import WeightsError
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import check_tensors, load_network, read_state
-
-
-def initialise_from(weights: str | Path, net: DGCNet) -> None:
-    """Load the weights of a file (or of a shipped name) into `net`.
-
-    Of weights of another preset with the same pyramid (an ablation), only the pyramid and the
-    correlation's temperatures are loaded. Raises WeightsError if the pyramids differ, too.
-    """
-    other = load_network(weights)
-    if other.config.pyramid != net.config.pyramid:
-        raise WeightsError(
-            f"{weights}: weights of {other.config.name}, whose pyramid {net.config.name} lacks"
-        )
-    state, same = other.state_dict(), other.config == net.config
-    kept = {k: v for k, v in state.items() if same or k.startswith(("pyramid.", "correlation_"))}
-    net.load_state_dict(kept, strict=same)
+from dgc_pose.network.weights import check_tensors, read_state
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:

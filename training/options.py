@@ -44,12 +44,6 @@ class TrainingOptions:
     steps: int | None = option(
         None, "Length of the run in steps; on a CPU such a run repeats exactly.", min=1, max=10**9
     )
-    ablations: tuple[str, ...] = option(
-        (),
-        "Change of the network, as in the paper: no-l2, flow, no-dilation or local-correlation; "
-        "may be given several times. The first and the third also change dgcm-lite0.",
-        flag="--ablation",
-    )
     seed: int = option(0, "Seed of all random draws.", min=0, max=MAX_SEED)
     encoder_share: float = option(
         0.7, "Share of the run for the encoder; VGG-16 stays as it is.", min=0, max=1
@@ -86,16 +80,11 @@ class TrainingOptions:
         if (self.seconds is None) == (self.steps is None):
             raise InputError("a run needs its length, in seconds or in steps, and one of them only")
         if config.any_shape and self.encoder is not None:
-            raise InputError(ArgumentName("encoder"), f"is VGG-16, which {self.network} has not")
+            raise InputError(ArgumentName("encoder"), f"is VGG-16, which {self.preset} has not")
         if not config.any_shape and self.encoder is None and self.init is None:
-            needs = f"or init is needed: the VGG-16 of {self.network} is not trained"
+            needs = f"or init is needed: the VGG-16 of {self.preset} is not trained"
             raise InputError(ArgumentName("encoder"), needs)
 
     @property
-    def network(self) -> str:
-        """The name of the network: the preset and its ablations, as `preset` takes it."""
-        return "+".join([self.preset, *self.ablations])
-
-    @property
     def config(self) -> NetworkConfig:
-        return preset(self.network)
+        return preset(self.preset)

@@ -75,8 +75,8 @@ def load_data(
     held back, posed photographs.
 
     photos, light: see `load_photos`; posed: folders for `read_scenes`; depths: see `load_posed`;
-    held: names of the scenes that validate. Raises as these do, and InputError for a scene that is
-    not there or there twice, and if no frames of one that is needed make a pair.
+    held: names of the scenes that validate. Raises as these and `frame_pairs` do; InputError for a
+    scene that is not there or there twice.
     """
     frames: dict[str, list[PosedFrame]] = {}
     for root in posed:
@@ -94,14 +94,8 @@ def load_data(
     pairs = validating = None
     if needed:
         scenes = load_posed(needed, device, depths)
-        pairs, validating = frame_pairs(scenes, trains), frame_pairs(scenes, held)
-        paired = [] if validating is None else validating.names
-        pairless = [name for name in held if name not in paired]
-        if pairs is None:
-            pairless += trains
-        if pairless:
-            names = ", ".join(pairless)
-            raise InputError(f"posed: in {names} no two frames share enough of known depth")
+        pairs = frame_pairs(scenes, trains) if trains else None
+        validating = frame_pairs(scenes, held) if held else None
     sources = {
         TRAINING: PairSource(training, pairs, shares),
         "photos": PairSource(held_back, shares=Shares(1, 0, 0, 0)),

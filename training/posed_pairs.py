@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.pixels import pixel_grid as centres
 from dgc_pose.images.image import load_image, resize_by
@@ -116,10 +117,8 @@ def load_posed(
         if frames[0].depth is not None:
             depths += [torch.from_numpy(depth / np.float32(unit)).to(device) for depth in sensed]
             continue
-        numbers = (np.stack(pinholes), pose, reach / unit)
-        facts = [(frame.image.name, frame.camera.distortion) for frame in frames]
-        words = repr((facts, [image.shape for image in pixels], [n.tolist() for n in numbers]))
-        digest = hashlib.sha256(words.encode()).hexdigest()[:16]  # other poses have other depths
+        # Other poses have other depths.
+        digest = hashlib.sha256(repr(frames).encode()).hexdigest()[:16]
         path = kept / f"{name}-{digest}.pt"
         if not path.exists():
             bounds = torch.from_numpy(reach / unit).float().to(device)
@@ -161,14 +160,16 @@ def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth
 
 
-def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs | None:
+def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs:
     """The pairs of some scenes: an overlap of 0.2 and more, the more often the more the view
-    changes; a scene weighs as the root of the number of its pairs. None without any."""
+    changes; a scene weighs as the root of the number of its pairs. Raises InputError without any.
+    """
     chosen = [k for k, name in enumerate(scenes.names) if name in names]
     parts = [_scene_pairs(scenes, (scenes.scene == k).nonzero()[:, 0]) for k in chosen]
     parts = [part for part in parts if len(part[0])]
     if not parts:
-        return None
+        listed = ", ".join(names)
+        raise InputError(f"posed: in {listed} no two frames share enough of known depth")
     frames, middles, weights = map(torch.cat, zip(*parts, strict=True))
     return FramePairs(scenes, frames, middles, weights.double().cumsum(0))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 from safetensors.torch import save
-from torch import Tensor
+from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.inputs import read_as
@@ -21,11 +21,10 @@ from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import COUNTER
-from dgc_pose.network.weights import load_checkpoint
+from dgc_pose.network.weights import load_checkpoint, load_network
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.initialise import initialise_encoder, initialise_from
+from dgc_pose.training.initialise import initialise_encoder
 from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.optimiser import move_average, optimiser, rate_at
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.stages import SHAPES, DecoderStage, EncoderStage, StageName
@@ -40,6 +39,11 @@ _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION_BATCH = 8
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
 _HALF_MAX = torch.finfo(torch.float16).max
+_RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
+_WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
+_DECAY = 0.999  # at most, of the exponential moving average of the weights
+# The layers that ImageNet taught learn more slowly.
+_BACKBONE, _BACKBONE_RATE = ("net.pyramid.stem.", "net.pyramid.blocks."), 0.35
 
 Row = dict[str, Any]
 
@@ -50,8 +54,7 @@ class Trainer:
     `out` then holds checkpoint.pt (everything a resumed run needs), the figures as log.jsonl and,
     at the end, `<network>.safetensors` with its card, `<network>.md`. Raises InputError if `out`
     already holds a run and `resume` is False, or options differ from those of the run that is
-    resumed; WeightsError if a checkpoint belongs to another network, or weights to initialise from
-    are unusable.
+    resumed; WeightsError if a checkpoint is damaged, or weights to initialise from are unusable.
     """
 
     def __init__(
@@ -62,7 +65,7 @@ class Trainer:
         resume: bool = False,
     ) -> None:
         self.options, self.out = options, Path(out)
-        self.weights_path = self.out / f"{options.network}.safetensors"
+        self.weights_path = self.out / f"{options.preset}.safetensors"
         path = self.out / CHECKPOINT
         if path.exists() and not resume:
             raise InputError(f"{path} exists already:", ArgumentName("resume"), "continues it")
@@ -72,7 +75,11 @@ class Trainer:
         torch.manual_seed(options.seed)
         net = DGCNet(options.config)
         if options.init is not None:
-            initialise_from(options.init, net)
+            other = load_network(options.init)
+            if other.config != net.config:
+                known = f"weights of {other.config.name}, not {options.preset}"
+                raise WeightsError(f"{options.init}: {known}")
+            net.load_state_dict(other.state_dict())
         if options.encoder is not None:
             initialise_encoder(options.encoder, net)
         net.to(self.device).half_precision = self.device.type == "cuda"
@@ -80,6 +87,7 @@ class Trainer:
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
         self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
+        self.rows: list[Row] = []  # of the log
         if path.exists():
             self._load(path, net)
         else:
@@ -100,7 +108,6 @@ class Trainer:
         few steps. Raises DgcPoseError if training has diverged.
         """
         validation = {k: self._validation_pairs(k, v) for k, v in data.items() if k != TRAINING}
-        self._cut_log()
         saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
             self._write({}, validation)  # the first steps may spoil what later ones regain
@@ -160,13 +167,13 @@ class Trainer:
         return result
 
     def save(self) -> None:
-        """Write the checkpoint, as tensors and plain values."""
+        """Write the checkpoint, as tensors and plain values, and the log up to it."""
         state = {
-            "preset": self.options.network,
             "options": self._fixed_options(),
             "elapsed": self.elapsed,
             "step": self.step,
             "stages": self.stages,
+            "rows": self.rows,
             "stage": self.stage,
             "module": self.module.state_dict(),
             "average": self.average.state_dict(),
@@ -174,13 +181,11 @@ class Trainer:
         }
         with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
             torch.save(state, temporary)
+        write_text(self.out / LOG, "".join(json.dumps(row) + "\n" for row in self.rows))
 
     def _load(self, path: Path, net: DGCNet) -> None:
         state = load_checkpoint(path, self.device)
-        network = self.options.network
-        with read_as(f"a checkpoint of the present {network}", path, WeightsError):
-            if state["preset"] != network:
-                raise WeightsError(f"{path}: a run of preset {state['preset']}, not {network}")
+        with read_as(f"a checkpoint of the present {self.options.preset}", path, WeightsError):
             for name, value in self._fixed_options().items():
                 if state["options"][name] != value:
                     text = f"is {value}, and {state['options'][name]} in the run of {path}"
@@ -190,7 +195,7 @@ class Trainer:
             self.average.load_state_dict(state["average"])
             self.optimizer.load_state_dict(state["optimizer"])
             self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
-            self.stages = dict(state["stages"])
+            self.stages, self.rows = dict(state["stages"]), list(state["rows"])
         if self.stage == "decoders" and self._place()[0] == "encoder":
             length = ArgumentName("seconds" if self.options.steps is None else "steps")
             raise InputError(length, f"would lead from the decoders of {path} back to the encoder")
@@ -224,15 +229,6 @@ class Trainer:
         sizes = [min(_VALIDATION_BATCH, count - k) for k in range(0, count, _VALIDATION_BATCH)]
         return [source.make(size, shape, draw) for size in sizes]
 
-    def _cut_log(self) -> None:
-        """Leave the rows up to the checkpoint: the steps after it are done again."""
-        path = self.out / LOG
-        if path.exists():
-            with read_as("a log", path):
-                rows = [r for r in path.read_text("utf-8").splitlines(True) if r.endswith("\n")]
-                kept = [row for row in rows if self.step and json.loads(row)["step"] <= self.step]
-            write_text(path, "".join(kept))
-
     def _write(
         self, figures: Mapping[str, Tensor], validation: Mapping[str, Sequence[MapPairs]]
     ) -> None:
@@ -252,9 +248,7 @@ class Trainer:
             row["validation"] = self.validate(validation)
             for kind, found in row["validation"].items():
                 print(f"    validation, {kind}:  {_text(found)}", file=sys.stderr)
-        path = self.out / LOG
-        with writing(path), path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(row) + "\n")
+        self.rows.append(row)
 
 
 def _text(figures: Mapping[str, float]) -> str:
@@ -272,24 +266,20 @@ def _card(
         posed = f"{count} of {len(names)} scenes ({', '.join(names)}), "
         posed += f"{len(training.posed.frames)} pairs train"
     threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
-    is_gpu = device.type == "cuda"
     rows = {
         **{name: value for name, value in vars(options).items() if value not in (None, ())},
         "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
         "posed photographs": posed,
-        "hardware": torch.cuda.get_device_name(device) if is_gpu else threads,
+        "hardware": torch.cuda.get_device_name(device) if device.type == "cuda" else threads,
         "made by": f"dgc-pose {version()}, torch {torch.__version__}",
         "chosen": "nothing: the moving average of the last step's weights is stored",
     }
-    lines = [f"# {options.network}", "", "| | |", "|---|---|"]
-    lines += [f"| {name} | {value} |" for name, value in rows.items()]
     for name, stage in stages.items():
-        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds."
-        lines += ["", f"## {name}", "", done, "", "| validation | figures |", "|---|---|"]
-        for kind, figures in stage["figures"].items():
-            text = ", ".join(f"{key} {value:.3f}" for key, value in figures.items())
-            lines.append(f"| {kind} | {text} |")
-    return "\n".join(lines) + "\n"
+        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds"
+        figures = (f"{kind}: {_text(found)}" for kind, found in stage["figures"].items())
+        rows[name] = "; ".join([done, *figures])
+    lines = [f"# {options.preset}", "", "| | |", "|---|---|"]
+    return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows.items()]) + "\n"
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:
@@ -308,3 +298,36 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
     with replaced(Path(path)) as temporary, writing(temporary):
         # Not save_file, whose files only their owner may read.
         temporary.write_bytes(save(state, metadata=header))
+
+
+def optimiser(stage: nn.Module) -> torch.optim.AdamW:
+    """Of a stage's trainable parameters, in groups with their `share` of the rate."""
+    trained = [(key, value) for key, value in stage.named_parameters() if value.requires_grad]
+    rest = [value for key, value in trained if not key.startswith(_BACKBONE)]
+    backbone = [value for key, value in trained if key.startswith(_BACKBONE)]
+    groups = [{"params": rest, "share": 1.0}, {"params": backbone, "share": _BACKBONE_RATE}]
+    return torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY, betas=_BETAS)
+
+
+def rate_at(progress: float) -> float:
+    """The learning rate at a progress of the stage, from 0 to 1: a linear warm-up, then a
+    cosine."""
+    cosine = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
+    warm = min(1.0, 0.05 + 0.95 * progress / _WARM_UP)
+    return _RATE * warm * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
+
+
+@torch.no_grad()
+def move_average(average: nn.Module, module: nn.Module, steps: int, decay: float = _DECAY) -> None:
+    """Move an exponential moving average of a module's weights and buffers on, after `steps` steps.
+
+    The decay grows as min(decay, steps / (9 + steps)), so that a run's random initial weights soon
+    lose their influence. Counters are copied.
+    """
+    share = 1 - min(decay, steps / (9 + steps))
+    values = module.state_dict().values()
+    for mean, value in zip(average.state_dict().values(), values, strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(value, share)
+        else:
+            mean.copy_(value)

@@ -8,7 +8,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from dgc_pose.network.config import COARSEST, INPUT_SIZE, LEVEL_SIZES, SECOND_SIZE, STRIDE
+from dgc_pose.network.config import (
+    COARSEST,
+    CORRELATED,
+    INPUT_SIZE,
+    LEVEL_SIZES,
+    SECOND_SIZE,
+    STRIDE,
+)
 from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores
 from dgc_pose.network.efficientnet import EfficientPyramid
@@ -75,7 +82,7 @@ class EncoderStage(nn.Module):
         )
         scales = self.log_scales.exp().clamp(max=_LARGEST_SCALE)
         evidence = match_evidence([s4, s3], [t4, t3], scales[:2])
-        pooled = evidence
+        pooled = evidence  # `pooled_evidence` would match the full-sized images again
         for source, target in (([s4_small, s3_small], [t4, t3]), ([s4, s3], [t4_small, t3_small])):
             pooled = pooled.maximum(match_evidence(source, target, scales[:2]))
         grids = {4: _grid(s2), 8: _grid(s3), 16: _grid(s4)}
@@ -107,7 +114,7 @@ class EncoderStage(nn.Module):
 
     def finished(self) -> DGCNet:
         """The network with the inverse temperatures that were learnt."""
-        scales = self.log_scales.detach()[: len(self.net.config.correlated)].exp()
+        scales = self.log_scales.detach()[: len(CORRELATED)].exp()
         self.net.get_buffer("correlation_scales").copy_(scales.clamp(max=_LARGEST_SCALE))
         return self.net
 
@@ -143,8 +150,7 @@ class DecoderStage(nn.Module):
         share = max(0.0, 0.3 * (1 - 1.5 * progress)) if own else 0.0
         noisy = draw.chance(len(pairs.map), 1, 1, 1, share=share)
         corner = [draw.choice(range(side // 4 + 1)) for side in shape]
-        correlation = self.net.correlate(source, target)
-        state = self.net.start(correlation, source[COARSEST], target[COARSEST])
+        state = self.net.start(source, target)
         truth = _at_level(pairs, COARSEST, _window(COARSEST, shape, corner))
         total, error = self._level_loss(COARSEST, state, truth)
         figures = {f"epe{LEVEL_SIZES[COARSEST]}": error}
@@ -159,7 +165,7 @@ class DecoderStage(nn.Module):
                 previous = torch.where(noisy, noised, previous)
             warped = self.net.warp(source[level], previous)
             seen = target[level][:, :, rows, columns]
-            state = self.net.refine(level, warped, seen, previous, window, _grid(source[level]))
+            state = self.net.refine(level, warped, seen, previous, _grid(source[level]))
             part, figures[f"epe{LEVEL_SIZES[level]}"] = self._level_loss(level, state, truth)
             total = total + part
         if self.net.config.matchability == "network":

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
+from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair
 from dgc_pose.cameras.camera import Camera
@@ -28,6 +28,7 @@ from dgc_pose.matching import Matcher, NetworkMatcher
 from dgc_pose.pose import solve_pair
 
 _ENGINE = "engine.json"
+_THOROUGH = EstimationOptions(effort="thorough")
 _FIELDS = ("points1", "points2", "confidence", "error_px", "key_points")  # of Matches
 
 
@@ -73,17 +74,37 @@ def read_engine(out: Path, method: str) -> Any:
 
 
 def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> None:
-    """Match a pair by the methods of which it is not stored yet.
+    """Match a pair by the methods of which it is not stored yet, and write its matches, with those
+    searched again if its pose is in doubt.
 
     Raises what reading a pair raises.
     """
     paths = {name: store_path(out, name, pair.entry, pair.number) for name in matchers}
     missing = {name: path for name, path in paths.items() if not path.is_file()}
-    posed = pair.make() if missing else None
+    if not missing:
+        return
+    posed = pair.make()
+    truth = posed.truth
+    known: dict[str, object] = {
+        "scene": pair.scene,
+        **{"K1": truth.camera1.K, "size1": posed.image1.size},
+        **{"K2": truth.camera2.K, "size2": posed.image2.size},
+    }
+    known |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
     for name, path in missing.items():
-        assert posed is not None
+        matcher, images = matchers[name], (posed.image1, posed.image2)
+        result = matcher.match(*images)
+        arrays = known | _arrays("", result.matches)
+        if isinstance(matcher, NetworkMatcher):
+            cameras = truth.camera1, truth.camera2
+            pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
+            if not np.array_equal(pooled.points1, result.matches.points1):
+                arrays |= _arrays("pooled_", pooled)
+        if result.map_matches is not None:
+            arrays |= _arrays("map_", result.map_matches)
         path.parent.mkdir(parents=True, exist_ok=True)
-        _match(path, pair.scene, posed, matchers[name])
+        with replaced(path) as stage, writing(stage), stage.open("wb") as stream:
+            np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 
 def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Iterator[StoredPair]:
@@ -93,48 +114,19 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
         for path in sorted((out / "matches" / method / entry.name).glob("*.npz")):
             arrays = read_arrays(path)
             with read_as("a stored pair", path):
-                stored = _stored(f"{entry.name} {path.stem}", entry, arrays, weights)
+                camera1, camera2 = (
+                    Camera(arrays["K" + n], tuple(arrays["size" + n].tolist())) for n in "12"
+                )
+                stored = StoredPair(
+                    entry,
+                    f"{entry.name} {path.stem}",
+                    str(arrays["scene"]),
+                    Truth({}, camera1, camera2, arrays.get("R"), arrays.get("t")),
+                    _matches("", arrays, weights),
+                    _matches("pooled_", arrays, weights) if "pooled_points1" in arrays else None,
+                    _matches("map_", arrays, weights) if "map_points1" in arrays else None,
+                )
             yield stored
-
-
-def _match(path: Path, scene: str, posed: PosedPair, matcher: Matcher) -> None:
-    """Write the matches of a pair, and those with others searched again if its pose is in doubt."""
-    truth = posed.truth
-    result = matcher.match(posed.image1, posed.image2)
-    arrays: dict[str, object] = {
-        "scene": scene,
-        **{"K1": truth.camera1.K, "size1": posed.image1.size},
-        **{"K2": truth.camera2.K, "size2": posed.image2.size},
-        **_arrays("", result.matches),
-    }
-    arrays |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
-    if isinstance(matcher, NetworkMatcher):
-        options, cameras = EstimationOptions(effort="thorough"), (truth.camera1, truth.camera2)
-        pooled = solve_pair(posed.image1, posed.image2, cameras, matcher, options).matches
-        if not np.array_equal(pooled.points1, result.matches.points1):
-            arrays |= _arrays("pooled_", pooled)
-    if result.map_matches is not None:
-        arrays |= _arrays("map_", result.map_matches)
-    with replaced(path) as stage, writing(stage), stage.open("wb") as stream:
-        np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
-
-
-def _stored(
-    name: str, entry: PlanEntry, arrays: Mapping[str, np.ndarray], weights: str | None
-) -> StoredPair:
-    camera1, camera2 = (
-        Camera(arrays[f"K{n}"], (int(arrays[f"size{n}"][0]), int(arrays[f"size{n}"][1])))
-        for n in (1, 2)
-    )
-    return StoredPair(
-        entry,
-        name,
-        str(arrays["scene"]),
-        Truth({}, camera1, camera2, arrays.get("R"), arrays.get("t")),
-        _matches("", arrays, weights),
-        _matches("pooled_", arrays, weights) if "pooled_points1" in arrays else None,
-        _matches("map_", arrays, weights) if "map_points1" in arrays else None,
-    )
 
 
 def _arrays(prefix: str, matches: Matches) -> dict[str, object]:

@@ -89,21 +89,19 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     there[_BOXES if kind == "boxes" else len(there) :] = False
     highest = _BOXES if kind == "domes" else 0
     height = relief * draw.uniform(_BOXES + _DOMES, low=0.3)
-    there[highest], height[highest] = relief > 0, relief
-    # What is not there is hidden in the tiles; boxes reach from within the tiles up.
-    height = torch.where(there & (relief > 0), height, 0.0)
-    sides = torch.where((height > 0)[:, None], sides, _BEHIND)
-    half_z = torch.where(torch.arange(len(height)) < _BOXES, (height + _BEHIND) / 2, height)
-    half_z = torch.where(height > 0, half_z, _BEHIND / 2)
-    middle_z = torch.where(torch.arange(len(height)) < _BOXES, _BEHIND - height, 0 * height) / 2
-    middle_z = torch.where(height > 0, middle_z, _BEHIND)
-    solid_centres = torch.column_stack([solids, middle_z])
-    centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), solid_centres])
+    there[highest], height[highest] = True, relief
+    there &= relief > 0
+    is_box = torch.arange(len(height)) < _BOXES  # which reach from within the tiles up
+    half_z = torch.where(is_box, (height + _BEHIND) / 2, height)
+    middle_z = torch.where(is_box, (_BEHIND - height) / 2, 0 * height)
+    centre = torch.cat(
+        [F.pad(tiles, (0, 1), value=_BEHIND), torch.column_stack([solids, middle_z])]
+    )
     tile_half = torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3)
     half = torch.cat([tile_half, torch.column_stack([sides, half_z])])
     options = RoomOptions(spans=((tile, tile * 1.001), (tile, tile * 1.001)))
     photo, span, origin, weight, gain = random_textures(1, 1 + count, photos, draw, options)
-    return Rooms(
+    parts = (
         torch.eye(3).expand(1, 1 + count, 3, 3),
         F.pad(half, (0, 0, 1, 0), value=_HALL)[None],
         F.pad(centre, (0, 0, 1, 0))[None],
@@ -112,8 +110,10 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
         torch.full_like(origin, 0.5),
         torch.tensor([1.0, 0.0]).expand_as(weight),
         gain,
-        _DOMES,
     )
+    kept = torch.cat([torch.ones(1 + _TILES**2).bool(), there])
+    domes = int(there[_BOXES:].sum())
+    return Rooms(*(part[:, kept] for part in parts), ellipsoids=domes)
 
 
 def _allows_two_poses(first: Cameras, second: Cameras, size: int, half_side: float) -> bool:

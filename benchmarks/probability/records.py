@@ -18,10 +18,12 @@ from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.estimation import EstimationOptions, Hypothesis
+from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.relative_pose import Assessment, assess
+from dgc_pose.estimation.relative_pose import gathered
+from dgc_pose.estimation.uncertainty import uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -85,7 +87,7 @@ class Record:
 
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
-    """The records of each pair, in order; `options.verdict` does not matter."""
+    """The records of each pair, in order."""
     stored = iter(pairs)
     while chunk := list(islice(stored, _CHUNK)):
         work = [(pair, case) for pair in chunk for case in _cases(pair)]
@@ -99,20 +101,23 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     matches = pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled
     stated = camera1, camera2
     problem = TwoViewProblem.of(matches, *stated, options)
-    assessed = None
+    poses: tuple[PoseRecord, ...] = ()
+    found, evidence, focal_error = None, None, math.nan
     if len(problem) >= MIN_MATCHES:
-        assessed = assess(problem, matches, stated, options, pair.map_matches)
-    choices = () if assessed is None else assessed.hypotheses
-    poses = tuple(_pose_record(choice, truth) for choice in choices if choice.likely)
+        found = candidates(problem, matches, stated, options, pair.map_matches)
+    if found is not None:
+        known = uncertainty(found, matches, options)
+        evidence, focal_error = gathered(found, known), _focal_error(known.cameras, truth)
+        poses = tuple(_pose_record(choice, truth) for choice in found.hypotheses if choice.likely)
     return Record(
         pair.entry,
         pair.scene,
-        None if assessed is None else assessed.evidence,
+        evidence,
         poses[0].rotation_error_deg if poses else math.inf,
         poses[0].translation_error_deg if poses else math.inf,
         poses,
         cameras,
-        _focal_error(assessed, truth),
+        focal_error,
         _exact(truth),
     )
 
@@ -148,10 +153,8 @@ def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
     return first, second
 
 
-def _focal_error(assessed: Assessment | None, truth: Truth) -> float:
-    if assessed is None:
-        return math.nan
-    fitted = zip(assessed.cameras, (truth.camera1, truth.camera2), strict=True)
+def _focal_error(cameras: tuple[Camera, Camera], truth: Truth) -> float:
+    fitted = zip(cameras, (truth.camera1, truth.camera2), strict=True)
     pairs = [(camera, true) for camera, true in fitted if camera.focal_std]
     if not pairs:
         return math.nan

@@ -8,7 +8,7 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.files import split_names
-from dgc_pose.benchmarks.probability.plan import PlanEntry, read_plan
+from dgc_pose.benchmarks.probability.plan import DEFAULT_PLAN, PlanEntry, read_plan
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.errors import InputError, require
@@ -27,7 +27,10 @@ class FitChoice:
         help="Folder of the stored matches and of the results.", type=OutputFolder(path_type=Path)
     )
     plan: Path | None = option(
-        None, "JSON list of scenes and their parts; default: the project's own.", metavar="PATH"
+        None,
+        "JSON list of scenes and their parts, with their lists of pairs in the folder lists beside "
+        "it; default: the project's own.",
+        metavar="PATH",
     )
     methods: str = option(
         f"{DEFAULT_WEIGHTS},sift",
@@ -47,7 +50,8 @@ def fit_probability(choice: FitChoice) -> None:
     probability.json, which the package reads, report.txt and reliability.png into --out. Needs
     scikit-learn (the extra "fit").
     """
-    entries = read_plan(choice.plan)
+    plan = choice.plan or DEFAULT_PLAN
+    entries = read_plan(plan)
     drawn = {"rendered", "planes"} & {entry.kind for entry in entries}
     needs = {"fit-probability": "fit"}  # asked for before the work
     if drawn and not choice.collected:
@@ -57,7 +61,7 @@ def fit_probability(choice: FitChoice) -> None:
     if not methods:
         raise InputError("no methods named")
     if not choice.collected:
-        _collect(choice, methods, entries)
+        _collect(choice, plan.parent / "lists", methods, entries)
     from dgc_pose.benchmarks.probability.report import fit_all
     from dgc_pose.viz import save_figure
 
@@ -73,14 +77,15 @@ def fit_probability(choice: FitChoice) -> None:
     click.echo(report)
 
 
-def _collect(choice: FitChoice, methods: Sequence[str], entries: Sequence[PlanEntry]) -> None:
+def _collect(
+    choice: FitChoice, lists: Path, methods: Sequence[str], entries: Sequence[PlanEntry]
+) -> None:
     """Match what is not stored yet."""
     from dgc_pose.benchmarks.probability.collection import collect, require_engine
     from dgc_pose.benchmarks.probability.planned import planned
     from dgc_pose.matchers import load_matcher
 
     matchers = {name: load_matcher(name, device=choice.device) for name in methods}
-    lists = choice.out / "lists"
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
     for name, matcher in matchers.items():
         require_engine(choice.out, name, matcher)

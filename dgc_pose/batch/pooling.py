@@ -18,13 +18,13 @@ import numpy as np
 from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_spread import SIZE, deviating, deviation_stds, is_of_part
+from dgc_pose.estimation.intrinsics_prior import SIZE, is_of_part, parameter_stds, with_parameters
+from dgc_pose.estimation.least_squares import EFFICIENT
 from dgc_pose.files.outputs import write_text
 
 CAMERAS = "cameras.csv"
 # Of ln f: below, a pooled camera is better than one that a single pair fits.
 KNOWN_FOCAL_STD = 0.05
-_CAUCHY = 2.385  # deviations at which a fit's weight is halved; 95 % efficient for normal errors
 _STARTS, _STEPS = 101, 50
 _MAX_STD_SHARE = 0.9  # of the prior: a wider fit of the focal length is left out
 _FAR_CENTRE_STDS = 1.5  # principal points that differ by more are far apart
@@ -99,7 +99,7 @@ def pool(
     pooled = []
     for names in dict.fromkeys(shared.values()):
         first = cameras[names[0]]
-        prior = np.array(deviation_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
+        prior = np.array(parameter_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
         cut = first.focal_source == "size" and is_of_part(first) and len(names) > 1
         if cut or len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
@@ -161,13 +161,13 @@ def pooled_fit(
         return np.einsum("ni,nij,nj->n", offset, matrices, offset).clip(min=0) / count
 
     def cost(middle: np.ndarray) -> float:
-        return float((weight * np.log1p(distances(middle) / _CAUCHY**2)).sum())
+        return float((weight * np.log1p(distances(middle) / EFFICIENT**2)).sum())
 
     # From the fit that most pairs agree with: a few of great precision may be wrong.
     middle = min(values[:: 1 + len(values) // _STARTS], key=cost)
     for _ in range(_STEPS):
         distance = distances(middle)
-        robust = weight / (1 + distance / _CAUCHY**2)
+        robust = weight / (1 + distance / EFFICIENT**2)
         total = (robust[:, None, None] * matrices).sum(0)
         before = middle
         middle = np.linalg.solve(total + np.eye(count), (robust[:, None] * vectors).sum(0))
@@ -182,7 +182,7 @@ def pooled_fit(
 def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
     """The camera with pooled differences (SIZE,) from it, and their deviations, 0 of what is not
     fitted."""
-    moved = deviating(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
+    moved = with_parameters(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches")
     focal, *centre, lens, _, aspect = std.tolist()

@@ -7,6 +7,7 @@ rotations are refused, since K and T are of the images as stored.
 """
 
 import csv
+import gzip
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_text
 from dgc_pose.files.outputs import save_text
 from dgc_pose.geometry.rotation import is_rotation
 
@@ -61,8 +62,8 @@ class PairList:
 
 
 def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
-    """Read a list of SuperGlue's full lines, whose image names are relative to `root`, by default
-    the list's own folder.
+    """Read a list of SuperGlue's full lines, as text or packed as .gz, whose image names are
+    relative to `root`, by default the list's own folder.
 
     Blank lines and those that begin with # are passed over. Raises InputError, with the path and
     the line number, for any other line, and for a list without a pair; OSError if the file cannot
@@ -149,7 +150,12 @@ def _line(pair: Pair) -> str:
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
     """The lines that are neither blank nor comments, each with its path and number."""
-    for number, line in enumerate(read_text(path, "a list of pairs").splitlines(), start=1):
+    if path.suffix == ".gz":
+        with read_as("a packed list of pairs", path), gzip.open(path) as stream:
+            text = stream.read(TEXT_BYTES).decode()
+    else:
+        text = read_text(path, "a list of pairs")
+    for number, line in enumerate(text.splitlines(), start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield line, f"{path}:{number}"
 

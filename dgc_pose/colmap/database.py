@@ -10,7 +10,7 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import DgcPoseError, reason
-from dgc_pose.estimation.camera_spread import is_of_part
+from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.epipolar import essential_from_pose

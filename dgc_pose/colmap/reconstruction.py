@@ -14,7 +14,7 @@ from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation.camera_spread import is_of_part
+from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
 from dgc_pose.model import Model, load_model, require_model_folder, write_points

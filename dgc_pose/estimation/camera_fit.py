@@ -3,7 +3,7 @@
 Robust estimates at several focal lengths, and by solvers that have the focal length among their
 unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
 Cauchy loss of the Sampson errors over the number of matches that err alike, plus half the squares
-of the deviations over their standard deviations, so that the least is the most probable.
+of the parameters over their standard deviations, so that the least is the most probable.
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
 plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
@@ -20,25 +20,30 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_spread import (
+from dgc_pose.estimation.covariance import pose_covariance
+from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import (
     ASPECTS,
     FOCALS,
     SIZE,
-    CameraSpread,
-    deviated_points,
-    deviated_slopes,
-    deviating_pair,
+    IntrinsicsPrior,
     error_slopes,
     normaliser,
+    pair_with_parameters,
+    renormalised_pair,
+    renormalised_slopes,
 )
-from dgc_pose.estimation.covariance import Covariance, pose_covariance
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, Hypothesis, error_scale
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    cauchy_losses,
+    loss_width,
+)
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
     draw,
-    essential_and_focal,
     essential_and_focals,
     essential_matrix,
     run_seeds,
@@ -67,38 +72,38 @@ class JointPose:
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
-    z: np.ndarray  # (M,) the deviations in the basis of a `CameraSpread`, standard deviations
+    z: np.ndarray  # (M,) the parameters in the basis of an `IntrinsicsPrior`, standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The least squares of one problem, normalised by two cameras that have deviations."""
+    """The least squares of one problem, normalised by two cameras that are not exact."""
 
     problem: TwoViewProblem
     cameras: tuple[Camera, Camera]
 
     @cached_property
-    def spread(self) -> CameraSpread:
+    def prior(self) -> IntrinsicsPrior:
         """Of the cameras."""
-        return CameraSpread.of(*self.cameras)
+        return IntrinsicsPrior.of(*self.cameras)
 
-    def deviations(self, pose: JointPose) -> np.ndarray:
-        """(2 * SIZE,) of both cameras, see `CameraSpread`."""
-        return self.spread.basis @ pose.z
+    def parameters(self, pose: JointPose) -> np.ndarray:
+        """(2 * SIZE,) of both cameras, see `IntrinsicsPrior`."""
+        return self.prior.basis @ pose.z
 
     def cost(self, pose: JointPose) -> float:
-        """Truncated squares of the errors, as if the threshold were the scale of the loss, and the
-        deviations: what starts are compared by."""
+        """Truncated squares of the errors, as if the threshold were the width of the loss, and the
+        parameters: what starts are compared by."""
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
-        return float(EFFICIENT**2 * squares.sum() / ALIKE + pose.z @ pose.z) / 2
+        return float(EFFICIENT**2 * squares.sum() / CORRELATED + pose.z @ pose.z) / 2
 
-    def log_likelihood(self, pose: JointPose, scale: float) -> float:
+    def log_likelihood(self, pose: JointPose, width: float) -> float:
         """The logarithm of the likelihood of the errors, of a Cauchy distribution, cut off, and of
-        the deviations, up to a constant. scale: of the distribution, the problem's unit."""
+        the parameters, up to a constant. width: of the distribution, the problem's unit."""
         largest = MOST_ERROR * self.problem.threshold
         error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
-        return -float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
+        return -float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
 
     def inliers_in_front(self, pose: JointPose) -> np.ndarray:
         """(N,) bool, matches below the threshold and in front of both cameras."""
@@ -120,38 +125,34 @@ class JointFit:
                 pose = replace(pose, t=-pose.t)
                 in_front = self._in_front(pose)
             chosen = (error < threshold * limit) & in_front
-            if chosen.sum() <= MINIMAL + len(self.spread):
+            if chosen.sum() <= MINIMAL + len(self.prior):
                 return pose
-            scale = error_scale(error[chosen], threshold)
+            width = loss_width(error[chosen], threshold)
             part = replace(self, problem=self.problem.subset(chosen))
-            pose = part._minimised(pose, scale, iterations)
+            pose = part._minimised(pose, width, iterations)
         return pose
 
-    def _minimised(self, pose: JointPose, scale: float, iterations: int) -> JointPose:
+    def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
         """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        inverse_variance = (EFFICIENT / scale) ** 2 / ALIKE
-        prior = np.diag([*np.zeros(5), *np.ones(len(self.spread))])
-        damping, cost = 1e-4, self._loss(pose, scale)
+        inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
+        of_prior = np.diag([*np.zeros(5), *np.ones(len(self.prior))])
+        damping, cost = 1e-4, self._loss(pose, width)
         for _ in range(iterations):
             error, slopes, tangent = error_slopes(
-                self.problem, pose.R, pose.t, self.spread, self.deviations(pose)
+                self.problem, pose.R, pose.t, self.prior, self.parameters(pose)
             )
-            weighted = slopes * (inverse_variance / (1 + (error / scale) ** 2))[:, None]
-            hessian = weighted.T @ slopes + prior
-            gradient = weighted.T @ error + prior @ np.concatenate([np.zeros(5), pose.z])
+            weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
+            hessian = weighted.T @ slopes + of_prior
+            gradient = weighted.T @ error + of_prior @ np.concatenate([np.zeros(5), pose.z])
             before = cost
             while damping < 1e6:
                 damped = hessian + damping * np.diag(np.diag(hessian))
                 step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
-                change = np.abs((self.spread.basis @ step[5:])[FOCALS]).max(initial=0)
+                change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
                 step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
-                t = pose.t + tangent @ step[3:5]
-                candidate = JointPose(
-                    cv2.Rodrigues(step[:3])[0] @ pose.R,
-                    t / np.linalg.norm(t),
-                    pose.z + step[5:],
-                )
-                if (cost := self._loss(candidate, scale)) < before:
+                R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
+                candidate = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
+                if (cost := self._loss(candidate, width)) < before:
                     pose, damping = candidate, max(damping / 10, 1e-9)
                     break
                 damping, cost = damping * 10, before
@@ -159,30 +160,30 @@ class JointFit:
                 break
         return pose
 
-    def _loss(self, pose: JointPose, scale: float) -> float:
-        return float(cauchy_losses(self._errors(pose), scale).sum() + pose.z @ pose.z / 2)
+    def _loss(self, pose: JointPose, width: float) -> float:
+        return float(cauchy_losses(self._errors(pose), width).sum() + pose.z @ pose.z / 2)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
-        deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
-        if self.spread.bends(self.problem):
-            error = sampson_distance(*deviated_points(self.problem, deviations), E)
-            return np.nan_to_num(error * np.exp(deviations[FOCALS].mean()), nan=np.inf)
-        F = normaliser(deviations[SIZE:]).T @ E @ normaliser(deviations[:SIZE])
+        parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
+        if self.prior.bends(self.problem):
+            error = sampson_distance(*renormalised_pair(self.problem, parameters), E)
+            return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
+        F = normaliser(parameters[SIZE:]).T @ E @ normaliser(parameters[:SIZE])
         return sampson_distance(self.problem.points1, self.problem.points2, F)
 
     def errors_px(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a
         distortion is not undone."""
-        deviations, E = self.deviations(pose), essential_from_pose(pose.R, pose.t)
-        points1, points2 = deviated_points(self.problem, deviations)
+        parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
+        points1, points2 = renormalised_pair(self.problem, parameters)
         lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
         squared = np.zeros(len(points1))
         for number, (seen, lines) in enumerate(
             ((self.problem.points1, lines1), (self.problem.points2, lines2))
         ):
-            lens, own = self.problem.lenses[number], deviations[SIZE * number :][:SIZE]
-            by_shift = deviated_slopes(seen, lens, own)[:, :, 1:3]
+            lens, own = self.problem.lenses[number], parameters[SIZE * number :][:SIZE]
+            by_shift = renormalised_slopes(seen, lens, own)[:, :, 1:3]
             by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / self.cameras[number].focal
             squared += (by_pixel**2).sum(1)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -192,25 +193,18 @@ class JointFit:
     def _in_front(self, pose: JointPose) -> np.ndarray:
         """Whether the points are in front of both cameras, (N,)."""
         depth1, depth2 = depths(
-            *deviated_points(self.problem, self.deviations(pose)), pose.R, pose.t
+            *renormalised_pair(self.problem, self.parameters(pose)), pose.R, pose.t
         )
         return (depth1 > 0) & (depth2 > 0)
 
     def covariance(
         self, pose: JointPose, matches: Matches, options: EstimationOptions
-    ) -> Covariance | None:
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """`pose_covariance` of a fitted pose and its cameras, by matches in pixels."""
-        cameras = deviating_pair(self.cameras, self.deviations(pose))
+        cameras = pair_with_parameters(self.cameras, self.parameters(pose))
         problem = TwoViewProblem.of(matches, *cameras, options)
         fitted = Hypothesis.of_pose(problem, pose.R, pose.t)
-        return pose_covariance(problem, fitted, CameraSpread.of(*cameras))
-
-
-def cauchy_losses(error: np.ndarray, scale: float) -> np.ndarray:
-    """Minus the logarithms of the likelihoods (N,) of errors of a Cauchy distribution of this
-    scale, up to a constant, over the number of matches that err alike."""
-    losses: np.ndarray = EFFICIENT**2 / ALIKE / 2 * np.log1p((error / scale) ** 2)
-    return losses
+        return pose_covariance(problem, fitted, IntrinsicsPrior.of(*cameras))
 
 
 def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:
@@ -226,11 +220,11 @@ def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:
 
 def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | None]:
     """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
-    stds = np.array([np.linalg.norm(joint.spread.basis[row]) for row in FOCALS])
+    stds = np.array([np.linalg.norm(joint.prior.basis[row]) for row in FOCALS])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
-            JointPose(run.R, run.t, np.zeros(len(joint.spread)))
+            JointPose(run.R, run.t, np.zeros(len(joint.prior)))
             for run in sample(joint.problem, options)[:_MAX_STARTS]
         ]
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
@@ -247,40 +241,39 @@ def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | Non
 def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
-    if joint.spread.shared_focal:
-        result = essential_and_focal(draw(joint.problem, seed), options, seed)
-    elif joint.spread.basis[FOCALS].any(axis=1).all():
-        result = essential_and_focals(draw(joint.problem, seed), options, seed)
-    else:
+    first, second = joint.prior.basis[FOCALS]
+    if not (first.any() and second.any()):
         return None
+    shared = bool((first == second).all())  # off by the same factor
+    result = essential_and_focals(draw(joint.problem, seed), options, seed, shared=shared)
     return None if result is None else _start(joint, result[0], of_focals(np.log(result[1])))
 
 
 def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
-    """The deviations (2 * SIZE,) of cameras by ln f and by ln fy / fx."""
-    deviations = np.zeros(2 * SIZE)
-    deviations[FOCALS], deviations[ASPECTS] = log_focals, aspects
-    return deviations
+    """The parameters (2 * SIZE,) of cameras by ln f and by ln fy / fx."""
+    parameters = np.zeros(2 * SIZE)
+    parameters[FOCALS], parameters[ASPECTS] = log_focals, aspects
+    return parameters
 
 
 def start_at(
-    joint: JointFit, deviations: np.ndarray, options: EstimationOptions, seed: int
+    joint: JointFit, parameters: np.ndarray, options: EstimationOptions, seed: int
 ) -> JointPose | None:
-    """The pose of one RANSAC run on cameras with deviations (2 * SIZE,); None if it fails."""
-    drawn = draw(_rescaled(joint.problem, deviations), seed)
+    """The pose of one RANSAC run on cameras with parameters (2 * SIZE,); None if it fails."""
+    drawn = draw(_rescaled(joint.problem, parameters), seed)
     E = essential_matrix(drawn, options, seed)
-    return None if E is None else _start(joint, E, deviations)
+    return None if E is None else _start(joint, E, parameters)
 
 
-def _rescaled(problem: TwoViewProblem, deviations: np.ndarray) -> TwoViewProblem:
-    """The problem for cameras with deviations (2 * SIZE,); those of a lens must be 0."""
-    points1, points2 = deviated_points(problem, deviations)
-    shrink = float(np.exp(-deviations[FOCALS]).mean())
+def _rescaled(problem: TwoViewProblem, parameters: np.ndarray) -> TwoViewProblem:
+    """The problem for cameras with parameters (2 * SIZE,); those of a lens must be 0."""
+    points1, points2 = renormalised_pair(problem, parameters)
+    shrink = float(np.exp(-parameters[FOCALS]).mean())
     moved = replace(problem, points1=points1, points2=points2, threshold=problem.threshold * shrink)
     return moved.subset(np.isfinite(points1).all(1) & np.isfinite(points2).all(1))
 
 
-def _start(joint: JointFit, E: np.ndarray, deviations: np.ndarray) -> JointPose:
-    pose = Hypothesis.of_essential(_rescaled(joint.problem, deviations), E)
-    z = np.linalg.lstsq(joint.spread.basis, deviations, rcond=None)[0]
+def _start(joint: JointFit, E: np.ndarray, parameters: np.ndarray) -> JointPose:
+    pose = Hypothesis.of_essential(_rescaled(joint.problem, parameters), E)
+    z = np.linalg.lstsq(joint.prior.basis, parameters, rcond=None)[0]
     return JointPose(pose.R, pose.t, z)

@@ -21,14 +21,13 @@ from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
     JointFit,
     JointPose,
-    cauchy_losses,
     of_focals,
     start_at,
 )
-from dgc_pose.estimation.camera_spread import FOCALS, is_of_part
 from dgc_pose.estimation.competition import choice_shares
 from dgc_pose.estimation.evidence import ModelName
-from dgc_pose.estimation.hypothesis import error_scale
+from dgc_pose.estimation.intrinsics_prior import FOCALS, is_of_part
+from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import draw, run_seeds
@@ -48,7 +47,7 @@ _MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kep
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _AS_WELL = 1.0  # of the cost, that the inliers of the assumed cameras may cost more
-# Share of the sample below the threshold, and scale of its errors in thresholds, with which nothing
+# Share of the sample below the threshold, and width of its errors in thresholds, with which nothing
 # is searched far from the assumed cameras.
 _EXPLAINED, _CLOSE = 0.97, 0.2
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
@@ -69,7 +68,7 @@ class CameraModel:
     pose: JointPose | None = None  # the fit; None if it failed
     cost: float = math.inf
     # (6, 6), rad^2: by how much the poses of the other models differ, by their probabilities.
-    pose_spread: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
 
 
 def likeliest_model(
@@ -92,8 +91,8 @@ def likeliest_model(
     joint = sample.joint(stated)
     error = sample.errors(joint, pose)
     near = error[error < 1]
-    scale = error_scale(near, 1.0) if len(near) else 1.0
-    cost = float(cauchy_losses(error, scale).sum() + pose.z @ pose.z / 2)
+    width = loss_width(near, 1.0) if len(near) else 1.0
+    cost = float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
     assumed = replace(assumed, cost=cost)
     names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
     if any(camera.focal_source == "exif" for camera in stated):
@@ -102,8 +101,8 @@ def likeliest_model(
         CameraModel(name, (with_model(stated[0], name), with_model(stated[1], name)))
         for name in names
     ]
-    at = joint.deviations(pose)
-    fits = in_threads(lambda model: sample.fitted(model, pose, at, error, scale), others)
+    at = joint.parameters(pose)
+    fits = in_threads(lambda model: sample.fitted(model, pose, at, error, width), others)
     models = [assumed, *fits]
     before = max(map(_log_odds, stated))
     odds = np.array([assumed.cost - model.cost + before for model in models])
@@ -111,17 +110,17 @@ def likeliest_model(
     shares = choice_shares(odds)
     best = assumed if shares[0] > _MIN_SHARE else models[int(np.argmax(shares))]
     assert best.pose is not None  # of a finite cost
-    spread = np.zeros((6, 6))
+    covariance = np.zeros((6, 6))
     for share, model in zip(shares, models, strict=True):
         if model is best or model.pose is None or share < _MIN_SHOWN:
             continue
         rotation = cv2.Rodrigues(model.pose.R @ best.pose.R.T)[0][:, 0]
         difference = np.concatenate([rotation, model.pose.t - best.pose.t])
-        spread += share * np.outer(difference, difference)
+        covariance += share * np.outer(difference, difference)
         own = sample.joint(model.cameras).covariance(model.pose, drawn, options)
         if own is not None:
-            spread += share * own.pose
-    return replace(best, pose_spread=spread)
+            covariance += share * own[0]
+    return replace(best, pose_covariance=covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,17 +142,17 @@ class _Sample:
         return np.minimum(error, MOST_ERROR)
 
     def fitted(
-        self, model: CameraModel, pose: JointPose, at: np.ndarray, error: np.ndarray, scale: float
+        self, model: CameraModel, pose: JointPose, at: np.ndarray, error: np.ndarray, width: float
     ) -> CameraModel:
         """The model with the likeliest of its fits. pose: with the assumed cameras, which deviate
-        by `at` (2 * SIZE,). error: (N,), with these. scale: of the losses."""
+        by `at` (2 * SIZE,). error: (N,), with these. width: of the losses."""
         joint, near = self.joint(model.cameras), error < 1
-        is_explained = near.mean() > _EXPLAINED and scale < _CLOSE
+        is_explained = near.mean() > _EXPLAINED and width < _CLOSE
         starts = [] if is_explained else _starts(model, at[FOCALS])
         seeds = run_seeds(replace(self.options, runs=max(1, len(starts))))
         rough, start = float(cauchy_losses(error, 1.0).sum()) + _WORSE, None
-        for deviations, seed in zip(starts, seeds, strict=False):
-            run = start_at(joint, deviations, self.options, seed)
+        for parameters, seed in zip(starts, seeds, strict=False):
+            run = start_at(joint, parameters, self.options, seed)
             if run is None:
                 continue
             loss = float(cauchy_losses(self.errors(joint, run), 1.0).sum())
@@ -161,11 +160,11 @@ class _Sample:
                 rough, start = loss, run
         fits = [] if start is None else [joint.fitted(start, _OF_START, _FIT_ITERATIONS)]
         if model.name not in _WIDE:
-            start = replace(pose, z=np.linalg.lstsq(joint.spread.basis, at, rcond=None)[0])
+            start = replace(pose, z=np.linalg.lstsq(joint.prior.basis, at, rcond=None)[0])
             fits += [start, joint.fitted(start, _OF_FIT, _FIT_ITERATIONS)]
-        best, most = model, cauchy_losses(error, scale)[near].sum() + _AS_WELL
+        best, most = model, cauchy_losses(error, width)[near].sum() + _AS_WELL
         for fit in fits:
-            losses = cauchy_losses(self.errors(joint, fit), scale)
+            losses = cauchy_losses(self.errors(joint, fit), width)
             cost = float(losses.sum() + fit.z @ fit.z / 2)
             # What is likelier explains the inliers of the assumed cameras as well.
             if cost < best.cost and losses[near].sum() < most:
@@ -200,7 +199,7 @@ def _log_odds(camera: Camera) -> float:
 
 
 def _starts(model: CameraModel, focals: np.ndarray) -> list[np.ndarray]:
-    """Deviations (2 * SIZE,) of the model's cameras that RANSAC is run at. focals: those of ln f
+    """Parameters (2 * SIZE,) of the model's cameras that RANSAC is run at. focals: those of ln f
     (2,) with the assumed cameras."""
     if model.name in _WIDE:
         stds = np.array([camera.focal_std for camera in model.cameras])

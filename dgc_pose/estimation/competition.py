@@ -20,9 +20,9 @@ from dataclasses import replace
 import numpy as np
 
 from dgc_pose.estimation.evidence import map_agreement
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.plane import Plane, planar_hypotheses
+from dgc_pose.estimation.plane import planar_hypotheses
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import refine, refit, sample
 from dgc_pose.geometry.epipolar import homogeneous, sampson_distance
@@ -32,7 +32,6 @@ CHOICE_FEATURES = ("likelihood", "map_agreement")
 LIKELY_SHARE = 0.75  # of the first one's inliers, at which another explains the matches as well
 _MIN_REFINED_SHARE = 0.3  # of the first one's inliers, in front of both cameras
 _MIN_LEFT = 20  # matches left over that are searched
-_MIN_PLANAR_SHARE = 0.5  # of inliers that one homography explains
 _MAX_DEPTH = 1e6  # in baselines: beyond, there is no parallax to mirror
 _MAX_ERROR = 3.0  # thresholds; larger errors, and points behind a camera, count as this
 
@@ -41,19 +40,19 @@ def competitors(
     problem: TwoViewProblem,
     first: Hypothesis,
     runs: Sequence[Hypothesis],
-    plane: Plane,
+    H: np.ndarray | None,
     options: EstimationOptions,
 ) -> list[Hypothesis]:
     """Refined hypotheses more than 10 degrees from the first and from each other, that with most
     inliers in front of both cameras first.
 
-    runs: the hypotheses of the runs. plane: of the first one's inliers. Before refinement each has
-    at least 0.3 of the first one's inliers.
+    runs: the hypotheses of the runs. H: homography (3, 3) of a plane. Before refinement each has at
+    least 0.3 of the first one's inliers.
     """
     least = max(_MIN_REFINED_SHARE * first.num_in_front, 1)
     candidates = [*runs]
-    if plane.H is not None and plane.share >= _MIN_PLANAR_SHARE:
-        candidates += planar_hypotheses(problem, plane.H)
+    if H is not None:
+        candidates += planar_hypotheses(problem, H)
     left = problem.subset(~first.inliers)
     if len(left) >= max(_MIN_LEFT, least):
         seconds = sample(left, replace(options, runs=1))
@@ -110,18 +109,22 @@ def compared(
     map_problem: an even sample of the dense map.
     """
     inliers = problem.subset(first.inliers)
-    scale = pose_error_scale(inliers, first.R, first.t) if len(inliers) else problem.threshold
+    width = pose_loss_width(inliers, first.R, first.t) if len(inliers) else problem.threshold
+    largest = _MAX_ERROR * problem.threshold
     root = math.sqrt(max(first.num_in_front, 1))
     least = LIKELY_SHARE * first.num_in_front
     result: list[Hypothesis] = []
     for number, unfitted in enumerate((first, *others)):
         pose, likely = unfitted, number == 0 or unfitted.num_in_front >= least
         if likely and number and options.refine:
-            fitted = refit(problem, pose, adapt_scale=True)
+            fitted = refit(problem, pose, adapt_width=True)
             # A fit may lead to another of the hypotheses, or to that with t reversed.
             if fitted.num_in_front >= least and not fitted.is_among([*result, *others[number:]]):
                 pose = fitted
-        likelihood = float(_log_likelihoods(problem, pose, scale).sum()) / root
+        error = sampson_distance(problem.points1, problem.points2, pose.E)
+        error = np.where(pose.in_front, np.minimum(error, largest), largest)
+        # Of a Cauchy distribution, cut off, up to a constant.
+        likelihood = float((-np.log1p((error / width) ** 2)).sum()) / root
         agreement = None if map_problem is None else map_agreement(map_problem, pose)
         result.append(replace(pose, likely=likely, likelihood=likelihood, map_agreement=agreement))
     return result
@@ -155,11 +158,3 @@ def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float = 0.0) -
     odds = np.exp(values - values.max())
     possible = np.isfinite(values)
     return (1 - lapse) * odds / odds.sum() + lapse * possible / possible.sum()
-
-
-def _log_likelihoods(problem: TwoViewProblem, pose: Hypothesis, scale: float) -> np.ndarray:
-    """Log-likelihoods (N,) of the matches, up to a constant: of a Cauchy distribution, cut off."""
-    largest = _MAX_ERROR * problem.threshold
-    error = sampson_distance(problem.points1, problem.points2, pose.E)
-    error = np.where(pose.in_front, np.minimum(error, largest), largest)
-    return -np.log1p((error / scale) ** 2)

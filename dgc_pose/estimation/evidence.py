@@ -1,26 +1,21 @@
 """The measurements that the verdict rests on."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
-import cv2
 import numpy as np
 
-from dgc_pose.estimation.covariance import Covariance, error_radii_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.plane import StillCamera
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
-from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
+from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.geometry.triangulation import (
     epipolar_angles,
     triangulation_angles_deg,
     unit_rays,
 )
-from dgc_pose.metrics import rotation_error_deg
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold
 _ROTATION_ROUNDS = 10
@@ -59,31 +54,27 @@ class Evidence:
         num_rotation_inliers: Matches that `rotation` explains, on which the parallax is measured.
         rotation_share: `num_rotation_inliers` over the inliers.
         strict_rotation_share: Share of inliers that `rotation` explains within the threshold.
-        parallax: Spread of the motion left by `rotation`, over the spread of the epipolar error.
+        parallax: Motion left by `rotation`, over the epipolar error, standard deviations of both.
         median_triangulation_angle_deg: Median angle between the two rays of an inlier, degrees.
-        homography_ratio: Share of inliers that one homography explains.
         collinear: Whether the inliers of either image lie on one line.
         occupied_cells: Grid cells with inliers, in the image with fewer of them.
         key_points: Whether the matches are independent detections.
+        residual: Median epipolar error of the inliers, over the threshold.
+        threshold_cells: The threshold over the side of a grid cell, mean of both images.
+        confidence: Median confidence of the inliers.
+        homography_ratio: Share of inliers that one homography explains.
         raw_rotation_90_deg: Nine times in ten the error of R is below, as the jackknife has
             it, not calibrated; None if it is not known.
         raw_translation_90_deg: The same of the direction of t.
-        raw_focal_90_percent: The same of the logarithm of the focal length, per cent; None if
-            K is exact.
+        raw_focal_90_percent: The same of ln f, per cent; None if K is exact.
         focal_check: The focal lengths that the matches suggest, where K is exact; None if they
             suggest none, and of a plane that leaves no others over.
-        residual: Median epipolar error of the inliers, over the threshold.
-        threshold_cells: The threshold over the side of a grid cell, mean of both images.
-        hull_cells: Area of the inliers' convex hull in grid cells, the smaller of both images.
-        confidence: Median confidence of the inliers.
-        run_agreement: Share of the RANSAC runs whose pose is within 10 degrees of this one.
-        rotation_angle_deg: Angle of the pose's R.
         other_ratio: Most inliers in front of another hypothesis, over this one's.
         map_matchability: Mean matchability of the dense map; None without one.
-        map_agreement: Share of its cells, by matchability, that agree with the pose; None likewise.
+        map_agreement: Share of its cells, by matchability, that have the pose; None likewise.
         map_chance: The same of those cells paired wrongly; None likewise.
-        still_ratio: Share of a plane's inliers that a camera explains which did not move, where the
-            focal lengths are not known (`still_camera`); 0 if they are.
+        still_ratio: Share of inliers that a camera explains which did not move, where the focal
+            lengths are not known (`still_camera`); 0 if they are.
         num_second_inliers: Inliers of another motion among the matches left over, which chance does
             not explain; 0 without. It is asked of a plane, and where the cameras are fitted.
         second_rotation_deg: Angle between the rotation of that motion and `rotation`.
@@ -101,21 +92,18 @@ class Evidence:
     strict_rotation_share: float
     parallax: float
     median_triangulation_angle_deg: float
-    homography_ratio: float
     collinear: bool
     occupied_cells: int
     key_points: bool
-    raw_rotation_90_deg: float | None
-    raw_translation_90_deg: float | None
-    raw_focal_90_percent: float | None
-    focal_check: FocalCheck | None
     residual: float
     threshold_cells: float
-    hull_cells: float
     confidence: float
-    run_agreement: float
-    rotation_angle_deg: float
-    other_ratio: float
+    homography_ratio: float = 0.0
+    raw_rotation_90_deg: float | None = None
+    raw_translation_90_deg: float | None = None
+    raw_focal_90_percent: float | None = None
+    focal_check: FocalCheck | None = None
+    other_ratio: float = 0.0
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None
@@ -130,37 +118,16 @@ class Evidence:
         return self.inlier_ratio / max(self.chance_ratio, 1e-6)
 
     @property
-    def log10_rarity(self) -> float:
-        """Rarity of so many inliers in random matches."""
-        return -self.log10_false_alarms
-
-    @property
     def map_over_chance(self) -> float:
         """Share of the dense map that agrees with the pose beyond chance."""
         return (self.map_agreement or 0.0) - (self.map_chance or 0.0)
 
 
-def gather(
-    problem: TwoViewProblem,
-    pose: Hypothesis,
-    homography_ratio: float,
-    covariance: Covariance | None = None,
-    *,
-    still: StillCamera | None = None,
-    second: Hypothesis | None = None,
-    runs: Sequence[Hypothesis] = (),
-    others: Sequence[Hypothesis] = (),
-    map_problem: TwoViewProblem | None = None,
-    check: FocalCheck | None = None,
-    camera_model: ModelName = "assumed",
+def measured(
+    problem: TwoViewProblem, pose: Hypothesis, map_problem: TwoViewProblem | None = None
 ) -> Evidence:
-    """The evidence for and against a hypothesis of the problem's matches.
-
-    covariance: of its pose, see `pose_covariance`. still: of unknown focal lengths. second: another
-    motion, found in the matches that a plane leaves over. runs: of RANSAC. others:
-    that explain matches. map_problem: an even sample of the dense map.
-    check: of the focal lengths of exact cameras, if it does not agree with them.
-    """
+    """The evidence that the matches have for and against a hypothesis, without what needs other
+    hypotheses or cameras. map_problem: an even sample of the dense map."""
     threshold, is_inlier = problem.threshold, pose.inliers
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
@@ -170,50 +137,41 @@ def gather(
     rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
     motion = np.linalg.norm(rays1 @ rotation.T - rays2, axis=1)
     explained = motion < _ROTATION_LIMIT * threshold
-    # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
-    strict_rotation_share = float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count)
-    explaining = still.R if still and still.share > strict_rotation_share else rotation
     rotated = problem.subset(explained)
     across = epipolar_angles(rotated.points1, rotated.points2, pose.E)
     angles = triangulation_angles_deg(inliers.points1, inliers.points2, pose.R)
-    rotation_90, translation_90 = error_radii_deg(None if covariance is None else covariance.pose)
-    side1, side2 = problem.cells
-    in_cells = inliers.points1 / side1, inliers.points2 / side2
-    return Evidence(
+    in_cells = inliers.points1 / problem.cells[0], inliers.points2 / problem.cells[1]
+    evidence = Evidence(
         num_inliers=pose.num_inliers,
         inlier_ratio=float(is_inlier.mean()),
         chance_ratio=chance,
         log10_false_alarms=log10_false_alarms(len(problem), pose.num_inliers, chance),
-        cheirality_ratio=_mean(pose.in_front[is_inlier]),
-        rotation=explaining,
+        cheirality_ratio=float(np.mean(pose.in_front[is_inlier])) if len(inliers) else 0.0,
+        rotation=rotation,
         num_rotation_inliers=len(rotated),
         rotation_share=len(rotated) / count,
-        strict_rotation_share=strict_rotation_share,
+        # The motion has the noise of both images, the epipolar error that of one: sqrt(2) apart.
+        strict_rotation_share=float((motion[is_inlier] < np.sqrt(2) * threshold).sum() / count),
         parallax=_parallax(motion[explained], across, _MIN_ERROR * threshold),
         median_triangulation_angle_deg=_median(angles),
-        homography_ratio=homography_ratio,
-        still_ratio=0.0 if still is None else still.share,
-        num_second_inliers=0 if second is None else int(second.inliers_in_front[~is_inlier].sum()),
-        second_rotation_deg=0.0 if second is None else rotation_error_deg(second.R, explaining),
-        camera_model=camera_model,
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
         occupied_cells=min(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells
         ),
         key_points=problem.key_points,
-        raw_rotation_90_deg=rotation_90,
-        raw_translation_90_deg=translation_90,
-        raw_focal_90_percent=None if covariance is None else covariance.focal_90_percent,
-        focal_check=check,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
-        hull_cells=min(_hull_area(cells) for cells in in_cells),
         confidence=_median(inliers.confidence),
-        run_agreement=_mean([run.is_among([pose]) for run in runs]),
-        rotation_angle_deg=rotation_angle_deg(pose.R),
-        other_ratio=max((other.num_in_front for other in others), default=0)
-        / max(pose.num_in_front, 1),
-        **_map_evidence(map_problem, pose),
+    )
+    if not map_problem:
+        return evidence
+    order = np.random.default_rng(map_problem.seed).permutation(len(map_problem))
+    wrong = replace(map_problem, points1=map_problem.points1[order])
+    return replace(
+        evidence,
+        map_matchability=float(map_problem.confidence.mean()),
+        map_agreement=map_agreement(map_problem, pose),
+        map_chance=map_agreement(wrong, pose),
     )
 
 
@@ -274,13 +232,6 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     return R
 
 
-def _hull_area(points: np.ndarray) -> float:
-    """Area of the convex hull of points (N, 2)."""
-    if len(points) < 3:
-        return 0.0
-    return float(cv2.contourArea(cv2.convexHull(points.astype(np.float32))))
-
-
 def map_agreement(problem: TwoViewProblem, pose: Hypothesis) -> float:
     """Share of a dense map's sample that agrees with a pose, by the square of the matchability: a
     cell of little is little evidence."""
@@ -289,25 +240,8 @@ def map_agreement(problem: TwoViewProblem, pose: Hypothesis) -> float:
     return float(weight @ (distance < problem.threshold)) / max(float(weight.sum()), 1e-9)
 
 
-def _map_evidence(problem: TwoViewProblem | None, pose: Hypothesis) -> dict[str, float]:
-    """The evidence of a dense map for a pose, by the names of the fields."""
-    if problem is None or not len(problem):
-        return {}
-    order = np.random.default_rng(problem.seed).permutation(len(problem))
-    wrong = replace(problem, points1=problem.points1[order])
-    return {
-        "map_matchability": float(problem.confidence.mean()),
-        "map_agreement": map_agreement(problem, pose),
-        "map_chance": map_agreement(wrong, pose),
-    }
-
-
 def _median(values: np.ndarray) -> float:
     return float(np.median(values)) if len(values) else 0.0
-
-
-def _mean(values: np.ndarray | Sequence[bool]) -> float:
-    return float(np.mean(values)) if len(values) else 0.0
 
 
 def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:

@@ -17,7 +17,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import LIMITS, JointFit, JointPose, solved_start
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import FocalCheck
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import CONTRADICTED_LOG_ODDS, is_contradicted
 from dgc_pose.estimation.problem import TwoViewProblem
@@ -54,7 +54,7 @@ def check_focals(
         for c in cameras
     )
     joint = JointFit(problem, (loose1, loose2))
-    stated = JointPose(first.R, first.t, np.zeros(len(joint.spread)))
+    stated = JointPose(first.R, first.t, np.zeros(len(joint.prior)))
     other = None
     if first.num_in_front < _EXPLAINED_SHARE * len(problem):
         # The pose of a wrong K may be a local minimum.
@@ -65,20 +65,21 @@ def check_focals(
         # K is right as a rule, which some of the matches show.
         some = draw(problem, problem.seed, _SAMPLED)
         pose = replace(joint, problem=some).fitted(stated, LIMITS[:1])
-        if abs(joint.deviations(pose)[0]) >= AGREEING_LOG_FOCAL:
+        if abs(joint.parameters(pose)[0]) >= AGREEING_LOG_FOCAL:
             pose = joint.fitted(pose)
-    scale = pose_error_scale(problem.subset(first.inliers), first.R, first.t)
-    log_odds = joint.log_likelihood(pose, scale) - joint.log_likelihood(stated, scale)
+    width = pose_loss_width(problem.subset(first.inliers), first.R, first.t)
+    log_odds = joint.log_likelihood(pose, width) - joint.log_likelihood(stated, width)
     if is_plane and log_odds < CONTRADICTED_LOG_ODDS:
         return None
-    covariance = joint.covariance(pose, matches, options)
-    if covariance is None:
+    covariances = joint.covariance(pose, matches, options)
+    if covariances is None:
         return None
+    of_pose, of_cameras = covariances
     return FocalCheck(
-        math.exp(joint.deviations(pose)[0]),
-        _CALIBRATION * covariance.focal_stds[0],
+        math.exp(joint.parameters(pose)[0]),
+        _CALIBRATION * math.sqrt(of_cameras[0, 0]),
         first.angle_to(pose.R, pose.t),
-        max(error_radius_deg(covariance.pose[k : k + 3, k : k + 3]) for k in (0, 3)),
+        max(error_radius_deg(of_pose[k : k + 3, k : k + 3]) for k in (0, 3)),
         log_odds,
     )
 

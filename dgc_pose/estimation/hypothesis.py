@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgc_pose.estimation.least_squares import loss_width
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.status import probability_text, short_text
 from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
@@ -15,12 +16,6 @@ from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
-DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
-EFFICIENT = 2.385  # Cauchy loss of 95 % efficiency on Gaussian noise, in standard deviations
-# Neighbouring matches err alike: so many are worth one that errs by itself, where they are weighed
-# against a prior. See docs/experiments.md.
-ALIKE = 10.0
-_MIN_SCALE = 0.02  # of the threshold: matches are not trusted to be more accurate than that
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,16 +98,7 @@ class Hypothesis:
         return any(self.angle_to(other.R, other.t) <= DISTINCT_DEG for other in others)
 
 
-def pose_error_scale(inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> float:
-    """`error_scale` of the Sampson errors of a pose's inliers."""
+def pose_loss_width(inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> float:
+    """`loss_width` of the Sampson errors of a pose's inliers."""
     error = sampson_distance(inliers.points1, inliers.points2, essential_from_pose(R, t))
-    return error_scale(error, inliers.threshold)
-
-
-def error_scale(error: np.ndarray, threshold: float) -> float:
-    """Scale of the Cauchy loss for inliers' errors (N,), in their unit.
-
-    From the median error, as if the errors were Gaussian; at most the threshold.
-    """
-    scale = EFFICIENT * DEVIATION * float(np.median(error))
-    return min(max(scale, _MIN_SCALE * threshold), threshold)
+    return loss_width(error, inliers.threshold)

@@ -4,8 +4,6 @@ A crop or a zoom of image 1, or a camera that turned and zoomed, gives a homogra
 matrix explains it as well: that of a plane before a camera that moved.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from dgc_pose.estimation.hypothesis import Hypothesis
@@ -26,27 +24,16 @@ _LOG_FOCAL_REACH = 1.5  # of ln f of camera 1 that is tried to either side
 _LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # at first, and at last
 
 
-class Plane(NamedTuple):
-    """The plane that a hypothesis' inliers may lie on."""
-
-    share: float  # of the inliers that one homography explains
-    H: np.ndarray | None  # (3, 3) the homography; None if there is none
-
-    @property
-    def is_plane(self) -> bool:
-        """Whether the inliers lie on a plane."""
-        return self.share >= PLANAR_SHARE
-
-
-def fit_plane(problem: TwoViewProblem, pose: Hypothesis) -> Plane:
-    """The plane of a hypothesis' inliers."""
+def fit_plane(problem: TwoViewProblem, pose: Hypothesis) -> tuple[float, np.ndarray | None]:
+    """The share of a hypothesis' inliers that one homography explains, and this (3, 3); 0 and None
+    if there is none. From `PLANAR_SHARE` on they lie on a plane."""
     inliers = problem.subset(pose.inliers)
     limit = _TRANSFER_LIMIT * problem.threshold
     H = fit_homography(inliers.points1, inliers.points2, limit, problem.seed)
     if H is None:
-        return Plane(0.0, None)
+        return 0.0, None
     error = transfer_error(inliers.points1, inliers.points2, H)
-    return Plane(float((error < limit).mean()), H)
+    return float((error < limit).mean()), H
 
 
 def planar_hypotheses(problem: TwoViewProblem, H: np.ndarray) -> list[Hypothesis]:
@@ -68,15 +55,9 @@ def best_planar(
     return max([first, *others], key=lambda pose: (pose.num_in_front, pose.num_inliers))
 
 
-class StillCamera(NamedTuple):
-    """A camera that did not move."""
-
-    share: float  # of the inliers that it explains
-    R: np.ndarray  # (3, 3) its rotation
-
-
-def still_camera(inliers: TwoViewProblem) -> StillCamera:
-    """The camera that did not move and explains most inliers.
+def still_camera(inliers: TwoViewProblem) -> tuple[float, np.ndarray]:
+    """The largest share of inliers that a camera explains which did not move, and its rotation
+    (3, 3).
 
     Either image 2 is image 1 scaled, rolled and shifted, or the camera turned about its centre,
     each image with another focal length. inliers: normalised by the cameras as stated, whose
@@ -101,13 +82,9 @@ def still_camera(inliers: TwoViewProblem) -> StillCamera:
             step /= 2
             turns = {k: _turn(H, k) for k in (best, best - step, best + step)}
         homographies.append(turns[best])
-    return max(
-        (
-            StillCamera(float((transfer_error(*points, still) < limit).mean()), R)
-            for still, R in homographies
-        ),
-        key=lambda camera: camera.share,
-    )
+    shares = [float((transfer_error(*points, H) < limit).mean()) for H, _ in homographies]
+    best = int(np.argmax(shares))
+    return shares[best], homographies[best][1]
 
 
 def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:

@@ -44,7 +44,9 @@ class Feature(NamedTuple):
 
     field: str  # of the evidence
     sign: int  # of its weight: 1 if more of it speaks for the pose, -1 if against
-    against: str  # what speaks against a pose that has little, or much, of it; e: the evidence
+    # What speaks against a pose that has little, or much, of it; formats the value, and e, the
+    # evidence.
+    against: str
     # The logarithm is taken within this range, so that the model never extrapolates; None: the
     # number itself, a share of at most 1.
     log_range: tuple[float, float] | None = None
@@ -58,7 +60,8 @@ class Feature(NamedTuple):
 
     def words(self, evidence: Evidence) -> str:
         """`against` for this evidence."""
-        return self.against.format(e=evidence).replace("%", " %")
+        value = getattr(evidence, self.field)
+        return self.against.format(value, e=evidence).replace("%", " %")
 
 
 def _log(value: float | None, low: float, high: float) -> float:
@@ -66,56 +69,34 @@ def _log(value: float | None, low: float, high: float) -> float:
 
 
 FEATURES: Mapping[str, Feature] = {
-    "inliers": Feature("num_inliers", 1, "only {e.num_inliers} inliers", (5, 2000)),
-    "inlier_ratio": Feature(
-        "inlier_ratio", 1, "only {e.inlier_ratio:.0%} of the matches are inliers"
-    ),
+    "inlier_ratio": Feature("inlier_ratio", 1, "only {:.0%} of the matches are inliers"),
     "over_chance": Feature(
         "over_chance", 1, "{e.chance_ratio:.0%} of wrong matches agree as well", (1, 100)
     ),
-    "false_alarms": Feature("log10_rarity", 1, "so many inliers could be chance", (1, 5000)),
     "cheirality": Feature(
-        "cheirality_ratio",
-        1,
-        "only {e.cheirality_ratio:.0%} of the inliers lie in front of both cameras",
+        "cheirality_ratio", 1, "only {:.0%} of the inliers lie in front of both cameras"
     ),
     "occupied_cells": Feature(
-        "occupied_cells", 1, "the inliers lie in only {e.occupied_cells} grid cells", (3, 400)
-    ),
-    "hull": Feature(
-        "hull_cells", 1, "the inliers cover only {e.hull_cells:.0f} grid cells", (2, 400)
+        "occupied_cells", 1, "the inliers lie in only {} grid cells", (3, 400)
     ),
     "rotation_error": Feature(
         "raw_rotation_90_deg", -1, "the inliers hardly determine the rotation", (0.02, 60)
     ),
     "translation_error": Feature(
-        "raw_translation_90_deg",
-        -1,
-        "the inliers hardly determine the translation",
-        (0.05, 120),
+        "raw_translation_90_deg", -1, "the inliers hardly determine the translation", (0.05, 120)
     ),
     "residual": Feature("residual", -1, "the inliers do not agree closely"),
     "threshold": Feature("threshold_cells", -1, "the matches are inaccurate", (0.01, 0.5)),
     "parallax": Feature("parallax", 1, "there is little parallax", (0.7, 40)),
     "rotation_share": Feature("rotation_share", -1, "a rotation alone explains most matches"),
     "triangulation": Feature(
-        "median_triangulation_angle_deg",
-        1,
-        "small triangulation angles ({e.median_triangulation_angle_deg:.1f} deg)",
-        (0.2, 30),
+        "median_triangulation_angle_deg", 1, "small triangulation angles ({:.1f} deg)", (0.2, 30)
     ),
-    "homography": Feature(
-        "homography_ratio", -1, "one homography explains {e.homography_ratio:.0%} of the inliers"
-    ),
+    "homography": Feature("homography_ratio", -1, "one homography explains {:.0%} of the inliers"),
     "confidence": Feature("confidence", 1, "the matched patches are not alike"),
-    "run_agreement": Feature(
-        "run_agreement", 1, "only {e.run_agreement:.0%} of the RANSAC runs found this pose"
-    ),
-    "rival": Feature("other_ratio", -1, "another pose has {e.other_ratio:.0%} as many inliers"),
+    "rival": Feature("other_ratio", -1, "another pose has {:.0%} as many inliers"),
     "matchability": Feature("map_matchability", 1, "the dense map is hardly matchable"),
-    "map_agreement": Feature(
-        "map_agreement", 1, "only {e.map_agreement:.0%} of the dense map agrees with it"
-    ),
+    "map_agreement": Feature("map_agreement", 1, "only {:.0%} of the dense map agrees with it"),
     "map_over_chance": Feature(
         "map_over_chance", 1, "the dense map agrees with it no more than by chance"
     ),

@@ -9,7 +9,7 @@ import numpy as np
 
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.covariance import error_radii_deg
+from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.status import STATUSES, Status, probability_text, short_text
@@ -192,12 +192,12 @@ class RelativePose:
     @property
     def rotation_error_90_deg(self) -> float | None:
         """The error of R, degrees, that nine in ten right poses stay below; None if not known."""
-        return error_radii_deg(self.covariance)[0]
+        return None if self.covariance is None else error_radius_deg(self.covariance[:3, :3])
 
     @property
     def translation_error_90_deg(self) -> float | None:
         """The angle between t and the true direction likewise."""
-        return error_radii_deg(self.covariance)[1]
+        return None if self.covariance is None else error_radius_deg(self.covariance[3:, 3:])
 
     def inverse(self) -> "RelativePose":
         """The pose of camera 1 relative to camera 2: x1 = R^T x2 - R^T t.

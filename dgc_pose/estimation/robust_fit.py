@@ -4,12 +4,10 @@ Seeded runs of LO-RANSAC on the five-point solver, and on solvers that have foca
 their unknowns; robust least squares, the Cauchy loss of the Sampson errors.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 import poselib
 
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_error_scale
+from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
@@ -19,16 +17,14 @@ from dgc_pose.system.threads import in_threads
 # with the matches that it scores; the hypotheses are compared and refined on all matches.
 MAX_SAMPLED = 3000
 MINIMAL = 5  # matches that determine an essential matrix
-_MIN_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
+MIN_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
 
 _ROUNDS = 3  # of a refinement
 _MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
 
-RigidPose = tuple[np.ndarray, np.ndarray]  # R (3, 3) cam_from_world, and the centre (3,), world
-
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
-_FOCAL = 1000.0
-_CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [_FOCAL, 0.0, 0.0]}
+FOCAL = 1000.0
+CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [FOCAL, 0.0, 0.0]}
 
 
 def sample(problem: TwoViewProblem, options: EstimationOptions) -> list[Hypothesis]:
@@ -70,51 +66,46 @@ def essential_matrix(
     that a sample without outliers was drawn, with PoseLib's probability of 0.9999.
     """
     points, settings = _pixels(problem), _ransac_options(problem, options, seed)
-    return _essential(*poselib.estimate_relative_pose(*points, _CAMERA, _CAMERA, *settings))
-
-
-def essential_and_focal(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `essential_matrix`, for points that were normalised by a focal length that is wrong by the
-    same factor in both images: E of the points divided by that factor, and the factor of each image
-    (2,) (six-point solver)."""
-    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
-    pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
-    E, factor = _essential(pair.pose, info), pair.camera1.focal() / _FOCAL
-    return None if E is None or not 0 < factor < np.inf else (E, np.array([factor] * 2))
+    return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
 
 
 def essential_and_focals(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int
+    problem: TwoViewProblem, options: EstimationOptions, seed: int, *, shared: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `essential_and_focal`, with a factor for each image, by the fundamental matrix: the
-    factors nearest to 1 that it allows (Kocur, Kyselica, Kukelova, CVPR 2024)."""
+    """As `essential_matrix`, for points that were normalised by wrong focal lengths: E of the
+    points divided by a factor of each image, and these factors (2,).
+
+    shared: whether the factors are equal (six-point solver). Otherwise they are those nearest to 1
+    that the fundamental matrix allows (Kocur, Kyselica, Kukelova, CVPR 2024).
+    """
     points, settings = _pixels(problem), _ransac_options(problem, options, seed)
-    F, info = poselib.estimate_fundamental(*points, *settings)
-    if info["num_inliers"] == 0:
+    if shared:
+        pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
+        E, factors = _essential(pair.pose, info), np.full(2, pair.camera1.focal() / FOCAL)
+    else:
+        F, info = poselib.estimate_fundamental(*points, *settings)
+        cameras = poselib.focals_from_fundamental_iterative(F, CAMERA, CAMERA)[:2]
+        factors = np.array([camera.focal() / FOCAL for camera in cameras])
+        first, second = (np.diag([factor * FOCAL, factor * FOCAL, 1.0]) for factor in factors)
+        E = second @ F @ first
+        E = E / np.linalg.norm(E) if info["num_inliers"] else None
+    if E is None or not ((factors > 0) & np.isfinite(factors)).all():
         return None
-    camera1, camera2, _ = poselib.focals_from_fundamental_iterative(F, _CAMERA, _CAMERA)
-    factors = np.array([camera1.focal(), camera2.focal()]) / _FOCAL
-    if not ((factors > 0) & np.isfinite(factors)).all():
-        return None
-    first, second = (np.diag([factor * _FOCAL, factor * _FOCAL, 1.0]) for factor in factors)
-    E = second @ F @ first
-    return E / np.linalg.norm(E), factors
+    return E, factors
 
 
 def _pixels(problem: TwoViewProblem) -> tuple[np.ndarray, np.ndarray]:
-    return problem.points1 * _FOCAL, problem.points2 * _FOCAL
+    return problem.points1 * FOCAL, problem.points2 * FOCAL
 
 
 def _ransac_options(
     problem: TwoViewProblem, options: EstimationOptions, seed: int
 ) -> tuple[dict[str, float], dict[str, str | float]]:
     """PoseLib's options of a run and of its local optimisation."""
-    threshold = problem.threshold * _FOCAL
+    threshold = problem.threshold * FOCAL
     ransac = {
         "max_iterations": options.iterations,
-        "min_iterations": min(options.iterations, _MIN_ITERATIONS),
+        "min_iterations": min(options.iterations, MIN_ITERATIONS),
         "max_epipolar_error": threshold,
         "seed": seed,
     }
@@ -129,7 +120,7 @@ def _essential(pose: poselib.CameraPose, info: dict[str, float]) -> np.ndarray |
 
 
 def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
-    """The hypothesis after at most three fits with the threshold as the scale of the loss, until
+    """The hypothesis after at most three fits with the threshold as the width of the loss, until
     the inliers, chosen anew after each fit, stay the same."""
     pose = start
     for _ in range(_ROUNDS):
@@ -139,10 +130,10 @@ def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
     return pose
 
 
-def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = False) -> Hypothesis:
+def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_width: bool = False) -> Hypothesis:
     """The hypothesis after least squares on its inliers in front of both cameras.
 
-    adapt_scale: take the scale of the loss from the inliers' errors, three times in turn,
+    adapt_width: take the width of the loss from the inliers' errors, three times in turn,
     instead of the threshold. Most inliers are far more accurate than the threshold, and the others
     would bias the pose. Returns `start` itself if it has no more than five such inliers, or if the
     fit would lose more than one inlier in fifty.
@@ -152,11 +143,11 @@ def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = Fal
     if len(inliers) <= MINIMAL:
         return start
     R, t = start.R, start.t
-    for _ in range(_ROUNDS if adapt_scale else 1):
-        scale = pose_error_scale(inliers, R, t) if adapt_scale else problem.threshold
-        R, t = least_squares_pose(inliers, R, t, scale)
+    for _ in range(_ROUNDS if adapt_width else 1):
+        width = pose_loss_width(inliers, R, t) if adapt_width else problem.threshold
+        R, t = least_squares_pose(inliers, R, t, width)
     fitted = Hypothesis.of_pose(problem, R, t)
-    if not adapt_scale:
+    if not adapt_width:
         # The epipolar error does not depend on the sign of the translation; the depths do.
         opposite = Hypothesis.of_pose(problem, R, -t)
         fitted = max((fitted, opposite), key=lambda pose: (pose.num_inliers, pose.num_in_front))
@@ -164,73 +155,14 @@ def refit(problem: TwoViewProblem, start: Hypothesis, *, adapt_scale: bool = Fal
 
 
 def least_squares_pose(
-    inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray, scale: float
+    inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray, width: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """R and unit t of least Cauchy loss, from a start. scale: of the loss, in the points' unit."""
+    """R and unit t of least Cauchy loss, from a start. width: of the loss, in the points' unit."""
     start = poselib.CameraPose()
     start.R, start.t = R, t
-    options = {"loss_type": "CAUCHY", "loss_scale": scale * _FOCAL, "max_iterations": 100}
-    pose, _ = poselib.refine_relative_pose(*_pixels(inliers), start, _CAMERA, _CAMERA, options)
+    options = {"loss_type": "CAUCHY", "loss_scale": width * FOCAL, "max_iterations": 100}
+    pose, _ = poselib.refine_relative_pose(*_pixels(inliers), start, CAMERA, CAMERA, options)
     length = np.linalg.norm(pose.t)
     if length < 1e-12 or not np.isfinite(pose.R).all():
         return R, t
     return pose.R, pose.t / length
-
-
-def generalized_pose(
-    problems: Sequence[TwoViewProblem],
-    references: Sequence[RigidPose],
-    options: EstimationOptions,
-    seed: int,
-) -> RigidPose | None:
-    """The pose of image 2 of several problems of five matches or more, whose images 1 have these
-    poses: one RANSAC run on the generalised relative pose (six-point solver); None if it fails."""
-    matches = []
-    for number, problem in enumerate(problems):
-        match = poselib.PairwiseMatches()
-        match.cam_id1, match.cam_id2 = number, 0
-        match.x1, match.x2 = _pixels(problem)
-        matches.append(match)
-    extrinsics = [_rigid(R, centre) for R, centre in references]
-    threshold = float(np.median([problem.threshold for problem in problems])) * _FOCAL
-    ransac = {
-        "max_iterations": options.iterations,
-        "min_iterations": min(options.iterations, _MIN_ITERATIONS // 2),
-        "max_epipolar_error": threshold,
-        "seed": seed,
-    }
-    pose, info = poselib.estimate_generalized_relative_pose(
-        matches,
-        extrinsics,
-        [_CAMERA] * len(problems),
-        [poselib.CameraPose()],
-        [_CAMERA],
-        ransac,
-        {"loss_type": "TRUNCATED", "loss_scale": threshold},
-    )
-    return _world(pose, info)
-
-
-def absolute_pose(
-    places: np.ndarray, points: np.ndarray, threshold: float, options: EstimationOptions
-) -> RigidPose | None:
-    """The pose of an image with points (N, 3) of the world at normalised `places` (N, 2): one
-    RANSAC run (three-point solver); None if it fails. threshold: normalised."""
-    ransac = {
-        "max_iterations": options.iterations,
-        "max_reproj_error": threshold * _FOCAL,
-        "seed": run_seeds(options)[0],
-    }
-    return _world(*poselib.estimate_absolute_pose(places * _FOCAL, points, _CAMERA, ransac, {}))
-
-
-def _rigid(R: np.ndarray, centre: np.ndarray) -> poselib.CameraPose:
-    pose = poselib.CameraPose()
-    pose.R, pose.t = R, -R @ centre
-    return pose
-
-
-def _world(pose: poselib.CameraPose, info: dict[str, float]) -> RigidPose | None:
-    if info["num_inliers"] == 0 or not np.isfinite(pose.Rt).all():
-        return None
-    return pose.R, -pose.R.T @ pose.t

@@ -12,8 +12,13 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import numbers
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation.covariance import SHIFTS, block_sums
-from dgc_pose.estimation.hypothesis import DEVIATION, EFFICIENT
+from dgc_pose.estimation.least_squares import (
+    DEVIATION,
+    EFFICIENT,
+    SHIFTS,
+    block_sums,
+    cauchy_curvature,
+)
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
@@ -27,7 +32,7 @@ from dgc_pose.system.options import check_options, option
 _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
 _MIN_DEPTHS = 10  # inliers of known depth that a length needs
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
-_ALIKE = 30.0  # neighbouring depths err alike: so many are worth one beside the pose's covariance
+_CORRELATED = 30.0  # neighbouring depths: so many are worth one beside the pose's covariance
 _MIN_NEAR, _NEAREST = 3, 9  # inliers that determine the depth at a point
 _STEPS = 30  # of reweighted least squares
 _UNKNOWN = np.full((1, 1), np.nan, np.float32)  # in place of a depth map
@@ -123,9 +128,8 @@ def with_length(
             return replace(pose, warnings=warnings)
         single = np.hstack([inverse * z[0], of_2[0] * z[1]])[:, known]
         of_match = np.hstack([of_match * z[0], of_2[1] * z[1]])[known]
-        prior = _ALIKE * np.isfinite(z).any(1).sum()
-        places = np.vstack([x2, x2])[known]
-        length, variance, scatter = _by_depth(single, of_match, places, scale.depth_std, prior)
+        points2, count = np.vstack([x2, x2])[known], int(np.isfinite(z).any(1).sum())
+        length, variance, scatter = _by_depth(single, of_match, points2, scale.depth_std, count)
     # The focal lengths scale the angles that depths are triangulated from.
     shares = 0 if distance else scale.depth_std, pose.camera1.focal_std, pose.camera2.focal_std
     std = math.hypot(math.sqrt(variance), *(share * length for share in shares))
@@ -149,16 +153,16 @@ def _inverse_depths(
 
 
 def _by_depth(
-    single: np.ndarray, by_match: np.ndarray, places: np.ndarray, depth_std: float, alike: float
+    single: np.ndarray, by_match: np.ndarray, points2: np.ndarray, depth_std: float, maps: int
 ) -> tuple[float, float, float]:
     """The length, its variance, and the scatter of single lengths in their deviations.
 
     single: (P, N), by each inlier under each pose. The length and the pose's change, of which its
     covariance is the prior, minimise a Cauchy loss. by_match: deviations (N,) by errors of matches.
-    places: (N, 2), as errors of neighbours are correlated, see `covariance.py`.
+    points2: (N, 2), as errors of neighbours are correlated. maps: number of depth maps.
     """
     design = np.column_stack([np.ones(single.shape[1]), *(single[0] - single[1:])])
-    prior = alike * np.diag([0.0, *np.ones(len(single) - 1)])
+    prior = _CORRELATED * maps * np.diag([0.0, *np.ones(len(single) - 1)])
     fit = np.median(single[0]) * (np.diag(prior) == 0)
     for _ in range(_STEPS):
         off = single[0] - design @ fit
@@ -168,10 +172,10 @@ def _by_depth(
         off /= EFFICIENT * std
         weighted = design / (std**2 * (1 + off**2))[:, None]
         fit = np.linalg.solve(weighted.T @ design + prior, weighted.T @ single[0])
-    curvature = np.maximum(1 - off**2, 0) / (1 + off**2) ** 2 / std**2
+    curvature = cauchy_curvature(off, 1.0) / std**2
     inverse = np.linalg.inv((design * curvature[:, None]).T @ design + prior)[0]
     moves = EFFICIENT * std * off * (weighted @ inverse)
-    sums = [block_sums(moves[:, None], places, shift) for shift in SHIFTS]
+    sums = [block_sums(moves[:, None], points2, shift) for shift in SHIFTS]
     by_blocks = np.mean([(1 - 1 / len(of_block)) * (of_block**2).sum() for of_block in sums])
     return float(fit[0]), float(by_blocks + ((inverse @ prior) ** 2).sum()), scatter
 

@@ -77,36 +77,30 @@ def judge(
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
         # Chance before all: few inliers are no evidence of a rotation either.
-        failed = (
-            by_chance(evidence) or _unusable(evidence) or undetermined or _implausible(evidence)
-        )
-        return failed or _moved_plane(evidence) or _pose(evidence)
-    impossible = _random(evidence) or _unusable(evidence) or undetermined or _behind(evidence)
+        failed = by_chance(evidence) or _panorama(evidence) or undetermined
+        return failed or _implausible(evidence) or _moved_plane(evidence) or _pose(evidence)
+    impossible = _random(evidence) or _panorama(evidence) or undetermined or _behind(evidence)
     if impossible is not None:
         return by_chance(evidence) or impossible
-    if probability >= min_probability and (moved := _moved_plane(evidence)):
-        return moved
     share = shares[0] if shares else 1.0
-    if share * probability >= min_probability and share >= MIN_SHARE:
-        return _pose(evidence)
-    if share < MIN_SHARE and probability >= min_probability:
-        return _ambiguous(probability, shares)
-    probability *= share
+    if probability >= min_probability:
+        if moved := _moved_plane(evidence):
+            return moved
+        if share < MIN_SHARE:
+            chances = [f"{100 * probability * each:.0f} %" for each in shares]
+            count = "two" if len(shares) == 2 else str(len(shares))
+            listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
+            reason = f"{count} poses explain the matches, with probabilities of {listed}"
+            return Verdict("ambiguous", reason)
+        if share * probability >= min_probability:
+            return _pose(evidence)
     failed = by_chance(evidence) or _implausible(evidence)
     reason = (
-        f"the pose is right with a probability of {percent_text(probability)}, and "
+        f"the pose is right with a probability of {percent_text(share * probability)}, and "
         f"{percent_text(min_probability)} is the least"
     )
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
-
-
-def _ambiguous(probability: float, shares: Sequence[float]) -> Verdict:
-    chances = [f"{100 * probability * share:.0f} %" for share in shares]
-    listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
-    count = "two" if len(shares) == 2 else str(len(shares))
-    reason = f"{count} poses explain the matches, with probabilities of {listed}"
-    return Verdict("ambiguous", reason)
 
 
 def by_chance(evidence: Evidence) -> Verdict | None:
@@ -156,23 +150,17 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
         )
     else:
         return None
-    reason = f"{why}: the images do not determine the translation"
-    return _contradicted(evidence, why) or Verdict("rotation_only", reason)
+    if evidence.num_second_inliers and evidence.second_rotation_deg >= _SAME_ROTATION_DEG:
+        reason = (
+            f"{why}; {evidence.num_second_inliers} of the other matches agree on a motion whose "
+            f"rotation is {evidence.second_rotation_deg:.1f} deg from it: which of both is the "
+            "camera's does not show"
+        )
+        return Verdict("ambiguous", reason)
+    return Verdict("rotation_only", f"{why}: the images do not determine the translation")
 
 
-def _contradicted(evidence: Evidence, rotation: str) -> Verdict | None:
-    """Whether another motion contradicts a rotation. rotation: what speaks for it."""
-    if not evidence.num_second_inliers or evidence.second_rotation_deg < _SAME_ROTATION_DEG:
-        return None
-    reason = (
-        f"{rotation}; {evidence.num_second_inliers} of the other matches agree on a motion "
-        f"whose rotation is {evidence.second_rotation_deg:.1f} deg from it: which of both is the "
-        "camera's does not show"
-    )
-    return Verdict("ambiguous", reason)
-
-
-def _unusable(evidence: Evidence) -> Verdict | None:
+def _panorama(evidence: Evidence) -> Verdict | None:
     """Whether the images are of no camera that a pose can be of."""
     if evidence.camera_model != "cylinder":
         return None
@@ -192,10 +180,11 @@ def _behind(evidence: Evidence) -> Verdict | None:
 
 
 def _implausible(evidence: Evidence) -> Verdict | None:
+    """Whether inliers lie behind a camera, or do not determine the pose."""
     if behind := _behind(evidence):
         return behind
-    for part in ("rotation", "translation"):
-        error: float | None = getattr(evidence, f"raw_{part}_90_deg")
+    errors = evidence.raw_rotation_90_deg, evidence.raw_translation_90_deg
+    for part, error in zip(("rotation", "translation"), errors, strict=True):
         if error is not None and error > _MAX_ERROR_DEG:
             reason = (
                 f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "

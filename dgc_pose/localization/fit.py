@@ -1,121 +1,143 @@
-"""The pose of a photograph from its matches with several references of known poses.
+"""The pose of a photograph from its correspondences with a model of known poses.
 
 Each pair has an epipolar geometry that the pose in the world determines. RANSAC on the generalised
-relative pose, on points of the model, and the hypotheses of the single pairs, whose lines of sight
-meet in the centre, are starts; the best of them are fitted to the matches of all pairs together.
+relative pose, and on points of the model, has the starts; the best of them are fitted to all
+correspondences together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import combinations, product
+from collections.abc import Iterator, Sequence
 
 import cv2
 import numpy as np
+import poselib
 
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread
-from dgc_pose.estimation.covariance import block_sums, jackknife
-from dgc_pose.estimation.hypothesis import ALIKE, EFFICIENT, error_scale
-from dgc_pose.estimation.robust_fit import (
-    RigidPose,
-    absolute_pose,
-    generalized_pose,
-    run_seeds,
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    block_sums,
+    jackknife,
+    loss_terms,
+    loss_width,
 )
-from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.localization.sights import PointSight, Sight, WorldPose
+from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, MIN_ITERATIONS, run_seeds
+from dgc_pose.localization.correspondences import (
+    PairCorrespondences,
+    PointCorrespondences,
+    WorldPose,
+)
 from dgc_pose.system.threads import in_threads
 
-AnySight = Sight | PointSight
-Part = tuple[AnySight, float]  # inliers, and the scale of their errors
+Correspondences = PairCorrespondences | PointCorrespondences
 _SAMPLED = 300  # matches of a pair that RANSAC draws from
 _SCORED = 100  # matches of a pair that starts are compared by
 _FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alike
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # that are fitted
-_ALIKE_DEG = 15.0  # between the rotations of two pairs that may be of one pose
-_PARALLEL = 5e-5  # half of the angle of two rays, radians, up to which they do not meet
 _STEPS, _CONVERGED = 12, 1e-6
 _MIN_KEPT = 0.95  # of the score, or a fit is rejected
 
 
 def located(
-    sights: Sequence[Sight],
-    points: Sequence[PointSight],
-    spread: CameraSpread,
+    pairs: Sequence[PairCorrespondences],
+    points: Sequence[PointCorrespondences],
+    prior: IntrinsicsPrior,
     options: EstimationOptions,
     before: WorldPose | None = None,
 ) -> WorldPose | None:
-    """The pose that most matches agree with, fitted to them; None without a start.
+    """The pose with most inliers, fitted to them; None without a start.
 
-    spread: of the references' camera, which is exact, and of the photograph's. before: the pose
-    without the last of the sights: if that agrees with it, it is the start.
+    prior: of the references' camera, which is exact, and of the photograph's. before: the pose
+    without the last of the pairs: if that supports it, it is the start.
     """
-    every: list[AnySight] = [*sights, *points]
-    if before is not None and sights[-1].agrees(before):
-        return fitted(every, before, spread)
-    even = [sight.subset(_even(len(sight), _SCORED)) for sight in every]
-    starts = _starts(sights, points, options)
+    every: list[Correspondences] = [*pairs, *points]
+    if before is not None and pairs[-1].supports(before):
+        return fitted(every, before, prior)
+    even = [part.subset(_even(len(part), _SCORED)) for part in every]
+    starts = _starts(pairs, points, options)
     starts = sorted(starts, key=lambda pose: -score(even, pose))[:_MAX_STARTS]
     if not starts:
         return None
-    fits = in_threads(lambda pose: fitted(every, pose, spread), starts)
+    fits = in_threads(lambda pose: fitted(every, pose, prior), starts)
     return max(fits, key=lambda pose: score(every, pose))
 
 
-def score(sights: Sequence[AnySight], pose: WorldPose) -> float:
-    """How well the matches in front of the cameras agree: their number less their truncated
+def score(every: Sequence[Correspondences], pose: WorldPose) -> float:
+    """How well the correspondences in front of the cameras fit: their number less their truncated
     squared errors over the squared threshold."""
     total = 0.0
-    for sight in sights:
-        error, in_front = sight.errors(pose)
-        total += float(np.maximum(1 - (error / sight.threshold) ** 2, 0)[in_front].sum())
+    for part in every:
+        error, in_front = part.errors(pose)
+        total += float(np.maximum(1 - (error / part.threshold) ** 2, 0)[in_front].sum())
     return total
 
 
 def _starts(
-    sights: Sequence[Sight], points: Sequence[PointSight], options: EstimationOptions
+    pairs: Sequence[PairCorrespondences],
+    points: Sequence[PointCorrespondences],
+    options: EstimationOptions,
 ) -> list[WorldPose]:
-    poses = [pose for pair in combinations(sights, 2) for pose in _of_two(*pair)]
     # PoseLib draws five matches of a pair without end, if no pair has them.
-    samples = [sample for sample in map(_explained, sights) if len(sample) >= _MIN_INLIERS]
-    runs: list[RigidPose | None] = []
+    samples = [sample for sample in map(_explained, pairs) if len(sample) >= _MIN_INLIERS]
+    runs: list[WorldPose | None] = []
     if len(samples) > 1:
-        problems = [sample.problem for sample in samples]
-        references = [(sample.R, sample.centre) for sample in samples]
-        runs += in_threads(
-            lambda seed: generalized_pose(problems, references, options, seed), run_seeds(options)
-        )
+        runs += in_threads(lambda seed: _of_pairs(samples, options, seed), run_seeds(options))
     if sum(map(len, points)) >= _MIN_INLIERS:
-        places = np.concatenate([sight.places for sight in points])
-        world = np.concatenate([sight.points for sight in points])
-        runs.append(absolute_pose(places, world, points[0].threshold, options))
-    return [*poses, *(WorldPose(*run, np.zeros(SIZE)) for run in runs if run is not None)]
-
-
-def _of_two(first: Sight, second: Sight) -> list[WorldPose]:
-    """The poses whose centre is where the lines of sight of two pairs come nearest to each
-    other."""
-    poses = []
-    for one, two in product(first.hypotheses, second.hypotheses):
-        R = one.R @ first.R
-        if rotation_angle_deg(two.R @ second.R @ R.T) > _ALIKE_DEG:
-            continue
-        ray1, ray2 = -(one.R @ first.R).T @ one.t, -(two.R @ second.R).T @ two.t
-        lengths, _, rank, _ = np.linalg.lstsq(
-            np.column_stack([ray1, -ray2]), second.centre - first.centre, rcond=_PARALLEL
+        settings = {
+            "max_iterations": options.iterations,
+            "max_reproj_error": points[0].threshold * FOCAL,
+            "seed": run_seeds(options)[0],
+        }
+        seen = np.concatenate([part.seen for part in points])
+        world = np.concatenate([part.points for part in points])
+        runs.append(
+            _found(*poselib.estimate_absolute_pose(seen * FOCAL, world, CAMERA, settings, {}))
         )
-        if rank == 2 and (lengths > 0).all():
-            end1, end2 = first.centre + lengths[0] * ray1, second.centre + lengths[1] * ray2
-            poses.append(WorldPose(R, (end1 + end2) / 2, np.zeros(SIZE)))
-    return poses
+    return [run for run in runs if run is not None]
 
 
-def _explained(sight: Sight) -> Sight:
+def _of_pairs(
+    pairs: Sequence[PairCorrespondences], options: EstimationOptions, seed: int
+) -> WorldPose | None:
+    """The pose of one RANSAC run on the generalised relative pose (six-point solver) of pairs of
+    five matches or more; None if it fails."""
+    matches, references = [], []
+    for number, pair in enumerate(pairs):
+        match, reference = poselib.PairwiseMatches(), poselib.CameraPose()
+        match.cam_id1, match.cam_id2 = number, 0
+        match.x1, match.x2 = pair.problem.points1 * FOCAL, pair.problem.points2 * FOCAL
+        reference.R, reference.t = pair.R, -pair.R @ pair.centre
+        matches.append(match)
+        references.append(reference)
+    threshold = float(np.median([pair.threshold for pair in pairs])) * FOCAL
+    settings = {
+        "max_iterations": options.iterations,
+        "min_iterations": min(options.iterations, MIN_ITERATIONS // 2),
+        "max_epipolar_error": threshold,
+        "seed": seed,
+    }
+    at_origin, cameras = poselib.CameraPose(), [CAMERA] * len(pairs)
+    loss = {"loss_type": "TRUNCATED", "loss_scale": threshold}
+    return _found(
+        *poselib.estimate_generalized_relative_pose(
+            matches, references, cameras, [at_origin], [CAMERA], settings, loss
+        )
+    )
+
+
+def _found(pose: poselib.CameraPose, info: dict[str, float]) -> WorldPose | None:
+    if info["num_inliers"] == 0 or not np.isfinite(pose.Rt).all():
+        return None
+    return WorldPose(pose.R, -pose.R.T @ pose.t, np.zeros(SIZE))
+
+
+def _explained(pair: PairCorrespondences) -> PairCorrespondences:
     """The matches that a hypothesis of the pair explains, an even sample."""
-    chosen = np.flatnonzero(np.any([h.inliers_in_front for h in sight.hypotheses], axis=0))
-    return sight.subset(chosen[_even(len(chosen), _SAMPLED)])
+    chosen = np.flatnonzero(np.any([h.inliers_in_front for h in pair.hypotheses], axis=0))
+    return pair.subset(chosen[_even(len(chosen), _SAMPLED)])
 
 
 def _even(count: int, most: int) -> np.ndarray:
@@ -123,85 +145,70 @@ def _even(count: int, most: int) -> np.ndarray:
     return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
-def fitted(sights: Sequence[AnySight], pose: WorldPose, spread: CameraSpread) -> WorldPose:
-    """The pose of least Cauchy loss of the Sampson errors of the inliers in front of the cameras,
-    and the deviations of the camera: Gauss-Newton, with weights from the loss, and inliers chosen
-    anew before each step. The pose itself if the fit has a much worse score."""
+def fitted(every: Sequence[Correspondences], pose: WorldPose, prior: IntrinsicsPrior) -> WorldPose:
+    """The pose of least Cauchy loss of the errors of the inliers in front of the cameras, and the
+    parameters of the camera: Gauss-Newton, with weights from the loss, and inliers chosen anew
+    before each step. The pose itself if the fit has a much worse score."""
     start = pose
     for _ in range(_STEPS):
-        z = np.linalg.lstsq(spread.basis[SIZE:], pose.deviations, rcond=None)[0]
-        information = np.diag([*np.zeros(6), *np.ones(len(spread))])
+        z = np.linalg.lstsq(prior.basis[SIZE:], pose.parameters, rcond=None)[0]
+        information = np.diag([*np.zeros(6), *np.ones(len(prior))])
         gradient = np.concatenate([np.zeros(6), z])
-        for part in _parts(sights, pose, _FITTED):
-            slopes, weights, gradients = _linearised(part, pose, spread)
-            information = information + (slopes * weights[:, None]).T @ slopes
-            gradient = gradient + gradients.sum(0)
+        for part, width in _inliers(every, pose, _FITTED):
+            error, slopes = part.slopes(pose, prior)
+            weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (error / width) ** 2)
+            information += (slopes * weights[:, None]).T @ slopes
+            gradient += (weights * error) @ slopes
         step = np.linalg.lstsq(information, -gradient, rcond=None)[0]
-        deviations = pose.deviations + (spread.basis @ step[6:])[SIZE:]
+        parameters = pose.parameters + (prior.basis @ step[6:])[SIZE:]
         R = cv2.Rodrigues(step[:3])[0] @ pose.R
-        pose = WorldPose(R, pose.centre + step[3:6], deviations)
+        pose = WorldPose(R, pose.centre + step[3:6], parameters)
         if abs(step @ gradient) < _CONVERGED:
             break
-    return pose if score(sights, pose) >= _MIN_KEPT * score(sights, start) else start
+    return pose if score(every, pose) >= _MIN_KEPT * score(every, start) else start
 
 
-def _parts(sights: Sequence[AnySight], pose: WorldPose, most: int | None = None) -> list[Part]:
-    """The inliers of each pair that has enough, and the scale of their errors. most: of a pair, an
+def _inliers(
+    every: Sequence[Correspondences], pose: WorldPose, most: int | None = None
+) -> Iterator[tuple[Correspondences, float]]:
+    """The inliers of each part that has enough, and the width of their loss. most: of a part, an
     even sample."""
-    parts = []
-    for sight in sights:
-        error, in_front = sight.errors(pose)
-        chosen = np.flatnonzero(in_front & (error < sight.threshold))
+    for part in every:
+        error, in_front = part.errors(pose)
+        chosen = np.flatnonzero(in_front & (error < part.threshold))
         if len(chosen) >= _MIN_INLIERS:
-            scale = error_scale(error[chosen], sight.threshold)
+            width = loss_width(error[chosen], part.threshold)
             sample = chosen if most is None else chosen[_even(len(chosen), most)]
-            parts.append((sight.subset(sample), scale))
-    return parts
-
-
-def _linearised(
-    part: Part, pose: WorldPose, spread: CameraSpread, *, curvature: bool = False
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Derivatives (N, 6 + M) of the errors, their weights (N,), and the gradients (N, 6 + M) of the
-    loss. curvature: weights by the loss's second derivative, and not those of a step."""
-    sight, scale = part
-    error, slopes = sight.slopes(pose, spread)
-    squared = (error / scale) ** 2
-    weights = (EFFICIENT / scale) ** 2 / ALIKE / (1 + squared)
-    gradients = slopes * (weights * error)[:, None]
-    if curvature:
-        weights = weights * np.maximum(1 - squared, 0) / (1 + squared)
-    return slopes, weights, gradients
+            yield part.subset(sample), width
 
 
 def world_covariance(
-    sights: Sequence[AnySight], pose: WorldPose, spread: CameraSpread
+    every: Sequence[Correspondences], pose: WorldPose, prior: IntrinsicsPrior
 ) -> np.ndarray | None:
     """Covariance (6 + M, 6 + M) of the rotation vector, radians, the centre, in the model's unit,
-    and the basis of `spread`; None if the inliers do not determine them.
+    and the basis of `prior`; None if the inliers do not determine them.
 
-    By the delete-a-group jackknife, as `estimation.covariance` has it: over blocks of the
-    photograph, each in all pairs at once, as their errors there are alike; and over whole pairs, if
-    there are more than two, as references have errors of their own.
+    By the jackknife: over blocks of the photograph, each in all pairs at once, as their errors
+    there are correlated; and over whole pairs, if there are more than two, as references have
+    errors of their own.
     """
-    count = 6 + len(spread)
-    prior = np.diag([*np.zeros(6), *np.ones(len(spread))])
-    terms, places = [], []
-    for part in _parts(sights, pose):
-        slopes, weights, gradients = _linearised(part, pose, spread, curvature=True)
-        information = (slopes * weights[:, None])[:, :, None] * slopes[:, None]
-        terms.append(np.column_stack([information.reshape(-1, count**2), gradients]))
-        places.append(np.tile(part[0].places, (len(slopes) // len(part[0]), 1)))
+    count = 6 + len(prior)
+    information = np.diag([*np.zeros(6), *np.ones(len(prior))])
+    terms, seen = [], []
+    for part, width in _inliers(every, pose):
+        error, slopes = part.slopes(pose, prior)
+        terms.append((EFFICIENT / width) ** 2 / CORRELATED * loss_terms(error, slopes, width))
+        seen.append(np.tile(part.seen, (len(error) // len(part), 1)))
     if not terms:
         return None
-    groups = [block_sums(np.vstack(terms), np.vstack(places), (0.0, 0.0))]
+    groups = [block_sums(np.vstack(terms), np.vstack(seen), (0.0, 0.0))]
     if len(terms) > 2:
         groups.append(np.stack([of_pair.sum(0) for of_pair in terms]))
-    total = prior + groups[0][:, : count**2].sum(0).reshape(count, count)
+    total = information + groups[0][:, : count**2].sum(0).reshape(count, count)
     try:
         inverse = np.linalg.inv(total)
         covariance = np.mean([jackknife(total, sums) for sums in groups], axis=0)
     except np.linalg.LinAlgError:
         return None
-    covariance += inverse @ prior @ inverse
+    covariance += inverse @ information @ inverse
     return covariance if np.isfinite(covariance).all() else None

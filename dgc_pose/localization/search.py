@@ -13,14 +13,18 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_model import is_edited
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.localization.correspondences import (
+    PairCorrespondences,
+    PointCorrespondences,
+    WorldPose,
+)
 from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.localization.location import DatabaseImage, Location
-from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
 
@@ -71,8 +75,10 @@ class LocationSearch:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting = camera, list(names)
         self.pairs: list[Pair] = []
-        self.sights: dict[str, Sight] = {}  # of the pairs that have hypotheses
-        self.agreeing: dict[str, Sight] = {}  # with the pose of all
+        self.correspondences: dict[
+            str, PairCorrespondences
+        ] = {}  # of the pairs that have hypotheses
+        self.agreeing: dict[str, PairCorrespondences] = {}  # with the pose of all
         self.pose: WorldPose | None = None
         self.fitted = camera
         self.covariance: np.ndarray | None = None
@@ -87,29 +93,33 @@ class LocationSearch:
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
         if len(useful) + sum(len(pair.points) >= _MIN_POINTS for pair in useful) < 2:
             return
-        if not self.sights:
+        if not self.correspondences:
             self.camera = self._start_camera(useful)
-        self.sights |= {p.name: self._sight(p) for p in useful if p.name not in self.sights}
-        sights = list(self.sights.values())
+        self.correspondences |= {
+            p.name: self._correspondences(p) for p in useful if p.name not in self.correspondences
+        }
+        pairs = list(self.correspondences.values())
         shown = [self._points(pair) for pair in useful if len(pair.points)]
-        spread = CameraSpread.of(self.model.cameras[name], self.camera)
+        prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = located(sights, shown, spread, self.options, before)
+        self.pose = located(pairs, shown, prior, self.options, before)
         if self.pose is None:
             return
         if is_edited(self.stated) and not self.camera.aspect_std:
             centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
-            spread = CameraSpread.of(self.model.cameras[name], self.camera)
-            self.pose = fitted([*sights, *shown], self.pose, spread)
-        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.agrees(self.pose)}
-        self.covariance = world_covariance([*sights, *shown], self.pose, spread)
+            prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
+            self.pose = fitted([*pairs, *shown], self.pose, prior)
+        self.agreeing = {
+            n: sight for n, sight in self.correspondences.items() if sight.supports(self.pose)
+        }
+        self.covariance = world_covariance([*pairs, *shown], self.pose, prior)
         if self.covariance is None:
             return
         self.covariance *= _ERROR_FACTOR**2
-        self.fitted = deviating(self.camera, self.pose.deviations)
-        if len(spread):
-            of_cameras = spread.basis @ self.covariance[6:, 6:] @ spread.basis.T
+        self.fitted = with_parameters(self.camera, self.pose.parameters)
+        if len(prior):
+            of_cameras = prior.basis @ self.covariance[6:, 6:] @ prior.basis.T
             focal, x, y, lens, _, aspect = np.sqrt(of_cameras.diagonal()[SIZE:]).tolist()
             self.fitted = replace(
                 self.fitted,
@@ -128,7 +138,7 @@ class LocationSearch:
     @property
     def pair_camera(self) -> Camera:
         """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
-        if 2 * len(self.agreeing) < len(self.sights):
+        if 2 * len(self.agreeing) < len(self.correspondences):
             return self.stated
         is_known = 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD
         return self.fitted.as_exact() if is_known else self.fitted
@@ -148,16 +158,16 @@ class LocationSearch:
             aspect_std=self.camera.aspect_std,
         )
 
-    def _sight(self, pair: Pair) -> Sight:
+    def _correspondences(self, pair: Pair) -> PairCorrespondences:
         pose, camera = self.model.poses[pair.name], self.model.cameras[pair.name]
         problem = TwoViewProblem.of(pair.matches, camera, self.camera, self.options)
         hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
-        return Sight(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
+        return PairCorrespondences(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
 
-    def _points(self, pair: Pair) -> PointSight:
-        camera, threshold = self.camera, self.sights[pair.name].threshold
-        places = camera.normalise(pair.seen)
-        return PointSight(pair.points, places, camera.distortion, threshold)
+    def _points(self, pair: Pair) -> PointCorrespondences:
+        camera, threshold = self.camera, self.correspondences[pair.name].threshold
+        seen = camera.normalise(pair.seen)
+        return PointCorrespondences(pair.points, seen, camera.distortion, threshold)
 
     def next_image(self) -> str | None:
         """The database image to match next; None if no more is needed, or hoped for."""
@@ -217,7 +227,7 @@ class LocationSearch:
         R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
         why = f"{best.name} alone has a pose"
         if pose is not None and len(likely) > 1:
-            R, t, camera = pose.R, self.sights[best.name].pair_pose(pose)[1], self.fitted
+            R, t, camera = pose.R, self.correspondences[best.name].pair_pose(pose)[1], self.fitted
             why = "they lie on one line of sight"
         return Location(
             "no_scale",

@@ -1,1 +1,1 @@
-"""The network of Melekhov et al. (DGC-Net, WACV 2019), its ablations, and our slim dgcm-lite0."""
+"""The network of Melekhov et al. (DGC-Net, WACV 2019) and our slim dgcm-lite0."""

@@ -1,10 +1,9 @@
-"""Network configurations: fixed numbers, the presets, and their ablations."""
+"""Network configurations: fixed numbers, and the presets."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 from dgc_pose.errors import InputError
@@ -17,7 +16,6 @@ COARSEST = 4  # index of the level that the correlation runs on
 # Of the peak that corrections start from (ours):
 CORRELATED = (4, 3)  # levels whose features are correlated, the coarsest first
 SECOND_SIZE = 128  # pixels, for 240: both images are also encoded at this scale
-LOCAL_RADIUS = 4  # cells of level 4, of the paper's PWCm-Net
 LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
 EPSILON = 1e-6  # under the root of a feature's length
 PEAK = (0.01, 0.99)  # bounds of the peak's probability, from which the coarsest mask logit starts
@@ -51,15 +49,14 @@ class NetworkConfig:
     # Channels of each 3x3 convolution of levels 0 to 4 (see `pyramid.py`), or `efficientnet.py`.
     pyramid: tuple[tuple[int, ...], ...] | Literal["efficientnet-lite0"]
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
-    # A decoder's output: the map itself (the paper), the displacement from the identity (the
-    # paper's DGC-Net-flow), or a correction of the previous map in cells, where the first map is
-    # the peak of the correlation of CORRELATED levels at two scales (ours).
-    output: Literal["absolute", "displacement", "residual"] = "absolute"
+    # A decoder's output: the map itself, of images that are squared to 240x240 (False, the paper:
+    # the coarsest decoder reads a channel for each of their cells); or a correction of the previous
+    # map in cells, where the first map is the peak of the correlation of CORRELATED levels at two
+    # scales, of images that keep their shape (True, ours).
+    any_shape: bool = False
     # None: DGC-Net. "network": the paper's mask network on level 0. "decoder": a third channel of
     # every decoder, refined level by level like the map (ours).
     matchability: Literal["network", "decoder"] | None = None
-    correlation: Literal["global", "local"] = "global"  # "local": the paper's PWCm-Net
-    normalise_features: bool = True  # L2 norm over channels before the correlation
     # Whether -1 and +1 are the centres of the outer pixels (True, as in the authors' weights) or
     # their outer edges (False, the same point at every level).
     align_corners: bool = True
@@ -70,14 +67,6 @@ class NetworkConfig:
         if self.pyramid == "efficientnet-lite0":
             return 16, 32, 64, 128, 128
         return tuple(channels[-1] for channels in self.pyramid)
-
-    @property
-    def any_shape(self) -> bool:
-        """Whether images keep their shape; else both are squared to 240x240.
-
-        Without corrections the coarsest decoder reads a channel for each cell of a squared image.
-        """
-        return self.output == "residual"
 
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
         """Width and height that an image of `size` (width, height) is resized to for the network.
@@ -91,11 +80,6 @@ class NetworkConfig:
         return STRIDE * round(side * elongation), STRIDE * round(side / elongation)
 
     @property
-    def correlated(self) -> tuple[int, ...]:
-        """Levels whose features are correlated for the first map, the coarsest first."""
-        return CORRELATED if self.any_shape else (COARSEST,)
-
-    @property
     def map_channels(self) -> int:
         """Channels passed between decoders: x, y and, with matchability "decoder", the mask."""
         return 3 if self.matchability == "decoder" else 2
@@ -104,10 +88,7 @@ class NetworkConfig:
         """Input channels of a level's decoder."""
         radius = self.decoders[level].local_radius
         if level == COARSEST and radius is None:
-            width = LEVEL_SIZES[COARSEST]
-            if self.correlation == "local":
-                width = 2 * LOCAL_RADIUS + 1
-            return width**2 + self.map_channels
+            return LEVEL_SIZES[COARSEST] ** 2 + self.map_channels
         local = 0 if radius is None else (2 * radius + 1) ** 2
         return 2 * self.level_channels[level] + local + self.map_channels
 
@@ -135,7 +116,7 @@ PRESETS: dict[str, NetworkConfig] = {
         "dgcm-lite0",
         "efficientnet-lite0",
         _LITE_DECODERS,
-        output="residual",
+        any_shape=True,
         matchability="decoder",
         align_corners=False,
     ),
@@ -143,30 +124,7 @@ PRESETS: dict[str, NetworkConfig] = {
 
 
 def preset(name: str) -> NetworkConfig:
-    """The preset of that name, or an ablation of it: "dgcm", "dgcm+no-l2", "dgcm+flow+no-dilation".
-
-    Raises InputError, listing the names, for an unknown one.
-    """
-    base, *ablations = name.split("+")
-    if base not in PRESETS:
-        raise InputError(f"no preset '{base}'; there are {', '.join(PRESETS)}")
-    config = PRESETS[base]
-    for ablation in ablations:
-        if ablation not in ABLATIONS:
-            raise InputError(f"no ablation '{ablation}'; there are {', '.join(ABLATIONS)}")
-        if config.any_shape and ablation in ("flow", "local-correlation"):
-            raise InputError(f"{ablation} is no ablation of {base}, whose output is a residual")
-        config = ABLATIONS[ablation](config)
-    return replace(config, name=name)
-
-
-# The paper's ablations (section 5), by the names that `preset` takes behind a "+".
-ABLATIONS: dict[str, Callable[[NetworkConfig], NetworkConfig]] = {
-    "no-l2": lambda config: replace(config, normalise_features=False),
-    "flow": lambda config: replace(config, output="displacement"),
-    "no-dilation": lambda config: replace(
-        config,
-        decoders=tuple(replace(d, dilations=(1,) * len(d.dilations)) for d in config.decoders),
-    ),
-    "local-correlation": lambda config: replace(config, correlation="local"),
-}
+    """The preset of that name. Raises InputError, listing the names, for an unknown one."""
+    if name not in PRESETS:
+        raise InputError(f"no preset '{name}'; there are {', '.join(PRESETS)}")
+    return PRESETS[name]

@@ -1,6 +1,5 @@
 """Normalised map coordinates and pixels: both of torch's align_corners conventions."""
 
-import torch
 from torch import Tensor
 
 
@@ -22,10 +21,3 @@ def to_normalised(pixels: Tensor, size: tuple[int, int], align_corners: bool) ->
     if align_corners:
         return 2 * pixels / (extent - 1) - 1
     return (2 * pixels + 1) / extent - 1
-
-
-def identity_map(size: int, align_corners: bool, like: Tensor) -> Tensor:
-    """The identity map (1, 2, size, size), on the device of `like`."""
-    cells = torch.arange(size, dtype=like.dtype, device=like.device)
-    axis = to_normalised(cells[:, None], (size, size), align_corners)[:, 0]
-    return torch.stack([axis.expand(size, size), axis[:, None].expand(size, size)])[None]

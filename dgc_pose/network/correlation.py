@@ -15,6 +15,7 @@ from dgc_pose.network.config import FLOOR, PEAK_WINDOW, REACH, WEIGHT
 
 Array = Any  # of NumPy or torch
 Grid = tuple[int, int]  # rows and columns
+Scales = Sequence[Sequence[Array]]  # levels at full scale, and at the second, the coarsest first
 
 
 def _library(values: Array) -> Any:
@@ -41,6 +42,16 @@ def match_evidence(source: Sequence[Array], target: Sequence[Array], scales: Arr
     temperatures (levels,)."""
     pairs = enumerate(zip(source, target, strict=True))
     return sum(scales[index] * cell_correlation(*pair, side=2**index) for index, pair in pairs)
+
+
+def pooled_evidence(source: Scales, target: Scales, scales: Array) -> Array:
+    """The largest `match_evidence` of the full-sized images, and of either with the other at the
+    second scale."""
+    (full1, smaller1), (full2, smaller2) = source, target
+    evidence = match_evidence(full1, full2, scales)
+    for pair in ((smaller1, full2), (full1, smaller2)):
+        evidence = _library(evidence).maximum(evidence, match_evidence(*pair, scales))
+    return evidence
 
 
 def cell_correlation(source: Array, target: Array, side: int) -> Array:

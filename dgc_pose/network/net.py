@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import dataclass
-from typing import cast
 
 import torch
 import torch.nn.functional as F
@@ -10,11 +9,11 @@ from torch import Tensor, nn
 
 from dgc_pose.network.config import (
     COARSEST,
+    CORRELATED,
     DEVIATION,
     EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
-    LOCAL_RADIUS,
     MEAN,
     PASSES,
     PEAK,
@@ -23,8 +22,8 @@ from dgc_pose.network.config import (
     DecoderConfig,
     NetworkConfig,
 )
-from dgc_pose.network.coordinates import identity_map, to_normalised
-from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
+from dgc_pose.network.coordinates import to_normalised
+from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid, upsample
 from dgc_pose.network.pyramid import Pyramid
 
@@ -67,7 +66,7 @@ class DGCNet(nn.Module):
             self.add_module(f"reg_{level}", Decoder(inputs, config.decoders[level], outputs))
         if config.matchability == "network":
             self.matchability_net = MatchabilityNet(2 * config.level_channels[0])
-        scales = torch.full((len(config.correlated),), INITIAL_SCALE)
+        scales = torch.full((len(CORRELATED),), INITIAL_SCALE)
         self.register_buffer("correlation_scales", scales, persistent=config.any_shape)
 
     def forward(self, source: Tensor, target: Tensor) -> Prediction:
@@ -86,7 +85,7 @@ class DGCNet(nn.Module):
             smaller = self.encode(F.interpolate(image, size, mode="bilinear", antialias=True))
             features += [
                 F.interpolate(smaller[level], features[level].shape[2:], mode="bilinear")
-                for level in self.config.correlated
+                for level in CORRELATED
             ]
         return features
 
@@ -109,14 +108,14 @@ class DGCNet(nn.Module):
 
         finest: cells a side of the last level decoded, for squared images, one of LEVEL_SIZES.
         """
-        states = [self.start(self.correlate(source, target), source[COARSEST], target[COARSEST])]
+        states = [self.start(source, target)]
         warped = source[0]
         last = LEVEL_SIZES.index(finest)
         for level in range(COARSEST - 1, last - 1, -1):
             previous = upsample(states[-1])
             warped = self.warp(source[level], previous)
             grid = _grid(source[level])
-            states.append(self.refine(level, warped, target[level], previous, grid=grid))
+            states.append(self.refine(level, warped, target[level], previous, grid))
         maps = tuple(state[:, :2] for state in states)
         if self.config.matchability == "decoder":
             return Prediction(maps, tuple(state[:, 2:] for state in states))
@@ -124,43 +123,29 @@ class DGCNet(nn.Module):
             return Prediction(maps, (self.mask(warped, target[0]),))
         return Prediction(maps, ())
 
-    def correlate(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
-        """The correlation of both images' features, as `features` gives them: (B, n, 15, 15) of
-        level 4, or with `any_shape` the evidence (B, h1 * w1, h2 * w2) of all correlated levels."""
-        (source1, *smaller1), (target1, *smaller2) = map(self._scales, (source, target))
-        if self.config.correlation == "local":
-            return local_correlation(source1[0], target1[0], LOCAL_RADIUS)
-        if not self.config.any_shape:
-            return global_correlation(source1[0], target1[0])
-        scales = cast(Tensor, self.correlation_scales)
-        evidence = match_evidence(source1, target1, scales)
-        for pair in ((smaller1[0], target1), (source1, smaller2[0])):
-            evidence = evidence.maximum(match_evidence(*pair, scales))
-        return evidence
-
     def _scales(self, features: list[Tensor]) -> list[list[Tensor]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
-        scales = [[features[level] for level in self.config.correlated]]
-        scales.append(features[len(LEVEL_SIZES) :])
-        if self.config.normalise_features:
-            return [[l2_normalise(level) for level in levels] for levels in scales]
-        return scales
+        scales = [features[level] for level in CORRELATED], features[len(LEVEL_SIZES) :]
+        return [[l2_normalise(level) for level in levels] for levels in scales]
 
-    def start(self, correlation: Tensor, source: Tensor, target: Tensor) -> Tensor:
-        """The state of level 4 from the correlation and the level's features: (B, 2 or 3, h, w),
-        the map and, with matchability "decoder", the mask logit. With `any_shape` it is corrected
-        from the peak of the evidence."""
-        grid, target_grid = _grid(source), _grid(target)
+    def start(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
+        """The state of level 4 from both images' features: (B, 2 or 3, h, w), the map and, with
+        matchability "decoder", the mask logit. With `any_shape` it is corrected from the peak of
+        the evidence."""
+        level1, level2 = source[COARSEST], target[COARSEST]
+        grid, target_grid = _grid(level1), _grid(level2)
         if not self.config.any_shape:
-            state = source.new_zeros(len(source), self.config.map_channels, *grid)
+            correlation = global_correlation(l2_normalise(level1), l2_normalise(level2))
+            state = level1.new_zeros(len(level1), self.config.map_channels, *grid)
             return self._decode_level(COARSEST, l2_normalise(correlation.relu()), state, grid)
-        cells, probability = peaks(
-            consensus(match_scores(correlation), PASSES, grid, target_grid), grid
-        )
+        scales = self.get_buffer("correlation_scales")
+        evidence = pooled_evidence(self._scales(source), self._scales(target), scales)
+        belief = consensus(match_scores(evidence), PASSES, grid, target_grid)
+        cells, probability = peaks(belief, grid)
         points = to_normalised(cells.movedim(1, -1), grid[::-1], self.config.align_corners)
         logits = probability.clamp(*PEAK).logit()[:, None]
-        state = torch.cat([points.movedim(-1, 1), logits], 1).view(len(source), 3, *target_grid)
-        return self.refine(COARSEST, self.warp(source, state), target, state, grid=grid)
+        state = torch.cat([points.movedim(-1, 1), logits], 1).view(len(level1), 3, *target_grid)
+        return self.refine(COARSEST, self.warp(level1, state), level2, state, grid)
 
     def mask(self, warped: Tensor, target: Tensor) -> Tensor:
         """The mask network's logits (B, 1, H, W) from level 0: warped source and target."""
@@ -170,46 +155,31 @@ class DGCNet(nn.Module):
         return logits.to(features.dtype)
 
     def refine(
-        self,
-        level: int,
-        warped: Tensor,
-        target: Tensor,
-        previous: Tensor,
-        window: tuple[slice, slice] | None = None,
-        grid: tuple[int, int] | None = None,
+        self, level: int, warped: Tensor, target: Tensor, previous: Tensor, grid: tuple[int, int]
     ) -> Tensor:
-        """A level's state from the previous one, already at this level's size.
+        """A level's state from the previous one, already at this level's size; or of a part of the
+        level, which the tensors hold.
 
-        grid: rows and columns of the source at this level; by default those of a squared image.
-        window: the rows and columns of the level that the tensors hold, if training decodes only a
-        part of it.
+        grid: rows and columns of the source at this level.
         """
-        grid = grid or (LEVEL_SIZES[level], LEVEL_SIZES[level])
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
         if radius is not None:
             parts.append(local_correlation(l2_normalise(warped), l2_normalise(target), radius))
-        return self._decode_level(level, torch.cat(parts, 1), previous, grid, window)
+        return self._decode_level(level, torch.cat(parts, 1), previous, grid)
 
     def _decode_level(
-        self,
-        level: int,
-        features: Tensor,
-        previous: Tensor,
-        grid: tuple[int, int],
-        window: tuple[slice, slice] | None = None,
+        self, level: int, features: Tensor, previous: Tensor, grid: tuple[int, int]
     ) -> Tensor:
-        displaced = self.config.output == "displacement"
-        identity = self._identity(level, previous, window) if displaced else 0
-        inputs = torch.cat([features, previous - identity], 1)
+        inputs = torch.cat([features, previous], 1)
         with self._precision(inputs):
             outputs = self.get_submodule(f"reg_{level}")(inputs)
         change = outputs.to(inputs.dtype)
-        if self.config.output == "residual":
-            # Corrections are in cells; the mask logit has no unit.
-            cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
-            return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
-        return identity + change
+        if not self.config.any_shape:
+            return change
+        # Corrections are in cells; the mask logit has no unit.
+        cell = change.new_tensor([2 / grid[1], 2 / grid[0]])[:, None, None]
+        return previous + torch.cat([change[:, :2] * cell, change[:, 2:]], 1)
 
     def warp(self, features: Tensor, previous: Tensor) -> Tensor:
         """Source features (B, C, S, S) sampled at a map (B, 2.., H, W): (B, C, H, W)."""
@@ -222,13 +192,6 @@ class DGCNet(nn.Module):
 
     def _precision(self, like: Tensor) -> torch.autocast:
         return torch.autocast(like.device.type, torch.bfloat16, enabled=self.half_precision)
-
-    def _identity(self, level: int, like: Tensor, window: tuple[slice, slice] | None) -> Tensor:
-        identity = identity_map(LEVEL_SIZES[level], self.config.align_corners, like)
-        if window is not None:
-            identity = identity[:, :, window[0], window[1]]
-        extra = like.new_zeros(1, like.shape[1] - 2, *identity.shape[2:])
-        return torch.cat([identity, extra], 1)
 
 
 class Decoder(nn.Sequential):

@@ -71,26 +71,23 @@ def read_tensors(
 
 
 def check_state(
-    path: Path, name: str, shapes: Mapping[str, Shape], wanted: Mapping[str, Shape]
+    path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Shape]
 ) -> None:
-    """Raise WeightsError if keys or shapes of weights differ, naming the first ones."""
+    """Raise WeightsError, naming the first such keys, if keys or shapes of the weights `name` are
+    not those wanted, or values are not finite real floats."""
     expected = {key: shape for key, shape in wanted.items() if not key.endswith(COUNTER)}
-    missing = [key for key in expected if key not in shapes]
-    unexpected = [key for key in shapes if key not in expected]
+    missing = [key for key in expected if key not in state]
+    unexpected = [key for key in state if key not in expected]
     reshaped = [
-        f"{key} {tuple(shapes[key])} instead of {tuple(shape)}"
+        f"{key} {state[key].shape} instead of {tuple(shape)}"
         for key, shape in expected.items()
-        if key in shapes and tuple(shapes[key]) != tuple(shape)
+        if key in state and state[key].shape != tuple(shape)
     ]
     for what, keys in (("lacks", missing), ("has", unexpected), ("has", reshaped)):
         if keys:
             more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
             listed = ", ".join(keys[:3]) + more
             raise WeightsError(f"{path}: not weights of {name}: it {what} {listed}")
-
-
-def check_values(path: Path, state: Mapping[str, np.ndarray]) -> None:
-    """Raise WeightsError, naming the first such key, for values that are not finite real floats."""
     for key, value in state.items():
         if value.dtype.kind != "f":
             raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
@@ -18,7 +18,6 @@ from dgc_pose.network.stored import (
     SUFFIX,
     check_state,
     find_weights,
-    fingerprint,
     read_safetensors,
     read_tensors,
 )
@@ -65,11 +64,6 @@ def choose_device(name: str = "auto") -> torch.device:
     return device
 
 
-def network_fingerprint(net: nn.Module) -> str:
-    """16 hexadecimal digits that identify the weights of a network, or of a part of it."""
-    return fingerprint((key, value.cpu().numpy()) for key, value in net.state_dict().items())
-
-
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     """The content of a torch.save file of tensors and plain values. Raises WeightsError, with the
     path, for any other file."""
@@ -93,14 +87,14 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
         raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tensor]:
+def read_state(path: Path) -> dict[str, Tensor]:
     """The tensors of a .safetensors, or of a checkpoint's state_dict, whatever their keys.
 
     Raises WeightsError, with the path, for any other file.
     """
     if path.suffix == SUFFIX:
-        return {k: v.to(device) for k, v in read_tensors(path, "pt")[1].items()}
-    content = load_checkpoint(path, device)
+        return read_tensors(path, "pt")[1]
+    content = load_checkpoint(path)
     state = content.get("state_dict", content) if isinstance(content, dict) else None
     if not isinstance(state, dict) or not all(
         isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
@@ -112,11 +106,7 @@ def read_state(path: Path, device: torch.device | str = "cpu") -> dict[str, Tens
 def check_tensors(
     path: Path, name: str, state: Mapping[str, Tensor], wanted: Mapping[str, Tensor]
 ) -> None:
-    """Raise WeightsError, naming the first such keys, if keys or shapes of the weights `name` are
-    not those wanted, or values are not finite real floats."""
-    check_state(path, name, *({k: v.shape for k, v in part.items()} for part in (state, wanted)))
-    for key, value in state.items():
-        if value.layout != torch.strided or not value.is_floating_point():
-            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
-        if not value.float().isfinite().all():
-            raise WeightsError(f"{path}: {key} has values that are not finite")
+    """As `check_state`, of tensors."""
+    with read_as("weights", path, WeightsError):  # NumPy cannot hold every tensor, a sparse one
+        arrays = {k: (v.float() if v.is_floating_point() else v).numpy() for k, v in state.items()}
+    check_state(path, name, arrays, {key: value.shape for key, value in wanted.items()})

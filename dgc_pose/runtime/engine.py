@@ -7,10 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from dgc_pose.geometry.pixels import Size
-from dgc_pose.network.config import NetworkConfig
+from dgc_pose.network.config import DEFAULT_WEIGHTS, NetworkConfig
 
-PRESETS = ("dgcm-lite0",)  # that have ONNX graphs
-GRAPHS = Path(__file__).parent / "graphs"  # one folder a preset
+GRAPHS = Path(__file__).parent / "graphs" / DEFAULT_WEIGHTS  # of the one preset that has them
 LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the pyramid, all of it and its coarser levels
 WARP, UPSAMPLE, RESAMPLE = "warp.onnx", "upsample.onnx", "resample.onnx"  # without weights
 # Beside the graphs: "stored", the shape of each stored weight by name, and "graphs", for each graph

@@ -6,8 +6,8 @@ from typing import Literal
 
 from dgc_pose.errors import InputError, is_installed, require
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.network.stored import SUFFIX, find_weights, shipped
-from dgc_pose.runtime.engine import PRESETS, Engine
+from dgc_pose.network.stored import SUFFIX, find_weights
+from dgc_pose.runtime.engine import Engine
 
 RuntimeName = Literal["auto", "onnx", "torch"]
 DEVICE_HELP = "auto, cpu, cuda or cuda:N."
@@ -35,35 +35,34 @@ def load_engine(
     if the runtime is not installed or cannot do what is asked for.
     """
     path = find_weights(weights)
-    if runtime == "onnx" and device not in ("auto", "cpu"):
-        raise InputError(f"ONNX Runtime is used on the CPU, not on {device}: choose torch for that")
-    if runtime == "onnx" and half_precision:
-        raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
-    by_default = runtime == "auto" and not half_precision
-    if runtime == "onnx" or (by_default and _prefers_onnx(str(weights), path, device)):
+    by_default = "torch" if half_precision else default_runtime(weights, device)
+    if runtime == "onnx" or (runtime == "auto" and by_default == "onnx"):
+        if device not in ("auto", "cpu"):
+            raise InputError(f"ONNX Runtime is used on the CPU, not on {device}: choose torch")
+        if half_precision:
+            raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
         from dgc_pose.runtime.onnx_engine import OnnxEngine
 
         return OnnxEngine(path)
     asked = {"runtime torch": runtime == "torch", "half_precision": half_precision}
     asked |= {f"device {device}": device not in ("auto", "cpu"), path.name: path.suffix != SUFFIX}
     require({what: "torch" for what, needed in asked.items() if needed})
-    from dgc_pose.network.weights import choose_device
-    from dgc_pose.runtime.torch_engine import load_torch_engine
+    from dgc_pose.network.weights import choose_device, load_network
+    from dgc_pose.runtime.torch_engine import TorchEngine
 
-    return load_torch_engine(path, choose_device(device), half_precision)
-
-
-def default_runtime(weights: str = DEFAULT_WEIGHTS, device: str = "auto") -> RuntimeName:
-    """The runtime that "auto" is here for weights."""
-    return "onnx" if _prefers_onnx(weights, find_weights(weights), device) else "torch"
+    net = load_network(path, choose_device(device))
+    net.half_precision = half_precision
+    return TorchEngine(net)
 
 
-def _prefers_onnx(name: str, path: Path, device: str) -> bool:
-    if path.suffix != SUFFIX or device not in ("auto", "cpu"):
-        return False
+def default_runtime(weights: str | Path = DEFAULT_WEIGHTS, device: str = "auto") -> RuntimeName:
+    """The runtime that "auto" is here for weights. Raises as `find_weights` does."""
+    if find_weights(weights).suffix != SUFFIX or device not in ("auto", "cpu"):
+        return "torch"
     if not is_installed("torch"):
-        return True
-    return name in PRESETS and name in shipped() and device_type(device) == "cpu"
+        return "onnx"
+    shipped = str(weights) == DEFAULT_WEIGHTS
+    return "onnx" if shipped and device_type(device) == "cpu" else "torch"
 
 
 def device_type(name: str) -> str:

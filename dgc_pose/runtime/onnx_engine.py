@@ -14,6 +14,8 @@ from dgc_pose.errors import InputError
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import (
     COARSEST,
+    CORRELATED,
+    DEFAULT_WEIGHTS,
     EPSILON,
     INPUT_SIZE,
     LEVEL_SIZES,
@@ -23,8 +25,8 @@ from dgc_pose.network.config import (
     STRIDE,
     preset,
 )
-from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
-from dgc_pose.network.stored import check_state, check_values, fingerprint, folded, read_safetensors
+from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_evidence
+from dgc_pose.network.stored import check_state, fingerprint, folded, read_safetensors
 from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 from dgc_pose.runtime.session import Session
@@ -54,17 +56,11 @@ class OnnxEngine:
 
     def __init__(self, path: Path) -> None:
         name, self._stored = read_safetensors(path, "np")
-        if name not in graphs.PRESETS:
-            raise InputError(
-                f"{path}: there are no ONNX graphs of {name}, only of {', '.join(graphs.PRESETS)}; "
-                f"run it by torch"
-            )
+        if name != DEFAULT_WEIGHTS:
+            raise InputError(f"{path}: there are no ONNX graphs of {name}: run it by torch")
         self.config = preset(name)
-        text = (graphs.GRAPHS / name / graphs.WEIGHTS).read_text(encoding="utf-8")
-        names: dict[str, Any] = json.loads(text)
-        shapes = {key: value.shape for key, value in self._stored.items()}
-        check_state(path, name, shapes, names["stored"])
-        check_values(path, self._stored)
+        names: dict[str, Any] = json.loads((graphs.GRAPHS / graphs.WEIGHTS).read_text("utf-8"))
+        check_state(path, name, self._stored, names["stored"])
         self._weights = folded(self._stored)
         self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
         self._names = names["graphs"]
@@ -81,7 +77,7 @@ class OnnxEngine:
         levels = self._session(graphs.LEVELS)(image)
         smaller = self._session(graphs.LEVELS)(_shrunk(image, SECOND_SIZE / INPUT_SIZE))
         resample = self._session(graphs.RESAMPLE)
-        levels += [resample(smaller[i], levels[i])[0] for i in self.config.correlated]
+        levels += [resample(smaller[i], levels[i])[0] for i in CORRELATED]
         return MapFeatures(levels, size)
 
     def coarsest(self, features: MapFeatures) -> np.ndarray:
@@ -119,12 +115,8 @@ class OnnxEngine:
 
     def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
         """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
-        full1, smaller1 = self._correlated(source)
-        full2, smaller2 = self._correlated(target)
-        scales = self.correlation_scales
-        evidence = match_evidence(full1, full2, scales)
-        for pair in ((smaller1, full2), (full1, smaller2)):
-            np.maximum(evidence, match_evidence(*pair, scales), out=evidence)
+        scales1, scales2 = self._scales(source), self._scales(target)
+        evidence = pooled_evidence(scales1, scales2, self.correlation_scales)
         grid1, grid2 = (features.levels[COARSEST].shape[2:] for features in (source, target))
         cells, probability = peaks(consensus(match_scores(evidence), PASSES, grid1, grid2), grid1)
         points = (2 * cells + 1) / np.array(grid1[::-1])[:, None] - 1
@@ -133,10 +125,10 @@ class OnnxEngine:
         state = np.concatenate([points, logits[None]])
         return state.reshape(1, 3, *grid2).astype(np.float32)
 
-    def _correlated(self, features: MapFeatures) -> list[list[np.ndarray]]:
+    def _scales(self, features: MapFeatures) -> list[list[np.ndarray]]:
         """The correlated levels, the coarsest first: at full scale, and at the second scale."""
         levels = features.levels
-        scales = [[levels[level] for level in self.config.correlated], levels[len(LEVEL_SIZES) :]]
+        scales = [[levels[level] for level in CORRELATED], levels[len(LEVEL_SIZES) :]]
         return [[l2_normalised(level[0]) for level in levels] for levels in scales]
 
     def _session(self, graph: str) -> Session:
@@ -144,8 +136,7 @@ class OnnxEngine:
         with _MAKING:
             if key not in self._sessions:
                 weights = {name: self._weights[name] for name in self._names[graph]}
-                path = graphs.GRAPHS / self.config.name / graph
-                self._sessions[key] = Session(path, weights)
+                self._sessions[key] = Session(graphs.GRAPHS / graph, weights)
             return self._sessions[key]
 
 

@@ -1,7 +1,6 @@
 """The network run by torch: on any device, with any weights."""
 
 from copy import deepcopy
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -15,7 +14,7 @@ from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.coordinates import to_pixels
 from dgc_pose.network.net import DGCNet, normalise
-from dgc_pose.network.weights import load_network, network_fingerprint
+from dgc_pose.network.stored import fingerprint
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -27,7 +26,8 @@ class TorchEngine:
     concurrent = False  # its layers use all threads, or the GPU
 
     def __init__(self, net: DGCNet) -> None:
-        self.fingerprint = network_fingerprint(net)
+        weights = ((key, value.cpu().numpy()) for key, value in net.state_dict().items())
+        self.fingerprint = fingerprint(weights)
         self.net = for_inference(net)
         self.config = net.config
         self.correlation_scales = net.get_buffer("correlation_scales").float().cpu().numpy()
@@ -59,18 +59,6 @@ class TorchEngine:
 
     def _input(self, pixels: np.ndarray, size: Size) -> Tensor:
         return network_input(pixels, size, next(self.net.parameters()).device)
-
-
-def load_torch_engine(
-    weights: str | Path, device: torch.device, half_precision: bool = False
-) -> TorchEngine:
-    """An engine of weights by name or path (see `load_network`).
-
-    half_precision: convolutions in bfloat16.
-    """
-    net = load_network(weights, device)
-    net.half_precision = half_precision
-    return TorchEngine(net)
 
 
 def for_inference(net: Net) -> Net:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose, relative_pose
+from dgc_pose.estimation import EstimationOptions, RelativePose, candidates, estimate_pose
 from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -23,7 +23,7 @@ def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     choice by the likelihood."""
     model = ProbabilityModel({}, 3.0, {}, AS_STATED, AS_STATED, {"likelihood": 1.0, "lapse": 0.0})
     models = FittedModels({"matches": model, "network": model}, AS_STATED, frozenset({WEIGHTS}))
-    monkeypatch.setattr(relative_pose, "shipped_models", lambda: models)
+    monkeypatch.setattr(candidates, "shipped_models", lambda: models)
 
 
 def _estimate(scene, matches=None, min_probability=0.5):

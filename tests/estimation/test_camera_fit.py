@@ -10,7 +10,7 @@ from camera_scene import camera_scene, pinhole
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
-from dgc_pose.estimation.camera_spread import ASPECTS, SIZE, deviating_pair
+from dgc_pose.estimation.intrinsics_prior import ASPECTS, SIZE, pair_with_parameters
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous
@@ -40,9 +40,9 @@ def test_errors_in_the_image_are_of_the_first_order_by_pixels(
     """The algebraic error over the length of its gradient by the four coordinates of a match."""
     camera = pinhole(800, IMAGE, lens)
     scene, joint = _joint(camera, count=60, outliers=0.0, sigma_px=1.0)
-    z = 0.3 * np.random.default_rng(1).standard_normal(len(joint.spread)) * deviates
+    z = 0.3 * np.random.default_rng(1).standard_normal(len(joint.prior)) * deviates
     pose = JointPose(scene.R, scene.t, z)
-    cameras = deviating_pair(scene.cameras, joint.deviations(pose))
+    cameras = pair_with_parameters(scene.cameras, joint.parameters(pose))
     E = essential_from_pose(pose.R, pose.t)
 
     def algebraic(shift: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def test_errors_in_the_image_are_of_the_first_order_by_pixels(
 
 def test_errors_behind_a_camera_are_infinite() -> None:
     scene, joint = _joint(pinhole(800, IMAGE), count=60, outliers=0.0)
-    pose = JointPose(scene.R, -scene.t, np.zeros(len(joint.spread)))
+    pose = JointPose(scene.R, -scene.t, np.zeros(len(joint.prior)))
     assert np.isinf(joint.errors_px(pose)).all()
     assert not joint.inliers_in_front(pose).any()
 
@@ -76,13 +76,13 @@ def test_the_likelihood_prefers_the_true_cameras() -> None:
     """And each deviation costs half of its square, where nothing else changes."""
     scene, joint = _joint(pinhole(800, IMAGE))
     scale = joint.problem.threshold / 2
-    true = JointPose(scene.R, scene.t, np.zeros(len(joint.spread)))
+    true = JointPose(scene.R, scene.t, np.zeros(len(joint.prior)))
     best = joint.log_likelihood(true, scale)
-    for k in range(len(joint.spread)):
-        other = replace(true, z=np.eye(len(joint.spread))[k])
+    for k in range(len(joint.prior)):
+        other = replace(true, z=np.eye(len(joint.prior))[k])
         assert joint.log_likelihood(other, scale) < best - 0.5
     empty = JointFit(joint.problem.subset(np.zeros(len(joint.problem), dtype=bool)), joint.cameras)
-    z = np.full(len(joint.spread), 0.5)
+    z = np.full(len(joint.prior), 0.5)
     assert empty.log_likelihood(replace(true, z=z), scale) == pytest.approx(-(z @ z) / 2)
     # A match that is off by far costs as much as one that is off by the limit.
     wrong = JointFit(joint.problem.subset(~scene.true[joint.problem.index]), joint.cameras)
@@ -102,12 +102,12 @@ def test_a_start_at_the_deviations_of_the_cameras_is_fitted(factor: float, aspec
     at[ASPECTS] = np.log(aspect)
     options = EstimationOptions()
     start = start_at(joint, at, options, seed=3)
-    np.testing.assert_allclose(joint.deviations(start), at, atol=1e-9)
+    np.testing.assert_allclose(joint.parameters(start), at, atol=1e-9)
     pose = joint.fitted(start)
     assert joint.cost(pose) <= joint.cost(start)
     assert rotation_error_deg(pose.R, scene.R) < 0.5
     assert translation_error_deg(pose.t, scene.t) < 1
-    np.testing.assert_allclose(joint.deviations(pose)[[0, 5]], at[[0, 5]], atol=0.04)
+    np.testing.assert_allclose(joint.parameters(pose)[[0, 5]], at[[0, 5]], atol=0.04)
     # A fit without a round is the start.
     assert joint.fitted(start, ()) is start
     assert len(at) == 2 * SIZE

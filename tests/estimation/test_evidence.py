@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.estimation.evidence import (
     chance_ratio,
-    gather,
     log10_false_alarms,
+    measured,
     robust_rotation,
 )
 from dgc_pose.estimation.hypothesis import Hypothesis
@@ -35,7 +35,7 @@ def test_after_a_pure_rotation_the_parallax_is_one_whatever_translation_is_claim
     scene = two_view_scene("rotation_only", seed=seed, count=600, sigma_px=sigma_px, outliers=0.2)
     problem = scene.problem(THRESHOLD, CELLS)
     t = Rotation.random(random_state=seed).as_matrix()[0]
-    evidence = gather(problem, Hypothesis.of_pose(problem, scene.R, t), homography_ratio=1.0)
+    evidence = measured(problem, Hypothesis.of_pose(problem, scene.R, t))
     low, high = (0.0, 1e-3) if sigma_px == 0 else (0.75, 1.3)
     assert low <= evidence.parallax <= high
     assert evidence.rotation_share > 0.8
@@ -52,7 +52,7 @@ def test_the_parallax_grows_with_the_baseline():
         points2 = moved[:, :2] / moved[:, 2:] + 3e-4 * rng.standard_normal((500, 2))
         problem = normalised_problem(points1, points2, 4e-3, CELLS)
         pose = Hypothesis.of_pose(problem, np.eye(3), np.array([1.0, 0, 0]))
-        parallaxes.append(gather(problem, pose, homography_ratio=0.0).parallax)
+        parallaxes.append(measured(problem, pose).parallax)
     assert 1.3 < parallaxes[0] < parallaxes[1] / 2 < parallaxes[2] / 4
 
 
@@ -64,7 +64,7 @@ def test_inliers_on_one_line_are_collinear():
     problem = normalised_problem(points1, points2, THRESHOLD, CELLS)
     pose = Hypothesis.of_pose(problem, scene.R, scene.t)
     assert pose.inliers.all()
-    assert gather(problem, pose, homography_ratio=0.0).collinear
+    assert measured(problem, pose).collinear
 
 
 def test_inliers_crowded_in_a_few_spots_occupy_few_cells():
@@ -73,7 +73,7 @@ def test_inliers_crowded_in_a_few_spots_occupy_few_cells():
     points1, points2 = whole.points1, whole.points2
 
     def evidence_of(problem):
-        return gather(problem, Hypothesis.of_pose(problem, scene.R, scene.t), homography_ratio=0.0)
+        return measured(problem, Hypothesis.of_pose(problem, scene.R, scene.t))
 
     counted = (
         {tuple(cell) for cell in np.floor(points1 / 0.05)},

@@ -77,14 +77,11 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
 @pytest.mark.parametrize(
     "changes",
     [
-        {"num_inliers": 30},
         {"chance_ratio": 0.2},
-        {"log10_false_alarms": -3.0},
         {"raw_rotation_90_deg": 9.0},
         {"raw_rotation_90_deg": None},
         {"parallax": 1.5},
         {"homography_ratio": 0.95},
-        {"run_agreement": 0.2},
         {"other_ratio": 0.95},
         {"map_agreement": 0.3},
     ],
@@ -115,7 +112,6 @@ def test_any_evidence_has_a_probability(count, ratio, chance, alarms, error) -> 
         raw_rotation_90_deg=error,
         raw_translation_90_deg=error,
         parallax=ratio,
-        hull_cells=0.0,
         threshold_cells=0.0,
     )
     assert 0 < _model().probability(evidence) < 1
@@ -140,20 +136,13 @@ def test_the_error_of_a_right_pose_is_that_of_normal_errors_up_to_10_degrees(err
     assert of_right(error_deg) == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("kind", "facts"),
-    [
-        ("network", {"with_map": True}),
-        ("matches", {}),
-        ("network_auto", {"with_map": True, "fitted": True}),
-        ("matches_auto", {"fitted": True}),
-        ("key_points", {"key_points": True}),
-        ("key_points", {"key_points": True, "with_map": True, "fitted": True}),
-    ],
-)
-def test_the_kind_of_matches_chooses_the_model(kind, facts) -> None:
-    nothing = {"key_points": False, "with_map": False, "fitted": False}
-    assert match_kind(**nothing | facts) == kind
+def test_the_kind_of_matches_chooses_the_model() -> None:
+    kinds = [
+        match_kind(key_points=key_points, with_map=with_map, fitted=fitted)
+        for key_points in (False, True)
+        for with_map, fitted in ((True, False), (False, False), (True, True), (False, True))
+    ]
+    assert kinds == ["network", "matches", "network_auto", "matches_auto"] + 4 * ["key_points"]
 
 
 @pytest.mark.parametrize(

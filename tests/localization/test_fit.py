@@ -7,16 +7,20 @@ import poselib
 import pytest
 from world_scene import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
-from dgc_pose.estimation.camera_spread import SIZE, CameraSpread, deviating
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
+from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
+from dgc_pose.localization.correspondences import (
+    PairCorrespondences,
+    PointCorrespondences,
+    WorldPose,
+)
 from dgc_pose.localization.fit import located, world_covariance
-from dgc_pose.localization.sights import PointSight, Sight, WorldPose
 from dgc_pose.metrics import rotation_error_deg
 
-EXACT = CameraSpread.of(CAMERA, PHOTO_CAMERA)
+EXACT = IntrinsicsPrior.of(CAMERA, PHOTO_CAMERA)
 
 
-def _sights(scene: WorldScene, seed: int = 0) -> list[Sight]:
+def _sights(scene: WorldScene, seed: int = 0) -> list[PairCorrespondences]:
     return [scene.sight(number, seed) for number in range(len(scene.references))]
 
 
@@ -67,9 +71,9 @@ def test_a_focal_length_is_fitted() -> None:
     scene = world_scene()
     wrong = replace(PHOTO_CAMERA.with_focal(1.05 * PHOTO_CAMERA.focal), focal_std=0.1)
     sights = [scene.sight(number, photo=wrong) for number in range(5)]
-    pose = located(sights, [], CameraSpread.of(CAMERA, wrong), OPTIONS)
+    pose = located(sights, [], IntrinsicsPrior.of(CAMERA, wrong), OPTIONS)
     assert pose is not None
-    fitted = deviating(wrong, pose.deviations)
+    fitted = with_parameters(wrong, pose.parameters)
     assert fitted.focal == pytest.approx(PHOTO_CAMERA.focal, rel=0.005)
     assert max(_errors(scene, pose)) < 0.1
 
@@ -77,7 +81,7 @@ def test_a_focal_length_is_fitted() -> None:
 def test_points_determine_the_distance_of_a_single_reference() -> None:
     scene = world_scene(np.array([[1.0, 0, 0]]))
     places = PHOTO_CAMERA.normalise(scene.pixels(PHOTO_CAMERA, scene.R, scene.centre))
-    shown = PointSight(scene.points[:40], places[:40], None, 0.002)
+    shown = PointCorrespondences(scene.points[:40], places[:40], None, 0.002)
     sights = _sights(scene)
     pose = located(sights, [shown], EXACT, OPTIONS)
     assert pose is not None and max(_errors(scene, pose)) < 0.02
@@ -119,4 +123,4 @@ def test_a_previous_pose_is_the_start_where_the_last_sight_agrees() -> None:
     before = located(sights[:3], [], EXACT, OPTIONS)
     pose = located(sights, [], EXACT, OPTIONS, before)
     assert pose is not None and max(_errors(scene, pose)) < 0.05
-    assert pose.deviations.shape == (SIZE,)
+    assert pose.parameters.shape == (SIZE,)

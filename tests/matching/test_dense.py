@@ -6,8 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import torch
-from map_nets import SMALL
+from map_nets import ShiftNet
 
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import within
@@ -20,18 +19,6 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime.engine import DecodedMap
 from dgc_pose.runtime.torch_engine import TorchEngine
-
-
-def _constant_net(shift: float = 0.0, *, align_corners: bool = True) -> DGCNet:
-    """A net that maps every cell to itself, shifted in x by a normalised amount."""
-    net = DGCNet(replace(SMALL, align_corners=align_corners)).eval()
-    for level in range(5):
-        final = net.get_submodule(f"reg_{level}.final")
-        torch.nn.init.zeros_(final.weight)
-        torch.nn.init.zeros_(final.bias)
-    with torch.no_grad():
-        net.get_submodule("reg_0.final").bias[0] = shift
-    return net
 
 
 def _image(width: int, height: int, seed: int = 0) -> Image:
@@ -47,7 +34,7 @@ def _map(engine: TorchEngine, first: Image, second: Image) -> CorrespondenceMap:
 @pytest.mark.parametrize("align_corners", [True, False])
 def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> None:
     """The map that is the identity at 240 scales by the half-pixel rule to any pair of sizes."""
-    engine = TorchEngine(_constant_net(align_corners=align_corners))
+    engine = TorchEngine(ShiftNet(align_corners=align_corners))
     first, second = _image(1600, 1200), _image(320, 90)
     found = _map(engine, first, second)
     cells = np.arange(240)
@@ -68,10 +55,9 @@ def test_a_mask_network_has_no_coarser_level() -> None:
 
 
 def test_nothing_is_nan_whatever_the_network_says() -> None:
-    net = _constant_net()
-    with torch.no_grad():
-        net.get_submodule("reg_0.final").bias.fill_(torch.nan)
-    matcher = NetworkMatcher(TorchEngine(net), MatchingOptions(matchability=0.0, aligned="none"))
+    matcher = NetworkMatcher(
+        TorchEngine(ShiftNet(np.nan)), MatchingOptions(matchability=0.0, aligned="none")
+    )
     result = matcher.match(_image(100, 100), _image(100, 100))
     assert result.correspondence_map is not None
     assert np.isfinite(result.correspondence_map.map).all()
@@ -88,7 +74,7 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
     view2 = View.whole(second.size, -angle)
     suggested = (View.whole(upright.size), view2)
     monkeypatch.setattr("dgc_pose.matching.dense.search_views", lambda *given: suggested)
-    engine = TorchEngine(_constant_net(align_corners=False))
+    engine = TorchEngine(ShiftNet(align_corners=False))
     decode, calls = engine.decode, []
 
     def decode_upright_alone(*given: Any) -> DecodedMap:

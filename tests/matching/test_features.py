@@ -24,12 +24,13 @@ from dgc_pose.matching.features import (
 )
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
-from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+from dgc_pose.runtime.load import load_engine
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @pytest.fixture(scope="module")
 def engine() -> TorchEngine:
-    return load_torch_engine("dgcm-lite0", torch.device("cpu"))
+    return load_engine("dgcm-lite0", device="cpu", runtime="torch")
 
 
 def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:

@@ -6,17 +6,17 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import torch
 
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.view import View
 from dgc_pose.matching.view_search import search_views
-from dgc_pose.runtime.torch_engine import TorchEngine, load_torch_engine
+from dgc_pose.runtime.load import load_engine
+from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @cache
 def _engine() -> TorchEngine:
-    return load_torch_engine("dgcm-lite0", torch.device("cpu"))
+    return load_engine("dgcm-lite0", device="cpu", runtime="torch")
 
 
 @cache

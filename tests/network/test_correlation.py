@@ -9,7 +9,13 @@ import pytest
 import torch
 
 from dgc_pose.network.config import FLOOR, REACH, WEIGHT
-from dgc_pose.network.correlation import consensus, match_evidence, match_scores, peaks
+from dgc_pose.network.correlation import (
+    consensus,
+    match_evidence,
+    match_scores,
+    peaks,
+    pooled_evidence,
+)
 from dgc_pose.network.net import l2_normalise, local_correlation
 from dgc_pose.runtime import onnx_engine
 
@@ -65,6 +71,21 @@ def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
             seen = target[k][:, f * yt : f * yt + f, f * xt : f * xt + f].reshape(3, -1)
             expected += scale * (seen.T @ inside).max(1).mean()
         assert values[xs * 2 + ys, yt * 3 + xt] == pytest.approx(expected, abs=1e-4)
+
+
+def test_evidence_is_pooled_over_pairs_of_scales(library: Library) -> None:
+    to, back = library
+    first, second = ([[_noise(seed + k, 3, 4, 5)] for k in range(2)] for seed in (0, 5))
+    source, target = (
+        [[to(level) for level in levels] for levels in both] for both in (first, second)
+    )
+    scale = to(np.array([3.0], np.float32))[..., :1].reshape(1)
+    values = back(pooled_evidence(source, target, scale))
+    for xs, ys, yt, xt in np.ndindex(5, 4, 4, 5):
+        products = [
+            first[k][0][:, ys, xs] @ second[j][0][:, yt, xt] for k, j in ((0, 0), (1, 0), (0, 1))
+        ]
+        assert values[xs * 4 + ys, yt * 5 + xt] == pytest.approx(3 * max(products), abs=1e-4)
 
 
 def test_scores_are_the_product_of_both_softmaxes(library: Library) -> None:

@@ -1,5 +1,7 @@
 """The network run by torch: shapes, precision, batches, fingerprints."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import torch
@@ -36,3 +38,14 @@ def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
         cosine = (wanted * level).sum(-1)
         assert cosine.min() > (0.99 if half else 1 - 1e-5)
         assert half == bool(cosine.min() < 1 - 1e-6)  # rounded where it is asked for alone
+
+
+def test_every_tensor_is_on_the_device_of_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Operations on tensors of two devices are refused, on one without numbers too."""
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
+    with torch.inference_mode():
+        for name, shape in (("dgcm-lite0", (96, 128)), ("dgcm", (240, 240))):
+            net = DGCNet(preset(name)).eval().to("meta")
+            prediction = net(*torch.rand(2, 1, 3, *shape, device="meta"))
+            assert all(part.is_meta for part in prediction.maps + prediction.logits)
+            assert prediction.maps[-1].shape == (1, 2, *shape)

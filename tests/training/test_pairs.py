@@ -73,6 +73,8 @@ def test_held_scenes_validate_and_the_others_train(tmp_path: Path) -> None:
     assert set(validating.frames.flatten().tolist()) == {2, 3}
     for source in data.values():
         assert source.make(2, (48, 48), Draw("cpu", 0)).valid.any()
+    data = load_data(**folders, depths=tmp_path, shares=Shares(1, 0, 0, 0))
+    assert data[TRAINING].posed is None  # without a share nothing is prepared
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +96,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (["a", "a"], [], "posed: .*a: another folder, too, has a scene a"),
         (["a"], ["a"], "held: no scene of posed is left to train"),
         (["blind"], [], "posed: in blind no two frames share enough of known depth"),
-        (["a", "blind"], ["blind"], "posed: in blind no two frames share enough of known depth"),
     ],
 )
 def test_scenes_that_make_no_pairs_are_named(
@@ -103,9 +104,3 @@ def test_scenes_that_make_no_pairs_are_named(
     folders = [folder / "posed" / name for name in posed]
     with pytest.raises(InputError, match=message):
         load_data(folder / "photos", posed=folders, depths=folder, held=held, shares=Shares())
-
-
-def test_scenes_without_a_share_are_not_prepared(folder: Path) -> None:
-    blind = [folder / "posed/blind"]
-    data = load_data(folder / "photos", posed=blind, depths=folder, shares=Shares(1, 0, 0, 0))
-    assert data[TRAINING].posed is None

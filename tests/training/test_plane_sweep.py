@@ -31,14 +31,6 @@ def test_depths_are_those_of_the_scene() -> None:
         assert np.median(error) < 0.01 and (error < 0.03).mean() > 0.95
 
 
-def test_a_frame_without_neighbours_has_no_depth() -> None:
-    image = multi_view.render_views(1)[0].pixels
-    cameras = Cameras(torch.tensor([[225.0, 226, 121, 87]] * 2), torch.eye(3, 4).expand(2, 3, 4))
-    reach = torch.tensor([[1.0, 9.0]] * 2)
-    for depth in swept_depths(ImageBank.of([image, image]), cameras, reach):
-        assert not depth.any()
-
-
 def test_views_of_many_pixels_have_the_depths_of_a_wall() -> None:
     """Their neighbours hang upside down, where a principal point that is off counts twice."""
     rng = np.random.default_rng(0)

@@ -1,5 +1,6 @@
 """A training run: stages follow each other, a killed run resumes exactly, weights load."""
 
+import copy
 import json
 import re
 from dataclasses import replace
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from photos import drawn_photos
+from torch import nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.matchers import load_matcher
@@ -16,11 +18,11 @@ from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
 from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
-from dgc_pose.training import run
 from dgc_pose.training.initialise import vgg_layers
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
-from dgc_pose.training.run import Trainer, save_weights
+from dgc_pose.training.run import Trainer, move_average, optimiser, save_weights
+from dgc_pose.training.stages import EncoderStage
 
 pytestmark = pytest.mark.slow
 
@@ -82,16 +84,10 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
     for words in (
         "6, and 2 places",
         "| init | dgcm-lite0 |",
-        "## encoder\n\n2 steps, ",
-        "found16 0.",
+        "| encoder | 2 steps, ",
+        "photos: found16 0.",
     ):
         assert words in card
-
-
-def test_a_run_by_the_clock_ends_by_it(data: dict[str, PairSource], tmp_path: Path) -> None:
-    trainer = Trainer(tmp_path, _options(steps=None, seconds=1e-3, encoder_share=0.0))
-    trainer.run(data)
-    assert trainer.progress >= 1 and trainer.step == 1 and trainer.weights_path.exists()
 
 
 def test_half_precision_trains_as_single_precision_does(
@@ -148,29 +144,19 @@ def test_runs_are_not_overwritten_or_mixed(data: dict[str, PairSource], tmp_path
     Trainer(tmp_path, _options()).save()
     with pytest.raises(InputError, match=": resume continues"):
         Trainer(tmp_path, _options())
-    with pytest.raises(WeightsError, match=r"preset dgcm-lite0, not dgcm-lite0\+no-l2"):
-        Trainer(tmp_path, _options(ablations=("no-l2",)), resume=True)
+    for name, value, message in (
+        ("encoder_share", 0.6, "encoder_share is 0.6, and 0.7 in the run of "),
+        ("seed", 1, "seed is 1, and 0 in the run of "),
+        ("shares", Shares(1, 0, 0, 0), "shares is 100,0,0,0, and 20,8,20,52 in the run of "),
+    ):
+        with pytest.raises(InputError, match=f"^{message}"):
+            Trainer(tmp_path, _options(**{name: value}), resume=True)
+    save_weights(DGCNet(preset("dgcm")), tmp_path / "other.safetensors")
+    with pytest.raises(WeightsError, match="other.safetensors: weights of dgcm, not dgcm-lite0"):
+        Trainer(tmp_path / "new", _options(init=str(tmp_path / "other.safetensors")))
     (tmp_path / "checkpoint.pt").write_bytes(b"half a checkp")
     with pytest.raises(WeightsError, match=re.escape("checkpoint.pt")):
         Trainer(tmp_path, _options(), resume=True)
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("seed", 1, "seed is 1, and 0 in the run of "),
-        ("rate", 0.5, "rate is 0.5, and 1.0 in the run of "),
-        ("shares", Shares(1, 0, 0, 0), "shares is 100,0,0,0, and 20,8,20,52 in the run of "),
-        ("batch", 2, "batch is 2, and 1 in the run of "),
-        ("encoder_share", 0.6, "encoder_share is 0.6, and 0.7 in the run of "),
-    ],
-)
-def test_a_resumed_run_has_the_options_of_before(
-    tmp_path: Path, name: str, value: object, message: str
-) -> None:
-    Trainer(tmp_path, _options()).save()
-    with pytest.raises(InputError, match=f"^{message}"):
-        Trainer(tmp_path, _options(**{name: value}), resume=True)
 
 
 def test_a_longer_run_goes_on_and_never_back_to_the_encoder(
@@ -181,29 +167,6 @@ def test_a_longer_run_goes_on_and_never_back_to_the_encoder(
     Trainer(tmp_path, replace(options, steps=3), resume=True)
     with pytest.raises(InputError, match="^steps would lead from the decoders of .* back"):
         Trainer(tmp_path, replace(options, steps=20), resume=True)
-
-
-def test_the_log_of_a_killed_run_has_each_step_once(
-    data: dict[str, PairSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Checkpoints come by the clock, beside the tenth steps, and later rows are dropped."""
-    options = _options(encoder_share=1.0, steps=3)
-    monkeypatch.setattr(run, "_SAVE_SECONDS", 0.0)
-    save = Trainer.save
-
-    def killed(trainer: Trainer) -> None:
-        if trainer.step == 2:
-            raise KeyboardInterrupt
-        save(trainer)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Trainer, "save", killed)
-        with pytest.raises(KeyboardInterrupt):
-            Trainer(tmp_path, options).run(data)
-    with (tmp_path / "log.jsonl").open("a") as file:
-        file.write('{"stage": "enc')
-    Trainer(tmp_path, options, resume=True).run(data)
-    assert [row["step"] for row in _log(tmp_path)] == [1, 2, 3]
 
 
 def test_all_pairs_that_are_to_validate_do(data: dict[str, PairSource], tmp_path: Path) -> None:
@@ -230,3 +193,38 @@ def test_a_variance_beyond_half_precision_is_kept(tmp_path: Path) -> None:
     _, arrays = read_safetensors(tmp_path / "w.safetensors", "np")
     assert arrays["reg_3.conv0.0.weight"].dtype == "float16"
     assert max(abs(value).max() for value in folded(arrays).values()) <= 1e5
+
+
+def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
+    net = DGCNet(preset("dgcm-lite0"))
+    rest, backbone = optimiser(EncoderStage(net)).param_groups
+    assert rest["share"] == 1 and backbone["share"] == 0.35
+    body = [*net.pyramid.get_submodule("stem").parameters()]
+    body += net.pyramid.get_submodule("blocks").parameters()
+    shapes = [parameter.shape for parameter in backbone["params"]]
+    assert shapes == [parameter.shape for parameter in body]
+    # Levels 0 and 1 and the decoders stay in this stage; the temperatures are the stage's own.
+    heads = [m for n, m in net.pyramid.named_children() if n.startswith(("head", "lift", "merge"))]
+    trained = sum(p.numel() for group in (rest, backbone) for p in group["params"])
+    own = sum(p.numel() for part in heads for p in part.parameters())
+    assert trained == own + sum(p.numel() for p in body) + 4
+
+
+@pytest.mark.parametrize("decay", [0.0, 0.3, 0.998])
+def test_the_average_is_the_sum_of_all_values_by_their_decays(decay: float) -> None:
+    """Of the weights, which lie between the values, and of the statistics; counters are copied."""
+    norm = nn.BatchNorm1d(1)
+    average = copy.deepcopy(norm)
+    expected, statistic = 1.0, 0.0  # as a norm begins
+    for n, value in enumerate((0.5, 2.0, -1.0, 4.0, 1.5)):
+        nn.init.constant_(norm.weight, value)
+        nn.init.constant_(norm.get_buffer("running_mean"), -2 * value)
+        norm.get_buffer("num_batches_tracked").fill_(n)
+        move_average(average, norm, n + 1, decay)
+        share = min(decay, (1 + n) / (10 + n))
+        expected = share * expected + (1 - share) * value
+        statistic = share * statistic + (1 - share) * -2 * value
+    assert average.weight.item() == pytest.approx(expected, rel=1e-5)
+    assert average.running_mean.item() == pytest.approx(statistic, rel=1e-5)
+    assert int(average.num_batches_tracked) == 4
+    assert norm.weight.requires_grad and norm.weight.item() == 1.5

@@ -10,7 +10,7 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.stages import DecoderStage, EncoderStage
+from dgc_pose.training.stages import DecoderStage, EncoderStage, _window
 from dgc_pose.training.views import Shape
 from dgc_pose.training.warped_pairs import warped_pairs
 
@@ -50,9 +50,18 @@ def test_the_encoders_loss_falls_on_views_that_are_no_squares() -> None:
     assert not any(k.startswith(("reg_", "pyramid.level_")) for k in changed)
 
 
-@pytest.mark.parametrize(
-    ("name", "shape"), [("dgcm-lite0", (176, 336)), ("dgcm", (240, 240)), ("dgc+flow", (240, 240))]
-)
+def test_a_trained_encoder_passes_through_its_stage_unchanged() -> None:
+    torch.manual_seed(2)
+    net = DGCNet(preset("dgcm-lite0"))
+    net.get_buffer("correlation_scales").copy_(torch.tensor([33.0, 12.0]))
+    before = {k: v.clone() for k, v in net.state_dict().items()}
+    with torch.no_grad():
+        EncoderStage(net).finished()
+    for key, value in net.state_dict().items():
+        torch.testing.assert_close(value, before[key])
+
+
+@pytest.mark.parametrize(("name", "shape"), [("dgcm-lite0", (176, 336)), ("dgcm", (240, 240))])
 def test_the_decoders_loss_falls_and_the_pyramid_stays(name: str, shape: Shape) -> None:
     torch.manual_seed(0)
     net = DGCNet(preset(name))
@@ -89,8 +98,6 @@ def test_the_noised_truth_is_near_the_truth(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_finest_levels_are_decoded_everywhere_in_turn() -> None:
-    from dgc_pose.training.stages import _window
-
     shape, covered = (128, 448), torch.zeros(128, 448, dtype=torch.bool)
     for seed in range(60):
         draw = Draw("cpu", seed)

@@ -36,6 +36,7 @@ def matches(pair):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_flat_plane_has_another_pose_before_both_cameras(photos, seed):
+    """And fills views of a usual camera, which overlap."""
     pair = rendered(photos, seed, 0.0)
     pixels2, pixels1 = matches(pair)
     K1, K2 = K(pair.source), K(pair.target)
@@ -56,9 +57,14 @@ def test_a_flat_plane_has_another_pose_before_both_cameras(photos, seed):
     )
     assert count == 4 and len(errors) == 2
     assert errors[0] < 0.1 and errors[1] > 10
+    for camera, depth in ((pair.source, pair.depth1), (pair.target, pair.depth2)):
+        assert 40 <= np.degrees(2 * np.arctan(SIDE / 2 / float(camera.K[0, 0]))) <= 70
+        assert (depth < 10).float().mean() > 0.85
+    assert pair.maps.valid.float().mean() > 0.3
+    assert 15 <= np.degrees(np.arccos(float(pose[2, 2]))) <= 60
 
 
-@pytest.mark.parametrize("relief", RELIEFS)
+@pytest.mark.parametrize("relief", RELIEFS[::3])
 def test_the_relief_is_as_high_as_it_is_told(photos, relief):
     """The plane is z = 0 of the world, seen from z < 0."""
     pair = rendered(photos, 3, relief)
@@ -69,14 +75,3 @@ def test_the_relief_is_as_high_as_it_is_told(photos, relief):
     assert heights.max() == pytest.approx(relief, abs=1e-4 + 0.1 * relief)
     flat = np.abs(heights) < 1e-4
     assert flat.mean() > 0.3 and flat.all() == (relief == 0)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_the_plane_fills_views_of_a_usual_camera_that_overlap(photos, seed):
-    pair = rendered(photos, seed, 0.02)
-    for camera, depth in ((pair.source, pair.depth1), (pair.target, pair.depth2)):
-        assert 40 <= np.degrees(2 * np.arctan(SIDE / 2 / float(camera.K[0, 0]))) <= 70
-        assert (depth < 10).float().mean() > 0.85
-    assert pair.maps.valid.float().mean() > 0.3
-    pose = pair.target.seen_by(pair.source).pose[0]
-    assert 15 <= np.degrees(np.arccos(float(pose[2, 2]))) <= 60

@@ -1,7 +1,7 @@
 """How far two cameras may be from their K and lens: the focal lengths, principal points and radial
 coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose and by these.
 
-The deviations of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
+The parameters of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
 the focal length of K, what is added to the coefficients (c, d) of its lens (`geometry.radial`),
 which are 0 of a pinhole, and what is added to a = ln(fy / fx). Of two exact pinholes but for K,
 points that K normalised are normalised by A of `normaliser` to what the camera makes of them, so
@@ -31,22 +31,22 @@ _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 
 @dataclass(frozen=True, eq=False)
-class CameraSpread:
-    """The deviations (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras are `basis` times a
+class IntrinsicsPrior:
+    """The parameters (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras are `basis` times a
     standard normal vector (M,)."""
 
     basis: np.ndarray  # (12, M); no columns: both cameras are exact
 
     @classmethod
-    def of(cls, camera1: Camera, camera2: Camera) -> CameraSpread:
-        """The spread of two cameras' standard deviations. One camera that took both images, by its
+    def of(cls, camera1: Camera, camera2: Camera) -> IntrinsicsPrior:
+        """The prior of two cameras' standard deviations. One camera that took both images, by its
         `identity`, has one focal length and lens, and one principal point unless the images' sizes
         differ.
         """
         same = camera1.identity is not None and camera1.identity == camera2.identity
         one_centre = camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2)))
         columns = []
-        for axis, sides in enumerate(zip(*map(deviation_stds, (camera1, camera2)), strict=True)):
+        for axis, sides in enumerate(zip(*map(parameter_stds, (camera1, camera2)), strict=True)):
             column = np.zeros((2 * SIZE, 2))
             column[axis, 0], column[SIZE + axis, 1] = sides
             if same and (axis not in (1, 2) or one_centre):
@@ -58,20 +58,14 @@ class CameraSpread:
     def __len__(self) -> int:
         return self.basis.shape[1]
 
-    @property
-    def shared_focal(self) -> bool:
-        """Whether both cameras are off by the same factor."""
-        focal = self.basis[FOCALS]
-        return bool((focal[0] == focal[1]).all() and focal.any())
-
     def bends(self, problem: TwoViewProblem) -> bool:
         """Whether a lens is there or unknown, so that A of `normaliser` does not suffice."""
         return any(problem.lenses) or bool(self.basis[[3, 4, SIZE + 3, SIZE + 4]].any())
 
 
-SIZE = 6  # deviations of a camera
+SIZE = 6  # parameters of a camera
 FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
-EXACT = CameraSpread(np.zeros((2 * SIZE, 0)))
+EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
 _OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
@@ -84,57 +78,56 @@ def is_of_part(camera: Camera) -> bool:
     return camera.focal_source != "given" and camera.centre_std > most
 
 
-def deviation_stds(camera: Camera) -> tuple[float, ...]:
-    """The standard deviations (SIZE,) of a camera's deviations."""
+def parameter_stds(camera: Camera) -> tuple[float, ...]:
+    """The standard deviations (SIZE,) of a camera's parameters."""
     centre, lens = camera.centre_std / camera.focal, camera.lens_std
     return camera.focal_std, centre, centre, lens, _SECOND_LENS_STD * lens, camera.aspect_std
 
 
-def _shrinks(deviations: np.ndarray) -> np.ndarray:
-    """By which x and y (2,) of a point grow if a K with deviations normalises it."""
-    k, a = deviations[0], deviations[5]
+def _shrinks(parameters: np.ndarray) -> np.ndarray:
+    """By which x and y (2,) of a point grow if a K with parameters normalises it."""
+    k, a = parameters[0], parameters[5]
     return np.exp([a / 2 - k, -a / 2 - k])
 
 
-def normaliser(deviations: np.ndarray) -> np.ndarray:
-    """A (3, 3) of the deviations (SIZE,) of a camera without a lens."""
-    (by_x, by_y), (x, y) = _shrinks(deviations), deviations[1:3]
+def normaliser(parameters: np.ndarray) -> np.ndarray:
+    """A (3, 3) of the parameters (SIZE,) of a camera without a lens."""
+    (by_x, by_y), (x, y) = _shrinks(parameters), parameters[1:3]
     return np.array([[by_x, 0, -x * by_x], [0, by_y, -y * by_y], [0, 0, 1]])
 
 
-def normaliser_slopes(deviations: np.ndarray) -> list[np.ndarray]:
-    """The derivatives (3, 3) of A by the deviations (SIZE,); 0 by that of the lens."""
-    A = normaliser(deviations)
+def _normaliser_slopes(A: np.ndarray) -> list[np.ndarray]:
+    """The derivatives (3, 3) of A by the parameters (SIZE,); 0 by those of the lens."""
     by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
     by_x[0, 2], by_y[1, 2] = -A[0, 0], -A[1, 1]
     return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3)), _BY_ASPECT @ A]
 
 
-def deviated(points: np.ndarray, lens: Distortion | None, deviations: np.ndarray) -> np.ndarray:
-    """Normalised points (N, 2) as a camera with deviations (SIZE,) from its K and lens normalises
+def renormalised(points: np.ndarray, lens: Distortion | None, parameters: np.ndarray) -> np.ndarray:
+    """Normalised points (N, 2) as a camera with parameters (SIZE,) from its K and lens normalises
     them; NaN where its distortion cannot be undone."""
     lens = lens or _PINHOLE
-    return _undone(_moved(points, lens, deviations), lens, deviations)
+    return _undone(_moved(points, lens, parameters), lens, parameters)
 
 
-def deviated_points(
-    problem: TwoViewProblem, deviations: np.ndarray
+def renormalised_pair(
+    problem: TwoViewProblem, parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points (N, 2) of both images as cameras with deviations (2 * SIZE,) normalise them."""
+    """The points (N, 2) of both images as cameras with parameters (2 * SIZE,) normalise them."""
     return (
-        deviated(problem.points1, problem.lenses[0], deviations[:SIZE]),
-        deviated(problem.points2, problem.lenses[1], deviations[SIZE:]),
+        renormalised(problem.points1, problem.lenses[0], parameters[:SIZE]),
+        renormalised(problem.points2, problem.lenses[1], parameters[SIZE:]),
     )
 
 
-def deviated_slopes(
-    points: np.ndarray, lens: Distortion | None, deviations: np.ndarray
+def renormalised_slopes(
+    points: np.ndarray, lens: Distortion | None, parameters: np.ndarray
 ) -> np.ndarray:
-    """The derivatives (N, 2, SIZE) of `deviated` by the deviations."""
+    """The derivatives (N, 2, SIZE) of `renormalised` by the parameters."""
     lens = lens or _PINHOLE
-    moved = _moved(points, lens, deviations)
+    moved = _moved(points, lens, parameters)
     if lens.projection is not None:
-        coefficients = lens.radial + deviations[3:5]
+        coefficients = lens.radial + parameters[3:5]
         ideal = undistorted(moved, coefficients)
         by_seen, by_lens = undistorted_slopes(ideal, coefficients)
         if lens.projection != "plane":
@@ -142,76 +135,78 @@ def deviated_slopes(
             by_seen, by_lens = by_ideal @ by_seen, by_ideal @ by_lens
     else:
         ahead, behind = (
-            [_undone(moved + s * a, lens, deviations) for a in np.eye(2)]
+            [_undone(moved + s * a, lens, parameters) for a in np.eye(2)]
             for s in (_SLOPE_STEP, -_SLOPE_STEP)
         )
         by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
         by_lens = np.zeros((len(points), 2, 2))
-    by_centre = -by_seen * _shrinks(deviations)
+    by_centre = -by_seen * _shrinks(parameters)
     by_both = [by_seen @ (moved * of_axes)[:, :, None] for of_axes in ((-1, -1), (0.5, -0.5))]
     return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)
 
 
-def _moved(points: np.ndarray, lens: Distortion, deviations: np.ndarray) -> np.ndarray:
-    """Normalised points (N, 2) as the lens shows them and the deviating K normalises them."""
+def _moved(points: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.ndarray:
+    """Normalised points (N, 2) as the lens shows them, by the K of the parameters."""
     seen = points if lens is _PINHOLE else lens.apply(points)
-    return (seen - deviations[1:3]) * _shrinks(deviations)
+    return (seen - parameters[1:3]) * _shrinks(parameters)
 
 
-def _undone(moved: np.ndarray, lens: Distortion, deviations: np.ndarray) -> np.ndarray:
+def _undone(moved: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.ndarray:
     if lens.projection is None:
         return lens.undo(moved)
-    return unprojected(undistorted(moved, lens.radial + deviations[3:5]), lens.projection)
+    return unprojected(undistorted(moved, lens.radial + parameters[3:5]), lens.projection)
 
 
-def deviating(camera: Camera, deviations: np.ndarray) -> Camera:
-    """The camera with deviations (SIZE,) from its K and lens; its standard deviations stay."""
-    if not deviations.any():
+def with_parameters(camera: Camera, parameters: np.ndarray) -> Camera:
+    """The camera with parameters (SIZE,) from its K and lens; its standard deviations stay."""
+    if not parameters.any():
         return camera
     lens = camera.distortion
-    if deviations[3:5].any():
+    if parameters[3:5].any():
         lens = lens or _PINHOLE
-        radial = (lens.radial + deviations[3:5]).tolist()
+        radial = (lens.radial + parameters[3:5]).tolist()
         lens = replace(lens, coefficients=(*radial, *lens.coefficients[2:]))
     K = camera.K.copy()
-    K[0, 2] += deviations[1] * K[0, 0]
-    K[1, 2] += deviations[2] * K[1, 1]
-    K[:2, :2] /= _shrinks(deviations)[:, None]
+    K[0, 2] += parameters[1] * K[0, 0]
+    K[1, 2] += parameters[2] * K[1, 1]
+    K[:2, :2] /= _shrinks(parameters)[:, None]
     return replace(camera, K=K, distortion=lens)
 
 
-def deviating_pair(cameras: tuple[Camera, Camera], deviations: np.ndarray) -> tuple[Camera, Camera]:
-    """Two cameras with deviations (2 * SIZE,)."""
+def pair_with_parameters(
+    cameras: tuple[Camera, Camera], parameters: np.ndarray
+) -> tuple[Camera, Camera]:
+    """Two cameras with parameters (2 * SIZE,)."""
     first, second = cameras
-    return deviating(first, deviations[:SIZE]), deviating(second, deviations[SIZE:])
+    return with_parameters(first, parameters[:SIZE]), with_parameters(second, parameters[SIZE:])
 
 
 def error_slopes(
     problem: TwoViewProblem,
     R: np.ndarray,
     t: np.ndarray,
-    spread: CameraSpread = EXACT,
-    deviations: np.ndarray = _AS_NORMALISED,
+    prior: IntrinsicsPrior = EXACT,
+    parameters: np.ndarray = _AS_NORMALISED,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Signed Sampson errors (N,), their derivatives (N, 5 + M), and a basis (3, 2).
 
     The parameters are a rotation vector w, R becoming exp([w]x) R, two coordinates of t along the
-    columns of the basis, which are perpendicular to t, and those of `spread`. deviations: (12,) of
+    columns of the basis, which are perpendicular to t, and those of `prior`. parameters: (12,) of
     the cameras from those that normalised the problem; the errors are in the problem's unit.
     """
-    if len(spread) and spread.bends(problem):
-        return _lens_slopes(problem, R, t, spread, deviations)
+    if len(prior) and prior.bends(problem):
+        return _lens_slopes(problem, R, t, prior, parameters)
     tangent = np.linalg.svd(t[None])[2][1:].T
     E = essential_from_pose(R, t)
     of_pose = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
     of_pose += [essential_from_pose(R, axis) for axis in tangent.T]
     F, changes = E, of_pose
-    if len(spread):
-        A1, A2 = normaliser(deviations[:SIZE]), normaliser(deviations[SIZE:])
+    if len(prior):
+        A1, A2 = normaliser(parameters[:SIZE]), normaliser(parameters[SIZE:])
         F, changes = A2.T @ E @ A1, [A2.T @ change @ A1 for change in of_pose]
-        of_cameras = [A2.T @ E @ change for change in normaliser_slopes(deviations[:SIZE])]
-        of_cameras += [change.T @ E @ A1 for change in normaliser_slopes(deviations[SIZE:])]
-        changes += list(np.tensordot(spread.basis.T, of_cameras, axes=1))
+        of_cameras = [A2.T @ E @ change for change in _normaliser_slopes(A1)]
+        of_cameras += [change.T @ E @ A1 for change in _normaliser_slopes(A2)]
+        changes += list(np.tensordot(prior.basis.T, of_cameras, axes=1))
     algebraic, squared1, squared2 = epipolar_terms(problem.points1, problem.points2, F)
     squared = np.maximum(squared1 + squared2, np.finfo(float).tiny)  # 0 at the epipoles
     # Points as columns, and all parameters at once: NumPy is slow along short axes.
@@ -229,15 +224,15 @@ def _lens_slopes(
     problem: TwoViewProblem,
     R: np.ndarray,
     t: np.ndarray,
-    spread: CameraSpread,
-    deviations: np.ndarray,
+    prior: IntrinsicsPrior,
+    parameters: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `error_slopes`, of cameras with lenses: deviations move each point in another way."""
+    """As `error_slopes`, of cameras with lenses: parameters move each point in another way."""
     sides = (
-        (problem.points1, problem.lenses[0], deviations[:SIZE]),
-        (problem.points2, problem.lenses[1], deviations[SIZE:]),
+        (problem.points1, problem.lenses[0], parameters[:SIZE]),
+        (problem.points2, problem.lenses[1], parameters[SIZE:]),
     )
-    points1, points2 = deviated_points(problem, deviations)
+    points1, points2 = renormalised_pair(problem, parameters)
     moved = replace(problem, points1=points1, points2=points2)
     error, of_pose, tangent = error_slopes(moved, R, t)
     E = essential_from_pose(R, t)
@@ -248,11 +243,11 @@ def _lens_slopes(
     by_point1 = lines1 / root - over * (lines2 @ E[:2, :2])
     by_point2 = lines2 / root - over * (lines1 @ E[:2, :2].T)
     by_side = [
-        (by_point[:, None] @ deviated_slopes(*side))[:, 0]
+        (by_point[:, None] @ renormalised_slopes(*side))[:, 0]
         for by_point, side in zip((by_point1, by_point2), sides, strict=True)
     ]
     of_cameras = np.hstack(by_side)
     of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth
-    slopes = np.hstack([of_pose, of_cameras @ spread.basis])
-    growth = np.exp(deviations[FOCALS].mean())
+    slopes = np.hstack([of_pose, of_cameras @ prior.basis])
+    growth = np.exp(parameters[FOCALS].mean())
     return np.nan_to_num(error * growth), np.nan_to_num(slopes * growth), tangent

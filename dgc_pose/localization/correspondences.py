@@ -1,4 +1,4 @@
-"""What a photograph sees of a model: matches with a reference, and points.
+"""Correspondences of a photograph with a model: 2D-2D with a reference, and 2D-3D with points.
 
 Both have errors for a pose of the photograph, and the derivatives of these.
 """
@@ -12,20 +12,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_spread import (
-    SIZE,
-    CameraSpread,
-    deviated,
-    deviated_slopes,
-    error_slopes,
-)
 from dgc_pose.estimation.hypothesis import DISTINCT_DEG, Hypothesis
+from dgc_pose.estimation.intrinsics_prior import (
+    SIZE,
+    IntrinsicsPrior,
+    error_slopes,
+    renormalised,
+    renormalised_slopes,
+)
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance, skew
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg
 
-_AGREEING_SHARE = 0.6  # of the inliers of a pair's pose, that those of the location are
+_SUPPORTING_SHARE = 0.6  # of the inliers of a pair's pose, that those of the location are
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +34,12 @@ class WorldPose:
 
     R: np.ndarray  # (3, 3) cam_from_world
     centre: np.ndarray  # (3,) world
-    deviations: np.ndarray  # (SIZE,) of the camera, see `camera_spread`
+    parameters: np.ndarray  # (SIZE,) of the camera, see `intrinsics_prior`
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """A reference and its matches with the photograph, which is image 2."""
+class PairCorrespondences:
+    """The matches of a reference with the photograph, which is image 2."""
 
     R: np.ndarray  # (3, 3) of the reference, cam_from_world
     centre: np.ndarray  # (3,) of the reference, world
@@ -52,14 +52,14 @@ class Sight:
         return self.problem.threshold
 
     @property
-    def places(self) -> np.ndarray:
+    def seen(self) -> np.ndarray:
         """(N, 2) in the photograph."""
         return self.problem.points2
 
     def __len__(self) -> int:
         return len(self.problem)
 
-    def subset(self, chosen: np.ndarray) -> Sight:
+    def subset(self, chosen: np.ndarray) -> PairCorrespondences:
         """Some of the matches."""
         return replace(self, problem=self.problem.subset(chosen))
 
@@ -69,15 +69,15 @@ class Sight:
         moved, (R, t) = self.moved(pose), self.pair_pose(pose)
         error = sampson_distance(moved.points1, moved.points2, essential_from_pose(R, t))
         depth1, depth2 = depths(moved.points1, moved.points2, R, t)
-        error = error * math.exp(pose.deviations[0] / 2)
+        error = error * math.exp(pose.parameters[0] / 2)
         return np.nan_to_num(error, nan=np.inf), (depth1 > 0) & (depth2 > 0)
 
-    def slopes(self, pose: WorldPose, spread: CameraSpread) -> tuple[np.ndarray, np.ndarray]:
+    def slopes(self, pose: WorldPose, prior: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
         """Signed errors (N,), and their derivatives (N, 6 + M) by a rotation vector w, R becoming
-        exp([w]x) R; the centre; and the basis of `spread`."""
+        exp([w]x) R; the centre; and the basis of `prior`."""
         R, t = self.pair_pose(pose)
-        deviations = np.concatenate([np.zeros(SIZE), pose.deviations])
-        error, slopes, tangent = error_slopes(self.problem, R, t, spread, deviations)
+        parameters = np.concatenate([np.zeros(SIZE), pose.parameters])
+        error, slopes, tangent = error_slopes(self.problem, R, t, prior, parameters)
         length = max(float(np.linalg.norm(self.centre - pose.centre)), 1e-12)
         # t turns with R, and moves with the centre; of a unit vector the part across it counts.
         by_t = slopes[:, 3:5] @ tangent.T
@@ -96,14 +96,14 @@ class Sight:
         return Hypothesis.of_pose(self.moved(pose), *self.pair_pose(pose))
 
     def moved(self, pose: WorldPose) -> TwoViewProblem:
-        """The problem as the photograph's camera with the deviations of the pose normalises it."""
+        """The problem as the photograph's camera with the parameters of the pose normalises it."""
         problem = self.problem
-        if not pose.deviations.any():
+        if not pose.parameters.any():
             return problem
-        points2 = deviated(problem.points2, problem.lenses[1], pose.deviations)
+        points2 = renormalised(problem.points2, problem.lenses[1], pose.parameters)
         return replace(problem, points2=points2)
 
-    def agrees(self, pose: WorldPose) -> bool:
+    def supports(self, pose: WorldPose) -> bool:
         """Whether a hypothesis of the pair is within 10 degrees of a pose; or its rotation is, and
         the matches fit both alike, as where the cameras are near each other."""
         under = self.hypothesis(pose)
@@ -111,50 +111,50 @@ class Sight:
             return True
         most = max(hypothesis.num_in_front for hypothesis in self.hypotheses)
         near = any(rotation_error_deg(under.R, h.R) < DISTINCT_DEG for h in self.hypotheses)
-        return near and under.num_in_front >= _AGREEING_SHARE * most
+        return near and under.num_in_front >= _SUPPORTING_SHARE * most
 
 
 @dataclass(frozen=True, eq=False)
-class PointSight:
+class PointCorrespondences:
     """Points of the model that the photograph shows."""
 
     points: np.ndarray  # (N, 3) world
-    places: np.ndarray  # (N, 2) in the photograph, normalised by its camera
+    seen: np.ndarray  # (N, 2) in the photograph, normalised by its camera
     lens: Distortion | None  # that is undone
     threshold: float  # of an inlier, normalised
 
     def __len__(self) -> int:
         return len(self.points)
 
-    def subset(self, chosen: np.ndarray) -> PointSight:
+    def subset(self, chosen: np.ndarray) -> PointCorrespondences:
         """Some of the points."""
-        return replace(self, points=self.points[chosen], places=self.places[chosen])
+        return replace(self, points=self.points[chosen], seen=self.seen[chosen])
 
     def errors(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
         """The larger reprojection error (N,) of both axes, and whether the points are in front."""
-        offset, seen = self._offset(pose)
-        return np.nan_to_num(np.abs(offset).max(1), nan=np.inf), seen[:, 2] > 0
+        offset, local = self._offset(pose)
+        return np.nan_to_num(np.abs(offset).max(1), nan=np.inf), local[:, 2] > 0
 
-    def slopes(self, pose: WorldPose, spread: CameraSpread) -> tuple[np.ndarray, np.ndarray]:
-        """As of a `Sight`, (2 N,): the errors along x, then those along y."""
-        offset, seen = self._offset(pose)
-        x, y, z = seen.T[:, :, None]
+    def slopes(self, pose: WorldPose, prior: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
+        """As of `PairCorrespondences`, (2 N,): the errors along x, then those along y."""
+        offset, local = self._offset(pose)
+        x, y, z = local.T[:, :, None]
         none = np.zeros_like(x)
-        by_seen = np.hstack([1 / z, none, -x / z**2, none, 1 / z, -y / z**2]).reshape(-1, 2, 3)
-        by_rotation = np.cross(seen[:, None], by_seen)
-        by_centre = -by_seen @ pose.R
-        by_camera = -deviated_slopes(self.places, self.lens, pose.deviations)
-        growth = math.exp(pose.deviations[0])
+        by_local = np.hstack([1 / z, none, -x / z**2, none, 1 / z, -y / z**2]).reshape(-1, 2, 3)
+        by_rotation = np.cross(local[:, None], by_local)
+        by_centre = -by_local @ pose.R
+        by_camera = -renormalised_slopes(self.seen, self.lens, pose.parameters)
+        growth = math.exp(pose.parameters[0])
         by_camera[:, :, 0] += offset / growth
-        by_camera = by_camera @ spread.basis[SIZE:]
+        by_camera = by_camera @ prior.basis[SIZE:]
         slopes = growth * np.concatenate([by_rotation, by_centre, by_camera], axis=2)
         return offset.T.ravel(), slopes.transpose(1, 0, 2).reshape(2 * len(offset), -1)
 
     def _offset(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
         """Reprojection errors (N, 2), in the same unit at all focal lengths, and the points (N, 3)
         in the camera's axes."""
-        seen = (self.points - pose.centre) @ pose.R.T
+        local = (self.points - pose.centre) @ pose.R.T
         with np.errstate(divide="ignore", invalid="ignore"):
-            projected = seen[:, :2] / seen[:, 2:]
-        offset = projected - deviated(self.places, self.lens, pose.deviations)
-        return offset * math.exp(pose.deviations[0]), seen
+            projected = local[:, :2] / local[:, 2:]
+        offset = projected - renormalised(self.seen, self.lens, pose.parameters)
+        return offset * math.exp(pose.parameters[0]), local
