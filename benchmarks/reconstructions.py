@@ -158,10 +158,11 @@ def pair_figures(batch: Batch, views: Model) -> dict[str, Any]:
     errors = []
     for row in batch.rows:
         error = np.inf
-        if row.R is not None and row.t is not None:
+        pose = row.pose
+        if pose is not None and pose.R is not None and pose.t is not None:
             R, t = _relative(views, row.name1, row.name2)
-            rotation = rotation_error_deg(np.reshape(row.R, (3, 3)), R)
-            error = max(rotation, folded(translation_error_deg(np.array(row.t), t)))
+            rotation = rotation_error_deg(pose.R, R)
+            error = max(rotation, folded(translation_error_deg(pose.t, t)))
         errors.append(error)
     return {
         "pairs": batch.summary["pairs"],

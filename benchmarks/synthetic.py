@@ -32,10 +32,6 @@ _WARPS: dict[str, tuple[_Warps, ...]] = {
 }
 _SCENES = "scenes"  # ray-cast
 SETS = (*_WARPS, _SCENES)
-SYNTHETIC = (
-    "paper, Table 1, affine and affine + thin-plate-spline pairs of its own photographs: "
-    "DGC+M-Net aff+tps AEPE 0.82 to 0.96, Jaccard 0.85; DGC-Net AEPE 0.54 to 0.69"
-)
 
 # The paper's views are the middle 9/16 of a photograph's width and height, mirrored beyond its
 # edges. Ours have any position.
@@ -66,7 +62,7 @@ def synthetic_set(
     light = "with changes of light and occluders" if changed else "light as it is, no occluders"
     title = f"{photos.single} photographs that training holds back, seed {seed}, {light}"
     total = pairs * len(names)
-    return MapSet(chain.from_iterable(cases), total, facts, f"{title}\n{SYNTHETIC}")
+    return MapSet(chain.from_iterable(cases), total, facts, title)
 
 
 def synthetic_cases(

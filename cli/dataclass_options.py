@@ -64,7 +64,7 @@ def _options(
         if only is not None and field.name not in only:
             continue
         if info is None or not info.help:
-            if is_dataclass(kind) and not optional:
+            if isinstance(kind, type) and is_dataclass(kind) and not optional:
                 yield from _options(kind, name)
             continue
         flag = info.flag or "--" + field.name.replace("_", "-")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
@@ -21,16 +19,8 @@ from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
 from dgc_pose.images.mask import masked
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.system.options import option
-
-if TYPE_CHECKING:
-    from dgc_pose.pair_result import PairResult
 
 NO_POSE = 3  # exit code if there is no pose
-
-
-def _number(default: float, help: str, least: float, most: float) -> Any:
-    return option(default, help, metavar="N", section="advanced", min=least, max=most)
 
 
 @dataclass(frozen=True)
@@ -40,7 +30,6 @@ class Outputs:
     json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = output_file("Write the matches and which are inliers.", "PATH.npz")
     plot: str | None = output_file("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
-    plot_dpi: int = _number(200, "Pixels to an inch of --plot.", 50, 600)
     ply: str | None = output_file(
         "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
         "without a pose.",
@@ -75,15 +64,26 @@ def estimate(
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
-        result = solved(image1, image2, cameras, matcher, estimation, scale, masks)
-        pose, data = result.pose, result.pose.to_json()
+        start = time.perf_counter()
+        first = masked(load_image(image1), masks.mask1, "mask1")
+        second = masked(load_image(image2), masks.mask2, "mask2")
+        camera1, camera2 = cameras.resolve(first, second)
+        from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
+
+        loaded = matcher.load()
+        seconds = {"load": time.perf_counter() - start}
+        result = solve_pair(first, second, (camera1, camera2), loaded, estimation, scale)
+        pose = replace(result.pose, seconds={**seconds, **result.pose.seconds})
+        data = pose.to_json()
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
             arrays = matches_arrays(result.matches) | {"inliers": pose.inliers}
             write_npz(stage(outputs.matches), arrays)
         if outputs.plot is not None:
-            draw(result, stage(outputs.plot), outputs)
+            from dgc_pose.viz import plot_pose, save_figure
+
+            save_figure(plot_pose(result), stage(outputs.plot))
         if outputs.ply is not None and pose.success:
             from dgc_pose.model import write_points
 
@@ -103,33 +103,3 @@ def estimate(
         if not pose.success:
             click.echo(f"no pose: {pose.reason}", err=True)
     return 0 if pose.success else NO_POSE
-
-
-def solved(
-    path1: str | Path,
-    path2: str | Path,
-    cameras: CameraChoice,
-    matcher: MatcherOptions,
-    estimation: EstimationOptions,
-    scale: ScaleSource = ScaleSource(),  # noqa: B008, it is frozen
-    masks: MaskChoice = MaskChoice(),  # noqa: B008
-) -> PairResult:
-    """The pose of two images, with its matches. In its `seconds`, `load` is the time for images and
-    weights."""
-    start = time.perf_counter()
-    image1 = masked(load_image(path1), masks.mask1, "mask1")
-    image2 = masked(load_image(path2), masks.mask2, "mask2")
-    camera1, camera2 = cameras.resolve(image1, image2)
-    from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
-
-    loaded = matcher.load()
-    seconds = {"load": time.perf_counter() - start}
-    result = solve_pair(image1, image2, (camera1, camera2), loaded, estimation, scale)
-    return replace(result, pose=replace(result.pose, seconds={**seconds, **result.pose.seconds}))
-
-
-def draw(result: PairResult, file: Path, outputs: Outputs) -> None:
-    """Draw the figure of a pair into a file."""
-    from dgc_pose.viz import plot_pose, save_figure
-
-    save_figure(plot_pose(result), file, outputs.plot_dpi)

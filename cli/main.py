@@ -102,11 +102,8 @@ class LazyGroup(click.Group):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """As click's own, which would import every sub-command for its help."""
-        commands = [
-            CompletionItem(name, help=text)
-            for name, text in SUBCOMMANDS.items()
-            if name.startswith(incomplete)
-        ]
+        near = [item for item in SUBCOMMANDS.items() if item[0].startswith(incomplete)]
+        commands = [CompletionItem(name, help=text) for name, text in near]
         return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
@@ -132,7 +129,7 @@ class LazyGroup(click.Group):
 def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str | None, int]:
     """The message of an error, None for nothing, and the exit code."""
     match error:
-        case click.Abort() | KeyboardInterrupt() | Stopped(number=signal.SIGINT):
+        case click.Abort() | Stopped(number=signal.SIGINT):
             return "interrupted", 128 + signal.SIGINT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
@@ -161,29 +158,14 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
     return f"{type(error).__name__}: {reason(error)} ({DEBUG} shows the trace)", UNEXPECTED
 
 
-def _print_version(ctx: click.Context, _: click.Parameter, asked: bool) -> None:
-    if asked and not ctx.resilient_parsing:
-        from dgc_pose.version import build, version
-
-        click.echo(f"dgc-pose {version()} (build {build()})")
-        ctx.exit()
-
-
 @click.group(
     cls=LazyGroup,
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
 )
-@click.option(
-    "--version",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_print_version,
-    help="Show the version and the build, and exit.",
-)
+@click.option("--version", is_flag=True, help="Show the version and the build, and exit.")
 @click.pass_context
-def main(ctx: click.Context) -> None:
+def main(ctx: click.Context, version: bool) -> None:
     """Relative camera pose from two photographs.
 
     Exit codes: 0 success, 2 unusable input, 3 no pose (the reason is printed).
@@ -193,5 +175,10 @@ def main(ctx: click.Context) -> None:
         os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     # Read when NumPy is imported. Its products are small, and run side by side in our own threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if version:
+        from dgc_pose import version as versions
+
+        click.echo(f"dgc-pose {versions.version()} (build {versions.build()})")
+        ctx.exit()
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from tqdm import tqdm
 
@@ -19,7 +19,8 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
 
     def progress(stage: str, done: int, of: int) -> None:
         if stage not in bars:
-            bars[stage] = tqdm(total=of, initial=done, unit=stage.removesuffix("s"), disable=None)
+            bar = tqdm(total=of, initial=done, unit=stage.removesuffix("s"), disable=None)
+            bars[stage] = stack.enter_context(bar)
         bars[stage].update(done - bars[stage].n)
         now = time.monotonic()
         start, first, last = lines.setdefault(stage, (now, done, now))
@@ -28,8 +29,5 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
             say(f"{stage} {done} of {of}, {100 * done / of:.0f} %, {minutes:.0f} min left")
             lines[stage] = start, first, now
 
-    try:
+    with ExitStack() as stack:
         yield progress
-    finally:
-        for bar in bars.values():
-            bar.close()

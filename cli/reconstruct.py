@@ -33,7 +33,7 @@ def reconstruct(
     Writes sparse/ (COLMAP's model; further scenes in sparse/1/, ...), database.db, points.ply,
     model.html, summary.json, and batch/, the folder of the batch.
     """
-    from dgc_pose.batch.source import BATCH, PAGE, PLAN
+    from dgc_pose.batch.source import BATCH, PAGE, STORE
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MIN_IMAGES
     from dgc_pose.colmap.metric import known_metres
@@ -45,7 +45,7 @@ def reconstruct(
         there = f"{out / known[0]} is there already"
         if not choice.work.resume:
             raise InputError(f"{there}: --resume continues the run and replaces it")
-        if not (out / BATCH / PLAN).is_file():
+        if not (out / BATCH / STORE).is_file():
             raise InputError(f"{there}, and {out} holds no batch to continue")
     require_model_folder(out / reconstruction.MODEL, several=True)
     if options.gps or options.scale:  # refused before the matching

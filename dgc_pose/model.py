@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.by_image import Calibration, orientation_of
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.upright import orientation_of
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced_folder

@@ -1,8 +1,7 @@
-"""For the API reference: fields, properties and arguments as tables, doctest lines as code.
+"""For the API reference: fields and properties as a table, doctest lines as code.
 
 A Griffe extension, loaded by mkdocs.yml. The fields are the section "Attributes" of the docstring;
-fields that are options of the commands have their help text. The arguments are what the docstring
-says as "name: text" or "name1, name2: text".
+fields that are options of the commands have their help text.
 """
 
 import importlib
@@ -17,7 +16,6 @@ from dgc_pose.system.options import option_info
 _ENTRY = re.compile(r"^    (?:    )?(\w+): (.*(?:\n {8,}\S.*)*)", re.MULTILINE)
 _SECTION = "\n\nAttributes:\n"
 _DOCTEST = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)  # with what is printed, to an empty line
-_ARGUMENT = re.compile(r"(?:(?<=\s)|^)(\w+(?:, \w+)*): ")
 
 
 class Attributes(griffe.Extension):
@@ -43,23 +41,6 @@ class Attributes(griffe.Extension):
                 lines.append(f"    {name}: {' '.join(attribute.docstring.value.split())}")
                 attribute.docstring = None  # else the property would be listed once more
         cls.docstring.value = text + _SECTION + "\n".join(lines)
-
-    def on_function(self, *, func: griffe.Function, **_: Any) -> None:
-        if func.docstring is None:
-            return
-        names = {parameter.name for parameter in func.parameters}
-        paragraphs, arguments = [], []
-        for paragraph in func.docstring.value.split("\n\n"):
-            marks = [m for m in _ARGUMENT.finditer(paragraph) if names >= {*m[1].split(", ")}]
-            starts = [mark.start() for mark in marks] + [len(paragraph)]
-            paragraphs.append(paragraph[: starts[0]])
-            for mark, end in zip(marks, starts[1:], strict=True):
-                first, *others = mark[1].split(", ")
-                arguments.append(f"    {first}: {' '.join(paragraph[mark.end() : end].split())}")
-                arguments += [f"    {other}: as `{first}`" for other in others]
-        if arguments:
-            text = "\n\n".join(paragraph.strip("\n") for paragraph in paragraphs)
-            func.docstring.value = f"{text}\n\nArgs:\n" + "\n".join(arguments)
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring is not None:

@@ -2,8 +2,8 @@
 
     python docs/results.py [RUNS]
 
-With RUNS the figures of each row come first of RUNS/run, the --out of `dgc-pose bench-pairs`; those
-of XFeat of RUNS/run.xfeat, a line a pair: `name1 name2 matches N R DEG t DEG SECONDSs`.
+With RUNS the figures of each row come first of RUNS/run, the --out of `dgc-pose bench-pairs`, if
+that is there.
 """
 
 import csv
@@ -13,11 +13,8 @@ import re
 import sys
 from datetime import date
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-
-from dgc_pose.benchmarks.metrics import folded, pose_auc
 
 DOCS = Path(__file__).resolve().parent
 RESULTS, PAGES = DOCS / "results.csv", (DOCS.parent / "README.md", DOCS / "results.md")
@@ -29,7 +26,6 @@ FIGURES = {
     "s": "{seconds_per_pair:.2f}",
 }
 WRONG_DEG = 10  # of R or t of a pose
-PEER = "XFeat"
 TABLE = re.compile(r"(<!-- table of: results\.csv -->\n\n)(?:\|.*\n)*")
 
 
@@ -38,36 +34,20 @@ def read(path: Path) -> list[dict[str, str]]:
 
 
 def measured(row: dict[str, str], run: Path) -> dict[str, str]:
-    """The row with the figures of a run."""
-    if row["method"] == PEER:
-        path = run.with_suffix(".xfeat")
-        figures, errors = of_peer([line.split() for line in path.read_text().splitlines()[:-1]])
-    else:
-        path = run / "summary.json"
-        methods = {m["method"]: m for m in json.loads(path.read_text(encoding="utf-8"))["methods"]}
-        figures = {k: math.inf if v is None else v for k, v in methods[row["method"]].items()}
-        pairs = [pair for pair in read(run / "results.csv") if pair["method"] == row["method"]]
-        names = "rotation_error_deg", "translation_error_deg"
-        errors = np.array([[float(pair[name]) for name in names] for pair in pairs])
+    """The row with the figures of a run, if that is there and has its method."""
+    path = run / "summary.json"
+    if not path.is_file():
+        return row
+    methods = {m["method"]: m for m in json.loads(path.read_text(encoding="utf-8"))["methods"]}
+    if row["method"] not in methods:  # of another program
+        return row
+    figures = {k: math.inf if v is None else v for k, v in methods[row["method"]].items()}
+    pairs = [pair for pair in read(run / "results.csv") if pair["method"] == row["method"]]
+    names = "rotation_error_deg", "translation_error_deg"
+    errors = np.array([[float(pair[name]) for name in names] for pair in pairs])
     wrong = (errors.max(1) > WRONG_DEG) & np.isfinite(errors).all(1)
     figures |= {"date": date.fromtimestamp(path.stat().st_mtime), "wrong": wrong.sum()}
     return row | {name: text.format(**figures) for name, text in FIGURES.items()}
-
-
-def of_peer(lines: list[list[str]]) -> tuple[dict[str, Any], np.ndarray]:
-    """The figures of a peer's lines, and the errors (N, 2) of R and t; it has 180 for no pose."""
-    errors = np.array([[float(words[5]), float(words[7])] for words in lines])
-    errors[(errors == 180).all(1)] = math.inf
-    R, t = errors[:, 0], np.array([folded(error) for error in errors[:, 1]])
-    areas = zip((5, 10, 20), pose_auc(np.maximum(R, t)), strict=True)
-    figures = {
-        "pairs": len(errors),
-        "failures": int(np.isinf(R).sum()),
-        "median_rotation_deg": np.median(R),
-        "median_translation_folded_deg": np.median(t),
-        "seconds_per_pair": np.mean([float(words[8].rstrip("s")) for words in lines]),
-    }
-    return figures | {f"auc{limit}": area for limit, area in areas}, errors
 
 
 def table(place: re.Match[str]) -> str:

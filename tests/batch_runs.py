@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import cv2
 import h5py
@@ -14,15 +15,17 @@ from multi_view import SIZE, K_text, View, render_views, write_views
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.result import Batch
+from dgc_pose.batch.rows import MatchedPair
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import open_source
-from dgc_pose.batch.work import Job, Outcome, Task
-from dgc_pose.batch.workers import RunTasks, local_workers
+from dgc_pose.batch.store import open_store
+from dgc_pose.batch.work import Job
+from dgc_pose.batch.workers import Run, local_workers
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
-Workers = Callable[[Job, int], AbstractContextManager[RunTasks]]
+Workers = Callable[[Job, int], AbstractContextManager[Run]]
 
 
 def view_folder(folder: Path, number: int = 4) -> list[View]:
@@ -78,12 +81,12 @@ def killed_after(tasks_done: int) -> Workers:
     """Workers that end after so many tasks, however often tasks are run."""
 
     @contextmanager
-    def start(job: Job, workers: int) -> Iterator[RunTasks]:
+    def start(job: Job, workers: int) -> Iterator[Run]:
         numbers = count()
         with local_workers(job, workers) as run:
 
-            def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
-                for outcome in run(tasks):
+            def some(*work: Any) -> Iterator[Any]:
+                for outcome in run(*work):
                     if next(numbers) == tasks_done:
                         raise Killed
                     yield outcome
@@ -93,8 +96,8 @@ def killed_after(tasks_done: int) -> Workers:
     return start
 
 
-def result(out: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """The rows and all data sets of a finished batch."""
+def result(out: Path) -> tuple[list[str], dict[str, np.ndarray]]:
+    """The rows, the cameras and all data sets of a finished batch."""
     arrays: dict[str, np.ndarray] = {}
     with h5py.File(out / "matches.h5") as file:
 
@@ -103,14 +106,23 @@ def result(out: Path) -> tuple[str, dict[str, np.ndarray]]:
                 arrays[name] = np.asarray(item)
 
         file.visititems(add)
-    return (out / "pairs.jsonl").read_text(), arrays
+    texts = [p.read_text() for name in ("pairs.jsonl", "cameras.csv") if (p := out / name).exists()]
+    return texts, arrays
 
 
 def assert_same_result(out1: Path, out2: Path) -> None:
-    """The rows and matches of two batches are the same to the bit."""
+    """The rows, cameras and matches of two batches are the same to the bit."""
     (rows1, arrays1), (rows2, arrays2) = result(out1), result(out2)
     assert rows1 == rows2
     assert arrays1.keys() == arrays2.keys()
     for name, array in arrays1.items():
         assert array.dtype == arrays2[name].dtype
         np.testing.assert_array_equal(array, arrays2[name])
+
+
+def change_result(out: Path, change: Callable[[MatchedPair], MatchedPair]) -> None:
+    """Put other pairs in the place of those of the result of a batch."""
+    with open_store(out) as store, store.change():
+        pairs = [change(pair) for pair in store.pairs("result")]
+        store._database.execute("DELETE FROM result")
+        store.add("result", pairs)

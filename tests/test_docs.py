@@ -31,41 +31,41 @@ def load(name: str) -> ModuleType:
     return module
 
 
-def test_every_public_name_is_in_the_library_reference() -> None:
+def first_cells(page: Path, heading: str) -> set[str]:
+    """The names in code in the first column of the table with this heading."""
+    table = page.read_text(encoding="utf-8").split(heading)[1].split("\n\n")[0]
+    cells = re.findall(r"^\|([^|]*)\|", table, re.MULTILINE)
+    return set(re.findall(r"`([\w-]+)`", "".join(cells)))
+
+
+def test_every_public_name_command_and_status_is_documented() -> None:
     reference = (DOCS / "library.md").read_text(encoding="utf-8")
     documented = set(re.findall(r"^::: dgc_pose\.(\w+)$", reference, re.MULTILINE))
     assert documented == set(dgc_pose.__all__)
-
-
-def test_the_table_of_commands_in_the_readme_is_complete() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    table = readme.split("| command | what it does |")[1].split("\n\n")[0]
-    first_cells = re.findall(r"^\|([^|]*)\|", table, re.MULTILINE)
-    assert set(re.findall(r"`([\w-]+)`", "".join(first_cells))) == {*SUBCOMMANDS}
+    assert first_cells(PAGES[0], "| command | what it does |") == {*SUBCOMMANDS}
+    assert first_cells(DOCS / "glossary.md", "| status | meaning |") == {*STATUSES}
+    without_t = {status for status, facts in STATUSES.items() if not facts.has_t}
+    assert first_cells(DOCS / "quick-start.md", "| status |") == without_t
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_files(page: Path) -> None:
-    """`make docs` checks the links between pages; this needs no mkdocs, and checks README's too."""
-    for target, _ in _LINK.findall(page.read_text(encoding="utf-8")):
+def test_links_lead_to_files_and_commands_exist(page: Path) -> None:
+    """`make docs` checks the links between pages; this needs no mkdocs, and checks README's too. In
+    code, `dgc-pose NAME` names a sub-command."""
+    text = page.read_text(encoding="utf-8")
+    for target, _ in _LINK.findall(text):
         if target and "://" not in target:
             assert (page.parent / target).is_file(), target
-
-
-def test_commands_in_the_texts_exist() -> None:
-    """In code, `dgc-pose NAME` names a sub-command."""
-    for page in PAGES:
-        text = page.read_text(encoding="utf-8")
-        named = set(re.findall(r"(?:^    |`)dgc-pose ([a-z][a-z-]+)", text, re.MULTILINE))
-        assert named <= {*SUBCOMMANDS}, page.name
+    named = set(re.findall(r"(?:^    |`)dgc-pose ([a-z][a-z-]+)", text, re.MULTILINE))
+    assert named <= {*SUBCOMMANDS}
 
 
 def test_the_help_of_every_command_is_in_the_reference() -> None:
     """On the page of the command's section, with each of its options."""
-    commands = load("commands")
+    hooks = load("hooks")
     for section, names in SECTIONS.items():
         page = DOCS / f"cli-{section.lower().replace(' ', '-')}.md"
-        markdown = commands.on_page_markdown(page.read_text(encoding="utf-8"))
+        markdown = hooks.on_page_markdown(page.read_text(encoding="utf-8"))
         helps = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", markdown, re.MULTILINE | re.DOTALL))
         assert [*helps] == [*names]
         for name, text in helps.items():
@@ -88,19 +88,6 @@ def test_quoted_outputs_are_what_the_tool_prints() -> None:
     printed = {command: figures.output(command) for command in {block[2] for block in blocks}}
     for name, marker, command, block in blocks:
         assert figures.agree(block, printed[command], marker), (name, block, printed[command])
-
-
-@pytest.mark.parametrize(
-    ("page", "heading", "statuses"),
-    [
-        ("glossary.md", "| status | meaning |", {*STATUSES}),
-        ("quick-start.md", "| status |", {s for s, facts in STATUSES.items() if not facts.has_t}),
-    ],
-)
-def test_the_tables_of_statuses_are_complete(page: str, heading: str, statuses: set[str]) -> None:
-    table = (DOCS / page).read_text(encoding="utf-8").split(heading)[1].split("\n\n")[0]
-    first_cells = re.findall(r"^\|([^|]*)\|", table, re.MULTILINE)
-    assert set(re.findall(r"`(\w+)`", "".join(first_cells))) == statuses
 
 
 def test_the_tables_of_relative_poses_are_those_of_results_csv() -> None:

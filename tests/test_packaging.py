@@ -6,7 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
 from packaging.requirements import Requirement
 
 from dgc_pose import errors
@@ -21,25 +20,10 @@ MAPPED = {
 }
 
 
-@pytest.fixture(scope="module")
-def setup() -> configparser.ConfigParser:
-    parser = configparser.ConfigParser()
-    parser.read(ROOT / "setup.cfg")
-    return parser
-
-
 def pins(file: str) -> dict[str, str]:
     """The version of each distribution that a file of pins names."""
     pairs = re.findall(r"^([\w.-]+)==([^\s+]+)", (ROOT / file).read_text(), re.MULTILINE)
     return {name.lower().replace("_", "-"): version for name, version in pairs}
-
-
-def requirements(lines: str) -> list[Requirement]:
-    return [
-        Requirement(line)
-        for line in lines.splitlines()
-        if line.strip() and not line.startswith("#")
-    ]
 
 
 def test_what_needs_no_heavy_library_imports_none() -> None:
@@ -52,28 +36,22 @@ def test_what_needs_no_heavy_library_imports_none() -> None:
     assert run_elsewhere(code.format(names, ("torch",))) == "[]"
 
 
-def test_constraints_pin_every_dependency_within_its_range(
-    setup: configparser.ConfigParser,
-) -> None:
-    extras = setup["options.extras_require"].values()
-    every = requirements("\n".join([setup["options"]["install_requires"], *extras]))
-    wanted = [requirement for requirement in every if requirement.name != "dgc-pose"]
+def test_every_dependency_is_pinned_within_its_range_and_told_where_it_is_missing() -> None:
+    """Told with the extra that has it."""
+    setup = configparser.ConfigParser()
+    setup.read(ROOT / "setup.cfg")
+    texts = {"": setup["options"]["install_requires"], **setup["options.extras_require"]}
+    listed = {
+        extra: [Requirement(line) for line in text.splitlines() if line and line[0] != "#"]
+        for extra, text in texts.items()
+    }
+    wanted = [one for some in listed.values() for one in some if one.name != "dgc-pose"]
     assert len(wanted) > 10
     for requirement in wanted:
         assert requirement.specifier.contains(pins("constraints.txt")[requirement.name])
     assert pins("constraints-hashes.txt") == pins("constraints.txt")
-
-
-def test_each_missing_package_is_told_with_the_extra_that_has_it(
-    setup: configparser.ConfigParser,
-) -> None:
     for extra, modules in errors.EXTRAS.items():
-        listed = (
-            setup["options.extras_require"][extra]
-            if extra
-            else setup["options"]["install_requires"]
-        )
-        names = {requirement.name for requirement in requirements(listed)}
+        names = {requirement.name for requirement in listed[extra]}
         assert set(modules.values()) <= names if extra == "" else set(modules.values()) == names
 
 

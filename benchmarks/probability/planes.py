@@ -101,7 +101,7 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     half = torch.cat([tile_half, torch.column_stack([sides, half_z])])
     options = RoomOptions(spans=((tile, tile * 1.001), (tile, tile * 1.001)))
     photo, span, origin, weight, gain = random_textures(1, 1 + count, photos, draw, options)
-    parts = (
+    rooms = Rooms(
         torch.eye(3).expand(1, 1 + count, 3, 3),
         F.pad(half, (0, 0, 1, 0), value=_HALL)[None],
         F.pad(centre, (0, 0, 1, 0))[None],
@@ -110,10 +110,11 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
         torch.full_like(origin, 0.5),
         torch.tensor([1.0, 0.0]).expand_as(weight),
         gain,
+        int(there[_BOXES:].sum()),
     )
     kept = torch.cat([torch.ones(1 + _TILES**2).bool(), there])
-    domes = int(there[_BOXES:].sum())
-    return Rooms(*(part[:, kept] for part in parts), ellipsoids=domes)
+    parts = rooms._asdict().items()
+    return rooms._replace(**{k: part[:, kept] for k, part in parts if k != "ellipsoids"})
 
 
 def _allows_two_poses(first: Cameras, second: Cameras, size: int, half_side: float) -> bool:

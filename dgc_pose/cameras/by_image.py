@@ -16,8 +16,8 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.checks import checked_camera, times
 from dgc_pose.cameras.prior import Sharing, auto_camera
-from dgc_pose.cameras.upright import orientation_of, upright_camera
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.geometry.pixels import EXCHANGING, Size, exif_turn
 from dgc_pose.images.image import size_in_file
 
 if TYPE_CHECKING:
@@ -26,13 +26,14 @@ if TYPE_CHECKING:
 
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
+_MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
 
 
 @dataclass(frozen=True)
 class KDetails:
     """The size that a K refers to, and its deviations."""
 
-    size: tuple[int, int] | None = None  # (width, height) of the image that K refers to
+    size: Size | None = None  # (width, height) of the image that K refers to
     focal_std: float = 0.0  # relative, of the focal lengths
     centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
     lens_std: float = 0.0  # of the radial coefficient of a camera without a lens, see `Camera`
@@ -53,7 +54,6 @@ class Calibration:
     # The images have no K. With "shared" one camera took all; with "two" one each.
     auto: Sharing | None = None
     details: KDetails = NO_DETAILS
-    refused: Mapping[str, str] = field(default_factory=dict)  # further parts: why they have none
     poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
 
     def camera(
@@ -94,7 +94,7 @@ class Calibration:
         Raises InputError if several names have its file name, and other cameras.
         """
         path = PurePath(os.path.abspath(root / name))
-        for start in range(1, len(path.parts)):
+        for start in range(len(path.parts)):
             end = PurePath(*path.parts[start:])
             for stated in (str(end), str(end.with_suffix(""))):
                 if stated in self._by_path:
@@ -107,7 +107,8 @@ class Calibration:
 
     @cached_property
     def _by_path(self) -> dict[str, str]:
-        return {os.path.normpath(name): name for name in self.by_name}
+        paths = {name: PurePath(os.path.normpath(name)).parts for name in self.by_name}
+        return {str(PurePath(*(p for p in paths[n] if p != os.pardir))): n for n in paths}
 
     @cached_property
     def _by_file_name(self) -> dict[str, list[str]]:
@@ -170,3 +171,45 @@ def fitted_camera(
         centre_std=details.centre_std or camera.centre_std,
         lens_std=camera.lens_std if camera.distortion else details.lens_std or camera.lens_std,
     )
+
+
+def upright_camera(camera: Camera, image: Image | Header) -> Camera:
+    """The camera of an upright image by a K that was given, which is turned by `orientation_of`.
+
+    It has a warning if the turn changes K, and K may be of the upright image too.
+    """
+    orientation = orientation_of(camera, image)
+    if orientation == 1:
+        return camera
+    turned = camera.turned(exif_turn(orientation), size_in_file(image))
+    if _fits(camera, image, None) != (True, False) and not np.array_equal(turned.K, camera.K):
+        warning = (
+            f"EXIF orientation {orientation} is applied, and K is turned with the image: it must "
+            "refer to the pixels as stored"
+        )
+        turned = replace(turned, warnings=(*turned.warnings, warning))
+    return turned
+
+
+def orientation_of(camera: Camera, image: Image | Header, size: Size | None = None) -> int:
+    """The EXIF orientation by which K is turned with its image: that of the image; 1 if K is
+    certainly of the upright image, by its size, or without one by its principal point. size: that
+    K is for, besides that of the camera."""
+    return 1 if _fits(camera, image, size) == (False, True) else image.exif.orientation
+
+
+def may_be_of(camera: Camera, image_size: Size, size: Size | None = None) -> bool:
+    """Whether K may be of an image of `image_size`, rather than of one turned by 90 degrees. size:
+    that K is for, besides that of the camera."""
+    size = size or camera.size
+    if size is not None:
+        return (size[0] - size[1]) * (image_size[0] - image_size[1]) >= 0
+    offsets = (camera.K[:2, 2] + 0.5) / image_size - 0.5
+    return float(np.abs(offsets).max()) < _MAX_CENTRE_OFFSET
+
+
+def _fits(camera: Camera, image: Image | Header, size: Size | None) -> tuple[bool, bool]:
+    """Whether K may be of the pixels as stored, and of the upright image."""
+    if image.exif.orientation not in EXCHANGING:
+        return True, True
+    return may_be_of(camera, size_in_file(image), size), may_be_of(camera, image.size, size)

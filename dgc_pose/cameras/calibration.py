@@ -119,12 +119,9 @@ def read_calibration(
         raise InputError(f"{name}: {error}") from error
     except OSError as error:
         raise InputError(f"{name}: {error.filename or head}: {error.strerror or error}") from error
-    for refused, why in cameras.refused.items():
-        if part in ("", refused):
-            raise InputError(f"{name}: {head}: {why}")
     if part:
         if part not in cameras.parts:
-            parts = ", ".join([*cameras.parts, *cameras.refused]) or "a single camera"
+            parts = ", ".join(cameras.parts) or "a single camera"
             raise InputError(f"{name}: {head} has {parts}, and no {shortened(part)}")
         return Calibration(text, common=cameras.parts[part], details=details)
     common = cameras.common

@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import PIL.Image
+from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.images.header import EXIF_DIRECTORY, FOCAL_LENGTH, MAKE, MODEL, Exif
+from dgc_pose.images.header import Exif
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -233,8 +234,8 @@ def _sensor_width_mm(make: str, model: str) -> float | None:
     # whose lens has 1 mm. Of a photograph it would decode all pixels, prefer the focal length on
     # 35 mm film without its deviation, and not read HEIC.
     exif = PIL.Image.Exif()
-    exif[MAKE], exif[MODEL] = make, model
-    exif.get_ifd(EXIF_DIRECTORY)[FOCAL_LENGTH] = IFDRational(1, 1)
+    exif[Base.Make], exif[Base.Model] = make, model
+    exif.get_ifd(IFD.Exif)[Base.FocalLength] = IFDRational(1, 1)
     with scratch_folder() as folder:
         path = folder / "blank.jpg"
         PIL.Image.new("L", (_BLANK_WIDTH, 8)).save(path, exif=exif)

@@ -13,7 +13,6 @@ from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
-from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.model import HALF_PIXEL, colmap_camera
 from dgc_pose.system.colmap_library import pycolmap
 
@@ -69,14 +68,14 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
     geometry.inlier_matches = matches
     configurations = pycolmap.TwoViewGeometryConfiguration
     geometry.config = getattr(configurations, CONFIGURATIONS[row.status])
-    if row.R is not None:
-        R = np.reshape(row.R, (3, 3))
-        t = np.zeros(3) if row.t is None else np.array(row.t)
-        geometry.cam2_from_cam1 = pycolmap.Rigid3d(pycolmap.Rotation3d(R), t)
-        if row.t is not None:
-            geometry.E = essential_from_pose(R, t)
-    if row.median_triangulation_angle_deg is not None and row.t is not None:
-        geometry.tri_angle = float(np.radians(row.median_triangulation_angle_deg))
+    pose = row.pose
+    assert pose is not None and pose.R is not None  # by its status
+    t = np.zeros(3) if pose.t is None else pose.t
+    geometry.cam2_from_cam1 = pycolmap.Rigid3d(pycolmap.Rotation3d(pose.R), t)
+    if pose.E is not None:
+        geometry.E = pose.E
+        if pose.median_triangulation_angle_deg is not None:
+            geometry.tri_angle = float(np.radians(pose.median_triangulation_angle_deg))
     return geometry
 
 

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.plan import Plan
 from dgc_pose.batch.result import Batch
+from dgc_pose.batch.rows import PairRow
 from dgc_pose.colmap.database import write_database
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
 from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
-from dgc_pose.geometry.pixels import exif_turn, turn_points
+from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
 from dgc_pose.images.image import image_header
 from dgc_pose.images.store import ImageStore
 
@@ -34,53 +34,51 @@ def share(
     pairs = pair_geometries(batch)
     if not pairs:
         raise InputError(f"{batch.folder}: no pair of this batch has a pose")
-    images = ImageStore(batch.plan.root, batch.plan.settings.get("masks"))
-    return as_stored(batch.plan, track_corners(pairs, images.get, per_image, progress))
+    root, masks = batch.plan.root, batch.plan.settings.get("masks")
+    shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
+    key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
+    return SharedMatches(key_points, shared.pairs)
+
+
+def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
+    """The turn (2, 2) of an upright image to the pixels as stored, and its (width, height)."""
+    header = image_header(path)
+    return exif_turn(header.exif.orientation).T, header.size
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
     """The pairs with a pose or a rotation, the matches that fit it, and the cameras: those of the
     folder, or as the pair fitted them."""
     geometries, final = [], batch.plan.final_cameras
-    for row, matches in batch.matches():
-        if row.status in CONFIGURATIONS:
-            arrays = (matches.points1, matches.points2, matches.scores)
-            inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
+    for pair in batch.pairs():
+        row, pose = pair.row, pair.row.pose
+        if pose is not None and pose.status in CONFIGURATIONS:
+            inliers = pair.matches.subset(pose.inliers)
+            arrays = inliers.points1, inliers.points2, inliers.confidence
             of_folder = final[row.name1], final[row.name2]
-            cameras = matches.fitted.cameras if matches.fitted else of_folder
-            geometries.append(PairGeometry(row, cameras, *inliers))
+            cameras = row.fitted_cameras or of_folder
+            geometries.append(PairGeometry(row, cameras, *arrays))
     return geometries
-
-
-def as_stored(plan: Plan, shared: SharedMatches) -> SharedMatches:
-    """Key points of upright images in the pixels as stored."""
-    turned = {}
-    for name, points in shared.key_points.items():
-        size = plan.final_cameras[name].size
-        assert size is not None
-        turned[name] = turn_points(points, _turn_to_stored(plan, name), size)
-    return replace(shared, key_points=turned)
 
 
 def write_shared(batch: Batch, shared: SharedMatches, database: Path) -> None:
     """Write the database of key points of `share`, over what is there. Raises as
     `write_database`."""
-    plan, cameras, rows, turns = batch.plan, {}, [], {}
-    for name, camera in plan.final_cameras.items():
-        assert camera.size is not None
-        turn = _turn_to_stored(plan, name)
-        cameras[name] = camera.turned(turn, camera.size)
-        turns[name] = np.eye(3)
-        turns[name][:2, :2] = turn
-    for row in batch.rows:
-        if row.names in shared.pairs and row.R is not None:
-            turn1, turn2 = (turns[name] for name in row.names)
-            R = turn2 @ np.reshape(row.R, (3, 3)) @ turn1.T
-            t = None if row.t is None else tuple((turn2 @ row.t).tolist())
-            rows.append(replace(row, R=tuple(R.ravel().tolist()), t=t))
+    plan = batch.plan
+    turns = {name: _to_stored(plan.root / name) for name in plan.final_cameras}
+    cameras = {name: camera.turned(*turns[name]) for name, camera in plan.final_cameras.items()}
+    rows = [
+        _as_stored(row, *(turns[name][0] for name in row.names))
+        for row in batch.rows
+        if row.names in shared.pairs
+    ]
     write_database(database, plan.names, cameras, shared, rows)
 
 
-def _turn_to_stored(plan: Plan, name: str) -> np.ndarray:
-    """The axes (2, 2) of the pixels as stored by those of the upright image."""
-    return exif_turn(image_header(plan.root / name).exif.orientation).T
+def _as_stored(row: PairRow, turn1: np.ndarray, turn2: np.ndarray) -> PairRow:
+    """A row whose pose is of the pixels as stored. turn1, turn2: (2, 2) from the upright images."""
+    turn1, turn2 = (np.block([[t, np.zeros((2, 1))], [0, 0, 1]]) for t in (turn1, turn2))
+    pose = row.pose
+    assert pose is not None and pose.R is not None  # by its status
+    t = None if pose.t is None else turn2 @ pose.t
+    return replace(row, pose=replace(pose, R=turn2 @ pose.R @ turn1.T, t=t))

@@ -80,7 +80,7 @@ def refines(batch: Batch, options: ReconstructionOptions) -> bool:
 
 def _what_stays(batch: Batch) -> tuple[str, ...]:
     """The end of a message, if in most pairs most matches stay within a pixel; else nothing."""
-    found = (matches for _, matches in batch.matches() if len(matches.scores))
+    found = (pair.matches for pair in batch.pairs() if len(pair.matches))
     count = sum(np.median(np.hypot(*(m.points2 - m.points1).T)) < 1 for m in found)
     facts = f"(in {count} of {len(batch.rows)} pairs most matches stay at the same pixels:"
     end = (facts, ArgumentName("masks"), "leaves a background that stands still out)")

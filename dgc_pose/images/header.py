@@ -14,6 +14,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import PIL.Image
+from PIL.ExifTags import IFD, Base
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
 from dgc_pose.errors import is_installed
 from dgc_pose.geometry.pixels import EXCHANGING, Size
@@ -37,12 +40,6 @@ _FORMATS = {
         "HEIF": rb".{4}ftyp(hei[cxms]|hev[cxms]|mif1|msf1)",
     }.items()
 }
-_KIND, _WIDTH, _HEIGHT, _ORIENTATION, _DNG_VERSION = 254, 256, 257, 274, 50706  # tags of TIFF
-_SAMPLES, _X_RESOLUTION, _Y_RESOLUTION = 277, 282, 283
-MAKE, MODEL, EXIF_DIRECTORY, _GPS_DIRECTORY = 271, 272, 34665, 34853
-FOCAL_LENGTH, _EXIF_WIDTH, _EXIF_HEIGHT = 37386, 40962, 40963
-_FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT = 41486, 41487, 41488
-_DIGITAL_ZOOM, _FOCAL_LENGTH_35MM, _LENS_MODEL = 41988, 41989, 42036
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
 _MAX_ZOOM = 200.0
 _MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
@@ -111,21 +108,26 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
     damaged.
     """
     name, found = image_format(data), _PROJECTION.search(data)
-    projection = found[1].decode().lower() if found else ""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
-        if name == "HEIF":
-            return replace(_heif_header(data), projection=projection)
-        if name == "TIFF":
-            tags = _tiff_tags(data)
-            if (samples := tags.get(_SAMPLES, 1)) > 4:  # OpenCV decodes no more
-                raise UnreadableFormatError(f"a TIFF of {samples} samples a pixel, not 1, 3 or 4")
-            if not complete and {EXIF_DIRECTORY, _GPS_DIRECTORY, MAKE, MODEL}.intersection(tags):
+        if name == "TIFF":  # Pillow refuses kinds that OpenCV decodes: floats in three colours
+            tags, block, info = _tiff_tags(data), data, {}
+            size = int(tags[Base.ImageWidth]), int(tags[Base.ImageLength])
+            if not complete and {IFD.Exif, IFD.GPSInfo, Base.Make, Base.Model}.intersection(tags):
                 raise ValueError("the EXIF data may lie behind the start")
-            return _upright(
-                name, (int(tags[_WIDTH]), int(tags[_HEIGHT])), *read_exif(data), projection
-            )
-        return replace(_pillow_header(data, name, complete), projection=projection)
+        else:
+            image = _opened(name, data)
+            size, info = image.size, image.info
+            block = _png_exif(data, info) if name == "PNG" else info.get("exif") or b""
+            if complete and name != "HEIF":
+                image.verify()
+        exif, aspect = read_exif(block)
+    aspect = _density_aspect(info, aspect)
+    if name == "HEIF":  # its own rotation, which is part of decoding, is repeated in EXIF
+        exif = replace(exif, orientation=1)
+    if exif.orientation in EXCHANGING:
+        size, aspect = size[::-1], 1 / aspect
+    return Header(name, size, exif, aspect, found[1].decode().lower() if found else "")
 
 
 def _is_raw(start: bytes) -> bool:
@@ -137,16 +139,13 @@ def _is_raw(start: bytes) -> bool:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tags = _tiff_tags(start)
-        return _DNG_VERSION in tags or bool(tags.get(_KIND, 0) & 1)
+        return Base.DNGVersion in tags or bool(tags.get(Base.NewSubfileType, 0) & 1)
     except Exception:  # damaged tags, which the header's reader refuses
         return False
 
 
 def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
-    """The tags of a TIFF's first image, or of the directory at an offset. Pillow's reader
-    of images refuses kinds that OpenCV decodes, such as floats in three colours."""
-    from PIL.TiffImagePlugin import ImageFileDirectory_v2
-
+    """The tags of a TIFF's first image, or of the directory at an offset."""
     stream = io.BytesIO(data)
     directory = ImageFileDirectory_v2(stream.read(16 if b"+" in data[2:4] else 8))
     stream.seek(directory.next if offset is None else offset)
@@ -154,21 +153,19 @@ def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
     return directory
 
 
-def _pillow_header(data: bytes, name: str, complete: bool) -> Header:
-    """Not by PIL.Image.open, which refuses 179 million pixels: telephones take such images."""
+def _opened(name: str, data: bytes) -> Any:
+    """An image with its `size` and `info`, of which nothing is decoded. Not by PIL.Image.open,
+    which refuses 179 million pixels: telephones take such images."""
+    if name == "HEIF":
+        import pillow_heif
+
+        return pillow_heif.open_heif(data)
     PIL.Image.init()
     if name not in PIL.Image.OPEN:
         raise UnreadableFormatError(f"{name}, which this Pillow does not read")
-    factory, _ = PIL.Image.OPEN[name]
-    if name == "JPEG":  # the registered factory also reads blocks of several images
-        from PIL.JpegImagePlugin import JpegImageFile as factory
-    image: PIL.Image.Image = factory(io.BytesIO(data), "")
-    block = _png_exif(data, image.info) if name == "PNG" else image.info.get("exif", b"")
-    exif, aspect = read_exif(block)
-    header = _upright(name, image.size, exif, _density_aspect(image.info, aspect))
-    if complete:
-        image.verify()
-    return header
+    # The registered factory of JPEG also reads blocks of several images.
+    factory = JpegImageFile if name == "JPEG" else PIL.Image.OPEN[name][0]
+    return factory(io.BytesIO(data), "")
 
 
 def _png_exif(data: bytes, info: Mapping[Any, Any]) -> bytes:
@@ -199,33 +196,15 @@ def _aspect(width: Any, height: Any) -> float:
     return aspect if _PIXEL_ASPECTS[0] <= aspect <= _PIXEL_ASPECTS[1] else 1.0
 
 
-def _heif_header(data: bytes) -> Header:
-    """The EXIF orientation repeats HEIF's own rotation, which is part of decoding."""
-    import pillow_heif
-
-    image = pillow_heif.open_heif(data)  # decodes nothing
-    exif, _ = read_exif(image.info.get("exif") or b"")
-    return Header("HEIF", image.size, replace(exif, orientation=1))
-
-
-def _upright(
-    name: str, size: Size, exif: Exif, pixel_aspect: float, projection: str = ""
-) -> Header:
-    """The header of an image by the size and the aspect of a pixel as stored."""
-    if exif.orientation in EXCHANGING:
-        size, pixel_aspect = size[::-1], 1 / pixel_aspect
-    return Header(name, size, exif, pixel_aspect, projection)
-
-
 def read_exif(block: bytes) -> tuple[Exif, float]:
     """The camera, and the aspect of a pixel as stored, of an EXIF block, with or without
     `Exif\\0\\0` before it; of a damaged one as of an empty one."""
     try:
         block = block.removeprefix(b"Exif\0\0")
         tags = _tiff_tags(block)
-        directories = [tags[tag] for tag in (EXIF_DIRECTORY, _GPS_DIRECTORY) if tag in tags]
+        directories = [tags[tag] for tag in (IFD.Exif, IFD.GPSInfo) if tag in tags]
         more = {k: v for offset in directories for k, v in _tiff_tags(block, offset).items()}
-        aspect = _aspect(tags.get(_Y_RESOLUTION), tags.get(_X_RESOLUTION))
+        aspect = _aspect(tags.get(Base.YResolution), tags.get(Base.XResolution))
         return _camera_tags(tags, more), aspect
     except Exception:  # a damaged block raises almost anything
         return Exif(), 1.0
@@ -236,19 +215,18 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
 
     Raises any exception for a tag that is damaged.
     """
-    zoom = _number(more.get(_DIGITAL_ZOOM))
-    plane = (more.get(tag) for tag in (_FOCAL_PLANE_X, _FOCAL_PLANE_Y, _FOCAL_PLANE_UNIT))
+    zoom, turn = _number(more.get(Base.DigitalZoomRatio)), first.get(Base.Orientation)
     return Exif(
-        _text(first.get(MAKE)),
-        _text(first.get(MODEL)),
-        _text(more.get(_LENS_MODEL)),
-        _number(more.get(FOCAL_LENGTH)),
-        _number(more.get(_FOCAL_LENGTH_35MM)),
-        zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
-        _size(more.get(_EXIF_WIDTH), more.get(_EXIF_HEIGHT)),
-        _pixels_per_mm(*plane),
-        _position(more),
-        int(first[_ORIENTATION]) if first.get(_ORIENTATION) in range(2, 9) else 1,
+        make=_text(first.get(Base.Make)),
+        model=_text(first.get(Base.Model)),
+        lens=_text(more.get(Base.LensModel)),
+        focal_mm=_number(more.get(Base.FocalLength)),
+        focal_35mm=_number(more.get(Base.FocalLengthIn35mmFilm)),
+        digital_zoom=zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
+        size=_size(more.get(Base.ExifImageWidth), more.get(Base.ExifImageHeight)),
+        pixels_per_mm=_pixels_per_mm(more),
+        position=_position(more),
+        orientation=turn if isinstance(turn, int) and 1 <= turn <= 8 else 1,
     )
 
 
@@ -288,10 +266,10 @@ def _size(width: Any, height: Any) -> tuple[int, int] | None:
     return (sides[0], sides[1]) if len(sides) == 2 else None
 
 
-def _pixels_per_mm(along_x: Any, along_y: Any, unit: Any) -> float | None:
+def _pixels_per_mm(tags: Mapping[int, Any]) -> float | None:
     """None for pixels that are not square, as of sensors that were interpolated along one axis."""
-    x, y = _number(along_x), _number(along_y)
+    x, y = (_number(tags.get(t)) for t in (Base.FocalPlaneXResolution, Base.FocalPlaneYResolution))
     if x is None or (y is not None and abs(x - y) > _MAX_RESOLUTION_DIFFERENCE * x):
         return None
-    unit_mm = _UNIT_MM.get(2 if unit is None else unit)
+    unit_mm = _UNIT_MM.get(tags.get(Base.FocalPlaneResolutionUnit, 2))
     return None if unit_mm is None else x / unit_mm

@@ -217,7 +217,12 @@ def _decoded(path: Path) -> tuple[np.ndarray, Header]:
     data = read_bytes(path, MAX_BYTES, ImageError)
     header = _complete_header(data, path)
     if header.format == "HEIF":
-        return _decoded_heif(data, path), header
+        import pillow_heif
+
+        with read_as("HEIC", path, ImageError):
+            image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
+            pixels = np.array(image)
+        return cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR) if pixels.ndim == 2 else pixels, header
     try:
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
@@ -228,15 +233,6 @@ def _decoded(path: Path) -> tuple[np.ndarray, Header]:
     if array is None:  # OpenCV gives no reason
         raise ImageError(f"{path} cannot be decoded: OpenCV does not read this {header.format}")
     return array, header
-
-
-def _decoded_heif(data: bytes, path: Path) -> np.ndarray:
-    import pillow_heif
-
-    with read_as("HEIC", path, ImageError):
-        image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
-        array = np.asarray(image)
-    return cv2.cvtColor(array, cv2.COLOR_GRAY2BGR) if array.ndim == 2 else array.copy()
 
 
 def _complete_header(data: bytes, path: Path) -> Header:

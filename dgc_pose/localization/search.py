@@ -110,9 +110,8 @@ class LocationSearch:
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
             prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
             self.pose = fitted([*pairs, *shown], self.pose, prior)
-        self.agreeing = {
-            n: sight for n, sight in self.correspondences.items() if sight.supports(self.pose)
-        }
+        found = self.pose
+        self.agreeing = {n: c for n, c in self.correspondences.items() if c.supports(found)}
         self.covariance = world_covariance([*pairs, *shown], self.pose, prior)
         if self.covariance is None:
             return
@@ -259,7 +258,7 @@ class LocationSearch:
         """Whether the location is probable, and its distance from the images determined."""
         if self.pose is None or self.covariance is None or not self.agreeing:
             return False
-        centres = np.stack([sight.centre for sight in self.agreeing.values()])
+        centres = np.stack([c.centre for c in self.agreeing.values()])
         distance = float(np.median(np.linalg.norm(centres - self.pose.centre, axis=1)))
         std = math.sqrt(float(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1]))
         return self._is_claimed() and std <= _MAX_RELATIVE_STD * distance
@@ -278,9 +277,9 @@ class LocationSearch:
         return 1 / (1 + math.exp(-log_odds))
 
     def _matched(self, pair: Pair) -> DatabaseImage:
-        sight, inliers = self.agreeing.get(pair.name), pair.pose.inliers
-        if sight is not None and self.pose is not None:
+        agreeing, inliers = self.agreeing.get(pair.name), pair.pose.inliers
+        if agreeing is not None and self.pose is not None:
             inliers = np.zeros(len(pair.matches), dtype=bool)
-            inliers[sight.problem.index] = sight.hypothesis(self.pose).inliers_in_front
+            inliers[agreeing.problem.index] = agreeing.hypothesis(self.pose).inliers_in_front
         likely = pair.pose.any_probability
-        return DatabaseImage(pair.name, pair.matches, inliers, likely, sight is not None)
+        return DatabaseImage(pair.name, pair.matches, inliers, likely, agreeing is not None)

@@ -5,7 +5,6 @@ import json
 import secrets
 import threading
 from collections.abc import AsyncIterator, Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,8 @@ from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Route
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.serve.cameras import MAX_FILE_BYTES
@@ -32,11 +32,7 @@ from dgc_pose.serve.options import (
 from dgc_pose.serve.worker import Unavailable, Worker
 from dgc_pose.version import version
 
-_STATIC = resources.files("dgc_pose.serve") / "static"
-_PAGE = "page.html"
-_TYPES = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-# The files of the page by what a client may ask for; no other name reaches a path.
-_FILES = {file.name: file for file in _STATIC.iterdir() if Path(file.name).suffix in _TYPES}
+_STATIC = Path(__file__).parent / "static"
 _MAX_JSON = 10_000 + 4 * MAX_FILE_BYTES // 3  # bytes of a request; a file is in base 64
 _MAX_NAME = 200  # characters of an image's name
 
@@ -65,17 +61,16 @@ class Server:
         self._store = ImageStore(folder, IMAGES)
         # A photograph need not wait for a pose.
         self._decoding, self._estimating = Worker(WAITING), Worker(WAITING)
-        self._uploads = asyncio.Semaphore(WAITING)
         self.app = Starlette(
             routes=[
                 Route("/", self._page),
-                Route("/static/{name}", self._file),
+                Mount("/static", StaticFiles(directory=_STATIC)),
                 Route("/images", self._image, methods=["POST"]),
                 Route("/example", self._bundled, methods=["POST"]),
                 Route("/poses", self._pose, methods=["POST"]),
             ],
             middleware=[Middleware(Guard, token=token, hosts=hosts)],
-            exception_handlers={DgcPoseError: _refused, ClientDisconnect: _refused},
+            exception_handlers=dict.fromkeys((DgcPoseError, OSError, ClientDisconnect), _refused),
         )
 
     def close(self) -> None:
@@ -84,15 +79,9 @@ class Server:
         self._estimating.close()
 
     async def _page(self, request: Request) -> Response:
-        text = (_STATIC / _PAGE).read_text(encoding="utf-8")
+        text = (_STATIC / "page.html").read_text(encoding="utf-8")
         text = text.replace("{{token}}", self._token).replace("{{version}}", version())
         return Response(text, media_type="text/html")
-
-    async def _file(self, request: Request) -> Response:
-        name = request.path_params["name"]
-        if name not in _FILES:
-            raise HTTPException(404)
-        return Response(_FILES[name].read_bytes(), media_type=_TYPES[Path(name).suffix])
 
     async def _image(self, request: Request) -> Response:
         """An image, the body as it is; answers with its identifier, its size and a picture."""
@@ -101,12 +90,9 @@ class Server:
             f"the file is too large: at most {most:g} MB are taken "
             "(--max-megabytes of dgc-pose serve)"
         )
-        if self._uploads.locked():
-            raise Unavailable("too many images are being sent: try again in a moment")
         try:
-            async with self._uploads:
-                with anyio.fail_after(UPLOAD_SECONDS):
-                    content = await _body(request, int(most * 1e6), too_large)
+            with anyio.fail_after(UPLOAD_SECONDS):
+                content = await _body(request, int(most * 1e6), too_large)
         except TimeoutError:
             text = f"the file did not arrive within {UPLOAD_SECONDS:g} seconds"
             raise HTTPException(408, text) from None
@@ -116,10 +102,6 @@ class Server:
         try:
             path.write_bytes(content)
             return JSONResponse(await self._described(path, name))
-        except OSError as error:
-            path.unlink(missing_ok=True)
-            text = f"the server's temporary folder: {error.strerror}"
-            raise HTTPException(507, text) from None
         except BaseException:
             path.unlink(missing_ok=True)
             raise
@@ -160,10 +142,7 @@ class Server:
                 )
                 lines.put_nowait({"result": result})
             except DgcPoseError as error:
-                text = str(error)
-                for image in (image1, image2):
-                    text = text.replace(str(image.path), image.name)
-                lines.put_nowait({"error": text})
+                lines.put_nowait({"error": str(error)})
 
         task = asyncio.create_task(estimate())
         line: Mapping[str, Any] = {"progress": ""}

@@ -1,7 +1,6 @@
 """The cameras that a client asks for. No path that it names is opened."""
 
 import base64
-import binascii
 import re
 import shlex
 from collections.abc import Mapping
@@ -56,18 +55,15 @@ def _of_file(name: str, content: bytes, image1: Image, image2: Image) -> tuple[C
         path = folder / (re.sub(r"[^\w.-]", "_", name)[-50:].lstrip(".") or "K")
         path.write_bytes(content)
 
-        def as_named(text: str) -> str:
-            return text.replace(str(path), name)
-
         def renamed(camera: Camera) -> Camera:
-            identity = None if camera.identity is None else as_named(camera.identity)
-            warnings = tuple(map(as_named, camera.warnings))
+            warnings = tuple(warning.replace(str(path), name) for warning in camera.warnings)
+            identity = camera.identity and camera.identity.replace(str(path), name)
             return replace(camera, warnings=warnings, identity=identity)
 
         try:
             camera1, camera2 = pair_cameras(str(path), str(path), image1, image2, ("K", "K"))
         except InputError as error:
-            raise InputError(as_named(str(error))) from None
+            raise InputError(str(error).replace(str(path), name)) from None
     return renamed(camera1), renamed(camera2)
 
 
@@ -110,7 +106,7 @@ def _decoded(content: object) -> bytes:
         raise InputError("choose a file of cameras")
     try:
         data = base64.b64decode(content, validate=True)
-    except (binascii.Error, ValueError):
+    except ValueError:
         raise InputError("the file's content must be in base 64") from None
     if len(data) > MAX_FILE_BYTES:
         raise InputError(f"a file of cameras has at most {MAX_FILE_BYTES / 1e6:g} MB")

@@ -49,6 +49,10 @@ class Estimator:
         report("matching and estimating the pose")
         result = solve_pair(image1, image2, cameras, self.matcher)
         report("drawing")
+        F = None  # for pixels, of the pinhole cameras
+        if (E := result.pose.E) is not None:
+            matrix = fundamental_from_essential(E, result.camera1.K, result.camera2.K)
+            F = (matrix / np.abs(matrix).max()).tolist()
         names = (stored1.name, stored2.name)
         weights = [] if self.weights is None else ["--weights", self.weights]
         return {
@@ -56,7 +60,7 @@ class Estimator:
             "reason": result.pose.reason,
             "names": list(names),
             "sizes": [list(image1.size), list(image2.size)],
-            "F": _fundamental(result),
+            "F": F,
             "matches": _matches(result),
             "scene": None if result.pose.t is None else pose_scene(result),
             "map": None if result.correspondence_map is None else _map(result),
@@ -64,14 +68,6 @@ class Estimator:
             "command": command(names, texts, weights),
             "python": python_text(names, texts, "".join(map(repr, weights[1:]))),
         }
-
-
-def _fundamental(result: PairResult) -> list[list[float]] | None:
-    """F for pixels, of the pinhole cameras; None without a pose."""
-    if result.pose.E is None:
-        return None
-    F = fundamental_from_essential(result.pose.E, result.camera1.K, result.camera2.K)
-    return (F / np.abs(F).max()).tolist()
 
 
 def _matches(result: PairResult) -> dict[str, list[Any]]:

@@ -53,10 +53,10 @@ class ImageStore:
 
     def get(self, identifier: object) -> StoredImage:
         """An image by its identifier. Raises Gone if there is none."""
-        key = str(identifier)
-        if key not in self._images:
+        image = self._images.pop(str(identifier), None)
+        if image is None:
             raise Gone("the image is no longer there: send it again")
-        self._images[key] = image = self._images.pop(key)
+        self._images[str(identifier)] = image
         return image
 
 

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import anyio
 
-from dgc_pose.errors import DgcPoseError, missing_package, reason
+from dgc_pose.errors import DgcPoseError
 
 Value = TypeVar("Value")
 
@@ -77,11 +77,7 @@ def _outcome(function: Callable[..., Value], *arguments: Any) -> Value:
         return function(*arguments)
     except (DgcPoseError, OSError) as error:
         text = " ".join(str(error).split())
-    except MemoryError as error:
-        text = f"not enough memory: {reason(error)}"
     except Exception as error:  # of any library
-        lacking = missing_package(error) if isinstance(error, ModuleNotFoundError) else None
-        if lacking is None:
-            traceback.print_exc()
-        text = lacking or f"the server failed: {type(error).__name__}"
+        traceback.print_exc()
+        text = f"the server failed: {type(error).__name__}"
     raise WorkError(text)

@@ -73,9 +73,10 @@ def check_options(options: Any) -> None:
 
     For `__post_init__` of option dataclasses. None passes if the type has it.
     """
+    cls: Any = type(options)
     for of in fields(options):
         name, info, value = ArgumentName(of.name), option_info(of), getattr(options, of.name)
-        kind, optional = field_types(type(options))[name]
+        kind, optional = field_types(cls)[name]
         if value is None and (optional or of.default is None):
             continue
         check_type(value, kind, name)

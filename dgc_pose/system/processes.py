@@ -47,17 +47,14 @@ def process_pools(
             process.terminate()
         for pool in pools:
             pool.shutdown(cancel_futures=True)  # the processes have exit codes then
-        if isinstance(error, BrokenProcessPool):
-            codes = {process.exitcode or 0 for process in started}
-            # The pool stops the others by SIGTERM.
-            codes = codes - {0, -signal.SIGTERM} or codes
-            ends = (signal.Signals(-n).name if n < 0 else f"exit code {n}" for n in sorted(codes))
-            raise DgcPoseError(
-                f"a worker process ended ({', '.join(ends)}):",
-                ArgumentName("resume"),
-                "goes on from the pairs that were done",
-            ) from None
-        raise
+        if not isinstance(error, BrokenProcessPool):
+            raise
+        codes = {process.exitcode or 0 for process in started}
+        codes = codes - {0, -signal.SIGTERM} or codes  # the pool stops the others by SIGTERM
+        ends = (signal.Signals(-n).name if n < 0 else f"exit code {n}" for n in sorted(codes))
+        ended = f"a worker process ended ({', '.join(ends)}):"
+        hint = "goes on from the pairs that were done"
+        raise DgcPoseError(ended, ArgumentName("resume"), hint) from None
     for pool in pools:
         pool.shutdown()
 

@@ -35,11 +35,9 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
     process would wait for the threads of a ThreadPoolExecutor.
 
     Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
-    the main thread, it is raised at once: results of work that has begun are discarded, and the
-    rest is not begun.
+    the main thread, it is raised at once: what has begun is discarded, the rest is not begun.
     """
-    count = min(cv2.getNumThreads(), len(items))
-    current = threading.current_thread()
+    count, current = min(cv2.getNumThreads(), len(items)), threading.current_thread()
     if isinstance(current, _Helper) or (count <= 1 and current is not threading.main_thread()):
         return [work(item) for item in items]  # signals are handled in the main thread alone
     results: dict[int, Result] = {}
@@ -64,9 +62,8 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
             thread.start()
         for thread in threads:
             thread.join()  # the interpreter runs signal handlers while it waits
-    except BaseException:
+    finally:
         stopped.set()
-        raise
     if errors:
         raise errors[min(errors)]
     return [results[number] for number in range(len(items))]

@@ -12,7 +12,7 @@ from command_line import run
 from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.benchmarks.reconstructions import (
     model_figures,
     pair_figures,
@@ -21,6 +21,7 @@ from dgc_pose.benchmarks.reconstructions import (
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
 from dgc_pose.model import Model
 
 
@@ -101,9 +102,9 @@ def test_the_pairs_of_a_batch_are_scored(scene: tuple[Path, Path, list[View]]) -
         relative = _relative(dict(views.poses), *names)
         turn = Rotation.from_rotvec([0, np.radians(number - 1), 0]).as_matrix()
         R, t = turn @ relative[:3, :3], relative[:3, 3]
-        row = PairRow(*names, "ok", True, "", R=tuple(R.ravel()), t=tuple(-t if number < 2 else t))
-        rows.append(row)
-    rows.append(PairRow("view1.png", "view2.png", "too_few_matches", False, ""))
+        pose = RelativePose("ok", "", np.ones(9, bool), 9, R, -t if number < 2 else t)
+        rows.append(row_of(names, pose, 1.0))
+    rows.append(PairRow("view1.png", "view2.png", "bad_input", ""))
     cameras = {
         name: replace(camera, K=camera.K * [[f], [f], [1]])
         for (name, camera), f in zip(sorted(views.cameras.items()), (1, 1, 1.01, 0.97), strict=True)

@@ -42,6 +42,7 @@ def test_affine_ranges_are_the_papers() -> None:
     turn = left @ right
     angle = torch.rad2deg(torch.atan2(turn[:, 1, 0], turn[:, 0, 0]))
     assert 13 < angle.abs().max() < 15 + 1e-3
+    assert 0.2 < moved[:, 0].abs().max() < 0.25 + 1e-4
 
 
 def test_homography_of_the_paper_moves_the_corners_by_at_most_80_of_240_pixels() -> None:

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.cameras.calibration import camera_data, image_camera, parse_camera_data
-from dgc_pose.cameras.prior import (
-    SIZE_STD,
-    auto_camera,
-    auto_cameras,
-)
+from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras
 from dgc_pose.images.header import Exif, Header
 from dgc_pose.images.image import Image
 

@@ -74,17 +74,14 @@ def test_a_location_is_written_though_no_model_of_COLMAP_holds_its_camera(
     assert data["status"] == "located" and not (tmp_path / "model").exists()
 
 
-def test_an_image_of_the_model_is_told_and_not_matched(
+def test_an_image_of_the_model_is_not_matched_and_another_place_is_nowhere(
     scene: tuple[Path, list[View]],
 ) -> None:
-    result = locate(scene[0], "--K", K_text(), "--json", "-", photo="images/view2.png")
+    folder = scene[0]
+    result = locate(folder, "--K", K_text(), "--json", "-", photo="images/view2.png")
     (data,) = json.loads(result.stdout).values()
     assert "is in the model as view2.png, which is not matched" in data["warnings"][0]
     assert "view2.png" not in {reference["name"] for reference in data["references"]}
-
-
-def test_another_place_is_nowhere(scene: tuple[Path, list[View]]) -> None:
-    folder = scene[0]
     noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
     other = cv2.resize(noise, (240, 180), interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(folder / "other.png"), other)

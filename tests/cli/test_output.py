@@ -9,6 +9,7 @@ from ambiguous_pose import INLIERS, ambiguous_pose
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.output import pose_text
 from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation.status import probability_text
 from two_view import two_view_scene
 
 
@@ -17,10 +18,7 @@ from two_view import two_view_scene
     [(1.0, "over 99 %"), (0.9949, "99 %"), (0.874, "87 %"), (0.01, "1 %"), (0.0, "below 1 %")],
 )
 def test_no_probability_is_printed_as_certain(probability, words) -> None:
-    scene = two_view_scene("general", seed=0, count=200)
-    pose = estimate_pose(scene.matches, *scene.cameras, EstimationOptions(runs=1))
-    lines = pose_text(replace(pose, probability=probability)).splitlines()
-    assert f"probability {words} that R and t are within 10 deg" in lines
+    assert probability_text(probability) == f"probability {words}"
 
 
 def test_an_ambiguous_pair_has_no_pose_and_all_that_explain_it() -> None:
@@ -67,22 +65,14 @@ CENTRE = "; principal point (639.5, 479.5) +- 8.0"
             [f"camera of both images: {TEXT}, 1089.0 +- 54.5 px by EXIF data{CENTRE}"],
         ),
         (
-            (FITTED, OFF_CENTRE),
+            (replace(FITTED, identity=None), OFF_CENTRE),
             None,
-            [
-                f"camera 1: {TEXT}{CENTRE}",
-                f"camera 2: {TEXT}; principal point (648.5, 479.5) +- 8.0",
-            ],
+            [f"camera 1: {TEXT}{CENTRE}", f"camera 2: {TEXT}{CENTRE.replace('639', '648')}"],
         ),
         (
             (EXACT, replace(FITTED, focal_source="given", centre_std=0)),
             None,
             ["camera 2: f = 1210.0 +- 12.1 px by the given K; principal point (639.5, 479.5)"],
-        ),
-        (
-            (replace(FITTED, identity=None), replace(FITTED, identity=None)),
-            None,
-            [f"camera 1: {TEXT}{CENTRE}", f"camera 2: {TEXT}{CENTRE}"],
         ),
     ],
 )
@@ -92,5 +82,3 @@ def test_focal_lengths_are_told_with_their_deviations(cameras, priors, lines) ->
     pose = replace(pose, camera1=cameras[0], camera2=cameras[1])
     told = pose_text(pose, priors).splitlines()
     assert [line for line in told if line.startswith("camera ")] == lines
-    none = replace(pose, camera1=None, camera2=None)
-    assert "camera " not in pose_text(none, priors).replace("camera 2 from camera 1", "")

@@ -4,22 +4,24 @@ import json
 import os
 import shutil
 import tempfile
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pycolmap
 import pytest
-from batch_runs import run_sift, view_folder
+from batch_runs import change_result, run_sift, view_folder
 from command_line import assert_refused, run
 from multi_view import K, K_text, View, render_views, write_views
 
 from dgc_pose.batch.result import Batch, read_batch
+from dgc_pose.batch.rows import MatchedPair, row_of
 from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.options import MapperName, ReconstructionOptions
 from dgc_pose.colmap.reconstruction import reconstruct
 from dgc_pose.errors import InputError
+from dgc_pose.estimation import RelativePose
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model, require_model_folder
 
@@ -150,14 +152,13 @@ def test_a_background_that_stands_still_is_named(status: str, tmp_path: Path) ->
         pixels[60:120, 80:160] = view.pixels[60:120, 80:160]
     write_views(tmp_path / "photos", [View(p, v.R, v.t) for p, v in zip(still, views, strict=True)])
     folder = run_sift(tmp_path / "photos", tmp_path / "batch").folder
+
+    def turned(pair: MatchedPair) -> MatchedPair:
+        pose = RelativePose("rotation_only", "", np.ones(len(pair.matches), bool), 9, R=np.eye(3))
+        return replace(pair, row=row_of(pair.row.names, pose, 0.5, pair.row.index))
+
     if status:
-        rows = [json.loads(line) for line in (folder / "pairs.jsonl").read_text().splitlines()]
-        facts = {"status": status, "R": np.eye(3).ravel().tolist(), "alternatives": []}
-        text = "\n".join(json.dumps(row | facts) for row in rows)
-        (folder / "pairs.jsonl").write_text(text + "\n")
-        with h5py.File(folder / "matches.h5", "r+") as file:
-            for row in rows:
-                file[f"{row['name1']}/{row['name2']}/inliers"][:] = True
+        change_result(folder, turned)
     said = "made no model of 3 images" if status else "no pair of this batch has a pose"
     stay = r" \(in 6 of 6 pairs most matches stay at the same pixels: masks leaves a background"
     with pytest.raises((InputError, MappingError), match=said + stay):
@@ -176,6 +177,11 @@ def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
         assert exported.num_verified_image_pairs() == 10
 
 
+def _without_pose(pair: MatchedPair) -> MatchedPair:
+    pose = RelativePose("no_model", "no pose", np.zeros(len(pair.matches), bool), 9)
+    return replace(pair, row=row_of(pair.row.names, pose, 0.5, pair.row.index))
+
+
 def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A batch without a pose, and two images that make no model; COLMAP's log is not shown, and no
     file of it is left."""
@@ -185,8 +191,7 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
         reconstruct(pair, tmp_path / "model")
     assert capfd.readouterr() == ("", "")
     assert not list(Path(tempfile.gettempdir()).glob(f".*.log.*.{os.getpid()}"))
-    rows = tmp_path / "pair" / "pairs.jsonl"
-    rows.write_text(rows.read_text().replace('"ok"', '"no_model"'))
+    change_result(tmp_path / "pair", _without_pose)
     with pytest.raises(InputError, match="has a pose"):
         reconstruct(read_batch(tmp_path / "pair"), tmp_path / "model")
 
@@ -196,14 +201,17 @@ def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(batch: Batch, tmp_p
     lost, and no third image is paired with both: they are left out, and all images register."""
     folder = tmp_path / "batch"
     shutil.copytree(batch.folder, folder)
-    with h5py.File(folder / "matches.h5", "r+") as file:
-        file["view0.png/view4.png/inliers"][:] = False
-    rows = folder / "pairs.jsonl"
-    lines = rows.read_text().splitlines(keepends=True)
-    for index, (i, j) in enumerate(combinations(range(COUNT), 2)):
+
+    def changed(pair: MatchedPair) -> MatchedPair:
+        i, j = (int(name[4]) for name in pair.row.names)
         if j - i not in (1, COUNT - 1):
-            lines[index] = lines[index].replace('"ok"', '"no_model"')
-    rows.write_text("".join(lines))
+            return _without_pose(pair)
+        if j - i == 1 or pair.row.pose is None:
+            return pair
+        pose = replace(pair.row.pose, inliers=np.zeros_like(pair.row.pose.inliers))
+        return replace(pair, row=replace(pair.row, pose=pose))
+
+    change_result(folder, changed)
     (model,), shared, _ = reconstruct(read_batch(folder), tmp_path)
     assert len(model.poses) == COUNT and len(shared.pairs) == COUNT - 1
     with pycolmap.Database.open(tmp_path / "database.db") as database:

@@ -14,18 +14,10 @@ def test_an_error_of_the_reading_names_the_file() -> None:
         read_start("/proc/self/mem", 8)
 
 
-@pytest.mark.parametrize(
-    ("value", "kind"),
-    [
-        (np.eye(3) * 1j, "ndarray of dtype complex128"),
-        ("K", "str of dtype <U1"),
-        (None, "NoneType of dtype object"),
-    ],
-)
-def test_what_is_no_array_of_real_numbers_is_refused(value: object, kind: str) -> None:
-    with pytest.raises(InputError) as caught:
+@pytest.mark.parametrize("value", [np.eye(3) * 1j, "K", None])
+def test_what_is_no_array_of_real_numbers_is_refused(value: object) -> None:
+    with pytest.raises(InputError, match=r"^K is not an array of real numbers but \w+ of dtype "):
         as_numpy(value, "K")
-    assert str(caught.value) == f"K is not an array of real numbers but {kind}"
 
 
 VIDEO = b"\0\0\0\x18ftypmp42"

@@ -85,18 +85,3 @@ def test_what_is_under_alpha_0_does_not_count(tmp_path: Path, rgb: np.ndarray) -
     PIL.Image.fromarray(np.dstack([rgb, alpha * 0])).save(path)
     with pytest.raises(ImageError, match=r"gone\.png has alpha 0 everywhere"):
         load_image(path)
-
-
-@pytest.mark.parametrize("orientation", range(1, 9))
-def test_the_mask_of_alpha_is_turned_by_exif(
-    tmp_path: Path, rgb: np.ndarray, orientation: int
-) -> None:
-    alpha, _ = cut_out(rgb)
-    path, picture = tmp_path / "turned.png", PIL.Image.fromarray(np.dstack([rgb, alpha]))
-    picture.getexif()[0x0112] = orientation
-    picture.save(path, exif=picture.getexif())
-    image = load_image(path)
-    with PIL.Image.open(path) as opened:
-        shown = np.asarray(PIL.ImageOps.exif_transpose(opened))
-    np.testing.assert_array_equal(image.mask, shown[:, :, 3] > 0)
-    np.testing.assert_array_equal(image.pixels[image.mask], shown[image.mask][:, :3])

@@ -44,9 +44,6 @@ def test_black_alone_is_ignored_in_files_of_every_kind(tmp_path: Path) -> None:
             assert np.array_equal(_mask(source), USED), name
     PIL.Image.fromarray(USED).save(tmp_path / "bit.png")
     assert np.array_equal(_mask(tmp_path / "bit.png"), USED)
-
-
-def test_arrays_and_tensors_are_masks() -> None:
     sources = (USED, USED * 0.5, USED.tolist(), torch.from_numpy(USED), np.dstack(3 * [USED]))
     for source in sources:
         assert np.array_equal(_mask(source), USED)

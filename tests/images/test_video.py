@@ -50,11 +50,6 @@ def test_the_sharpest_frame_of_each_part_is_taken(tmp_path: Path, name: str) -> 
     assert load_image(sorted(folder.iterdir())[0]).size == SIZE
 
 
-def test_a_short_video_gives_all_its_frames(tmp_path: Path) -> None:
-    write_video(tmp_path / "a.avi", _frames(5, set()))
-    assert _numbers(frames_folder(tmp_path / "a.avi", 40, tmp_path / "frames")) == [0, 1, 2, 3, 4]
-
-
 def test_frames_are_taken_once_and_anew_of_another_video(tmp_path: Path) -> None:
     video, folder = tmp_path / "a.avi", tmp_path / "frames"
     write_video(video, _frames(8, {1, 5}))
@@ -87,17 +82,15 @@ def test_what_is_no_video_stays(tmp_path: Path) -> None:
     assert not (tmp_path / "frames").exists()
 
 
-@pytest.mark.parametrize("command", ["batch", "reconstruct"])
-def test_a_video_is_a_source(tmp_path: Path, command: str) -> None:
+def test_a_video_is_a_source(tmp_path: Path) -> None:
     """Its frames are photographs for a resumed batch too."""
     views = [view.pixels for view in render_views(4)]
     write_video(tmp_path / "scene.avi", [frame for view in views for frame in (view, view)])
     options = ["--K", K_text(), "--weights", "sift", "--workers", "1", "--frames", "4"]
-    command_line = (command, tmp_path / "scene.avi", "--out", tmp_path / "out", *options)
+    command_line = ("reconstruct", tmp_path / "scene.avi", "--out", tmp_path / "out", *options)
     done = run(*command_line)
     assert done.exit_code == 0, done.output
-    batch = tmp_path / ("out" if command == "batch" else "out/batch")
-    frames = batch.with_name(f"{batch.name}_4_frames_of_scene.avi")
+    frames = tmp_path / "out" / "batch_4_frames_of_scene.avi"
     assert [load_image(file).size for file in frames.iterdir()] == 4 * [(240, 180)]
     assert_refused(run(*command_line), "--resume")
     again = run(*command_line, "--resume")

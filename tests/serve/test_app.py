@@ -128,7 +128,7 @@ def test_the_page_needs_the_token_in_its_address_and_holds_it(client):
 
 
 @pytest.mark.parametrize(
-    "path", ["page.html", "../app.py", "..%2fapp.py", "%2e%2e/app.py", "/etc/passwd", "x\x00"]
+    "path", ["../app.py", "..%2fapp.py", "%2e%2e/app.py", "/etc/passwd", "x\x00"]
 )
 def test_only_the_files_of_the_page_are_given_out(client, path):
     answer = client.get(f"/static/{path.replace(chr(0), '%00')}")

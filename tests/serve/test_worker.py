@@ -28,21 +28,11 @@ def fail():
     raise ZeroDivisionError
 
 
-def fill_memory():
-    raise MemoryError
-
-
-def lack_a_package():
-    raise ModuleNotFoundError(name="pycolmap")
-
-
 @pytest.mark.parametrize(
     ("function", "message"),
     [
         (refuse, "^this will not do$"),
         (fail, "^the server failed: ZeroDivisionError$"),
-        (fill_memory, "^not enough memory: MemoryError$"),
-        (lack_a_package, "needs pycolmap, which is not installed"),
     ],
 )
 def test_a_failure_is_one_line_and_the_next_call_works(function, message, monkeypatch):

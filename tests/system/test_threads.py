@@ -23,29 +23,21 @@ def threads_as_before() -> Iterator[None]:
 
 
 def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
+    """And work within it in turn."""
     cv2.setNumThreads(3)
     assert in_threads(lambda x: x * x, range(7)) == [x * x for x in range(7)]
     with pytest.raises(ZeroDivisionError):
         in_threads(lambda x: 1 // x, [1, 0, 1])
     together = threading.Barrier(3, timeout=20)
-    waited = in_threads(lambda _: together.wait(), range(3))
-    assert sorted(waited) == [0, 1, 2]
+    assert sorted(in_threads(lambda _: together.wait(), range(3))) == [0, 1, 2]
+
+    def inner(_: int) -> set[int]:
+        return set(in_threads(lambda _: threading.get_ident(), range(3)))
+
+    assert all(len(within) == 1 for within in in_threads(inner, range(3)))
+    assert len(in_threads(lambda _: in_threads(inner, range(2)), range(1))[0]) == 2  # by its own
     cv2.setNumThreads(1)
-    assert len(set(in_threads(lambda _: threading.get_ident(), range(3)))) == 1
-
-
-def test_work_within_the_work_is_done_in_turn() -> None:
-    cv2.setNumThreads(2)
-
-    def inner(_: int) -> int:
-        return threading.get_ident()
-
-    def outer(_: int) -> tuple[int, set[int]]:
-        return threading.get_ident(), set(in_threads(inner, range(3)))
-
-    assert all(within == {thread} for thread, within in in_threads(outer, range(2)))
-    alone = in_threads(lambda _: in_threads(inner, range(2)), range(1))
-    assert len(alone[0]) == 2  # by threads of its own
+    assert len(inner(0)) == 1
 
 
 def test_an_interrupt_does_not_wait_for_the_work() -> None:

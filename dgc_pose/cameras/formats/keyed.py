@@ -95,7 +95,10 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
     if not isinstance(data, Mapping):
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
-    _require_whole(data)
+    roi = data.get("roi") or {}  # of a message of ROS, as is the binning
+    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
+    if any(offsets) or max(int(data.get(key) or 0) for key in ("binning_x", "binning_y")) > 1:
+        raise InputError("binning or roi is set, and K is of the whole sensor's image")
     lens: Distortion | None
     if data.get("model"):
         require_read(data, key, "model", "coefficients")
@@ -126,39 +129,27 @@ def _size(data: Mapping[str, Any]) -> Size | None:
     return None
 
 
-def _require_whole(data: Mapping[str, Any]) -> None:
-    """Raise InputError if the image of a message of ROS is a part of the sensor's, or binned."""
-    binning = [int(data.get(key) or 0) for key in ("binning_x", "binning_y")]
-    roi = data.get("roi") or {}
-    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
-    if max(binning) > 1 or any(offsets):
-        raise InputError("binning or roi is set, and K is of the whole sensor's image")
-
-
 def camchain(data: Mapping[str, Any], path: Path) -> Calibration | None:
     """The cameras of a camchain by their names, of one alone as "cam0"; the first is that of images
     that lie below no folder of such a name. None for other files.
 
-    path: for the identity of the cameras. A camera of a model that COLMAP does not have is refused.
-    Raises InputError as `require_read` does.
+    path: for the identity of the cameras. Raises InputError as `require_read` does, and for a
+    camera of a model that COLMAP does not have.
     """
     listed = {
         str(name): values
         for name, values in {**data, "cam0": data.get("cam0", data)}.items()
         if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
     }
-    if not listed:
-        return None
     cameras: dict[str, Camera] = {}
-    refused: dict[str, str] = {}
     for name, values in listed.items():
         try:
             cameras[name] = _rig_camera(values)
         except InputError as error:
-            refused[name] = f"{name}: {error}"
-    if data is not listed.get("cam0"):
+            raise InputError(f"{name}: {error}") from None
+    if cameras and data is not listed.get("cam0"):
         require_read(data, *listed)
-    return rig(cameras, path, refused)
+    return rig(cameras, path) if cameras else None
 
 
 def _rig_camera(data: Mapping[str, Any]) -> Camera:
@@ -233,39 +224,26 @@ def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
     read: further keys that are read. Raises InputError for a model that COLMAP does not have, for
     another number of coefficients, and as `require_read` does.
     """
-    model = _model(data)
-    keys, coefficients = _coefficients(data, model)
+    model = "OPENCV"
+    for key in _MODEL_KEYS:
+        word = str(data.get(key) or "").strip()
+        if (named := _MODELS.get(word.lower())) is None:
+            raise InputError(f"the {key} {word!r} has no COLMAP model")
+        model = model if named == "OPENCV" else named
+    keys = [key for key in data if _LIST.fullmatch(str(key)) and any(numbers(data[key]) or ())][:1]
+    coefficients = [number for key in keys for number in numbers(data[key]) or ()]
+    if model == "none":
+        keys = []
+    elif not keys:  # one by one
+        singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
+        keys = [key for key, held in singles.items() if held is not None and len(held) < 2]
+        coefficients = [(singles[k] or [0.0])[0] if k in keys else 0.0 for k in singles]
     require_read(data, *read, *_MODEL_KEYS, *keys)
     if model == "none":
         return None
     if model == "OPENCV":
         return _opencv_lens(coefficients, keys[0])
     return Distortion(model, tuple(coefficients))
-
-
-def _model(data: Mapping[str, Any]) -> str:
-    """The model that a key names, and OpenCV's if none names another."""
-    model = "OPENCV"
-    for key in _MODEL_KEYS:
-        word = str(data.get(key) or "").strip()
-        named = _MODELS.get(word.lower())
-        if named is None:
-            raise InputError(f"the {key} {word!r} has no COLMAP model")
-        if named != "OPENCV":
-            model = named
-    return model
-
-
-def _coefficients(data: Mapping[str, Any], model: str) -> tuple[Sequence[str], list[float]]:
-    """The keys that hold the coefficients of a model, and these."""
-    if model == "none":
-        return (), []
-    for key, value in data.items():
-        if _LIST.fullmatch(str(key)) and any(held := numbers(value) or []):
-            return (key,), held
-    singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
-    read = [key for key, held in singles.items() if held is not None and len(held) < 2]
-    return read, [(singles[key] or [0.0])[0] if key in read else 0.0 for key in singles]
 
 
 def _opencv_lens(coefficients: Sequence[float], key: str) -> Distortion | None:
@@ -307,8 +285,8 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     return matrix_camera(array, name)
 
 
-def rig(parts: Mapping[str, Camera], path: Path, refused: Mapping[str, str]) -> Calibration:
+def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
     """The cameras of a rig, each of the images below a folder of its name; the first is that of
-    other images. refused: of the rig's further cameras, why they are not read."""
+    other images."""
     parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return Calibration(parts=parts, common=next(iter(parts.values()), None), refused=refused)
+    return Calibration(parts=parts, common=next(iter(parts.values())))

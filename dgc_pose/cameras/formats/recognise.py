@@ -11,7 +11,7 @@
 | KITTI's calib.txt, calib_cam_to_cam.txt | (0, 0) | folder `image_0`, `image_02`, ... |
 | .csv with name, fx, fy, cx, cy[, width, height, k1, k2, p1, p2, qw, ..., tz] | (0, 0) | name |
 | JSON with K, or fx, fy, cx, cy; or with K1 and K2 | (0, 0) | image 1 or 2 of a pair |
-| JSON of Open3D: intrinsic_matrix; metadata of Record3D | (0, 0) | -; number |
+| JSON of Open3D: intrinsic_matrix; metadata of Record3D | (0, 0) | - |
 | 3x3, 4x4, or fx fy cx cy, as text or .npy | (0, 0) | - |
 
 `Camera` has (0, 0) there.
@@ -36,7 +36,6 @@ from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.yaml_files import yaml_data
-from dgc_pose.images.image import image_header
 
 # KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
 _PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
@@ -46,7 +45,6 @@ _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTI
 _INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
 # Where a frame has one key of a group, the file's values for that group do not hold for it.
 _GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
-_NOT_READ = "is not read: give a cameras.txt of COLMAP's, or fx,fy,cx,cy"
 
 
 def read_file(path: Path) -> Calibration:
@@ -101,16 +99,12 @@ def _read_file(path: Path) -> Calibration:
 
 def _of_mapping(data: Any, path: Path) -> Calibration:
     """The cameras of what JSON, YAML or XML holds."""
-    if isinstance(data, list) and data and isinstance(data[0], dict):
-        raise InputError(f"a list of objects, as COLMAP's rig_config.json, {_NOT_READ}")
     if not isinstance(data, dict):
         return Calibration(common=numbers_camera(data))
-    if data.keys() >= {"views", "intrinsics"}:
-        raise InputError(f"a scene of openMVG or Meshroom {_NOT_READ}")
     if (rig := keyed.camchain(data, path)) is not None:
         return rig
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
-        return _nerf_cameras(_with_size(data, path.parent), str(path))
+        return _nerf_cameras(data, str(path))
     return keyed.keyed_cameras(data)
 
 
@@ -125,19 +119,7 @@ def _kitti_cameras(text: str, path: Path) -> Calibration:
     for key, values in _PROJECTION.findall(text):
         P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
         parts[f"image_{int(key)}"] = Camera(P[:, :3], sizes.get(key))
-    return keyed.rig(parts, path, {})
-
-
-def _with_size(data: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The data of a transforms.json with w and h: without them, as in NeRF's synthetic scenes, of
-    the first image, if it lies in the file's folder or below it."""
-    if {"w", "h", "cx"} & data.keys() or not {"fl_x", "camera_angle_x"} & data.keys():
-        return data
-    names = [str(frame["file_path"]) for frame in data.get("frames", ())[:1]]
-    for image in ((folder / f"{name}{end}").resolve() for name in names for end in ("", ".png")):
-        if image.is_relative_to(folder.resolve()) and image.is_file():
-            return {**data, **dict(zip("wh", image_header(image).size, strict=True))}
-    return data
+    return keyed.rig(parts, path)
 
 
 def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
@@ -163,7 +145,7 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
         elif common is not None:
             raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
     if common is None and not by_name:
-        raise InputError("no fl_x, and no camera_angle_x with w or an image of that name")
+        raise InputError("no fl_x, and no camera_angle_x with w")
     return Calibration("", by_name, common=common, poses=poses)
 
 

@@ -180,20 +180,6 @@ def test_which_camera_of_a_rig(tmp_path: Path) -> None:
         parse_camera(f"{path}:cam2")
 
 
-def test_only_the_chosen_camera_must_be_of_colmap(tmp_path: Path) -> None:
-    text = KALIBR.format(model="omni", coefficients=[]) + "cam2:\n  camera_model: omni\n"
-    text += "  intrinsics: [1.5, 500, 500, 320, 240]\n"
-    path = _write(tmp_path / "camchain.yaml", text)
-    assert parse_camera(f"{path}:cam1").K[0, 0] == 400
-    for source, error in (
-        (path, r"cam0: the \w+_model 'omni' has no COLMAP"),
-        (f"{path}:cam2", r"cam2: the \w+_model 'omni' has no COLMAP"),
-        (f"{path}:cam3", "has cam1, cam0, cam2, and no cam3$"),
-    ):
-        with pytest.raises(InputError, match=error):
-            read_calibration(source)
-
-
 @pytest.mark.parametrize(
     ("text", "error"),
     [

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import PIL.Image
 import pytest
 
 from dgc_pose.cameras.calibration import camera_data, pair_cameras, parse_camera, read_calibration
@@ -193,14 +192,6 @@ def test_nerfs_lenses(tmp_path: Path) -> None:
             {"K": K.tolist(), "model": "OPENCV", "coefficients": [0.1, 0, 0, 0], "lens_std": 0.02},
             "lens_std must be 0 with the lens OPENCV: it is for RADIAL",
         ),
-        (
-            {"views": [], "intrinsics": [{"key": 0}]},
-            "a scene of openMVG or Meshroom is not read",
-        ),
-        (
-            [{"cameras": [{"image_prefix": "left/"}]}],
-            "COLMAP's rig_config.json, is not read",
-        ),
         ({"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intrinsics"),
         ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
         ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
@@ -219,31 +210,6 @@ def test_json_that_has_no_camera(tmp_path: Path, data: object, error: str) -> No
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match=f"K.json.*{error}"):
         parse_camera(str(path))
-
-
-@pytest.mark.parametrize("ending", ["", ".png", ".jpg"])
-def test_the_size_of_a_transforms_json_without_w_is_that_of_its_first_image(
-    tmp_path: Path, ending: str
-) -> None:
-    """NeRF's synthetic scenes: the field of view alone, and names without an ending."""
-    image = Image(np.zeros((480, 640, 3), np.uint8), name="train/r_0.png")
-    (tmp_path / "scene/train").mkdir(parents=True)
-    for name in ("scene/train/r_0.png", "r_0.png"):
-        PIL.Image.fromarray(image.pixels).save(tmp_path / name)
-    path = tmp_path / "scene/transforms_train.json"
-    frames = [{"file_path": f"./train/r_0{ending}", "transform_matrix": np.eye(4).tolist()}]
-    path.write_text(json.dumps({"camera_angle_x": math.radians(60), "frames": frames}))
-    if ending == ".jpg":
-        with pytest.raises(InputError, match="no camera_angle_x with w or an image of that name"):
-            read_calibration(str(path))
-        return
-    camera = read_calibration(str(path)).camera(path.parent, "train/r_0.png", image)
-    left, right = camera.normalise(np.array([[-0.5, 239.5], [639.5, 239.5]]))
-    np.testing.assert_allclose((left, right), [[-(3**-0.5), 0], [3**-0.5, 0]], atol=1e-12)
-    frames[0]["file_path"] = "../r_0"  # what lies above the folder is not asked
-    path.write_text(json.dumps({"camera_angle_x": 1.0, "frames": frames}))
-    with pytest.raises(InputError, match="no camera_angle_x with w or an image of that name"):
-        read_calibration(str(path))
 
 
 BY_COLUMNS = K.T.ravel().tolist()
@@ -266,15 +232,11 @@ def test_matrices_of_scanners(tmp_path: Path, data: dict[str, object]) -> None:
 
 def test_each_frame_of_record3d_has_its_camera(tmp_path: Path) -> None:
     frames = [[500 + number, 510, 320, 240] for number in range(3)]
-    path = tmp_path / "metadata.json"
     data = {"w": 640, "h": 480, "K": BY_COLUMNS, "perFrameIntrinsicCoeffs": frames}
-    path.write_text(json.dumps(data))
-    calibration = read_calibration(str(path))
     for name, fx in (("rgbd/0.jpg", 500), ("rgbd/2.jpg", 502), ("rgbd/3.jpg", 500.0)):
-        camera = calibration.stated(tmp_path, name)
-        assert camera is not None and (camera.K[0, 0], camera.size) == (fx, SIZE)
-    other = calibration.stated(tmp_path, "a.jpg")
-    assert other is not None and other.K[0, 2] == 320.25
+        camera = _read(tmp_path, data, name)
+        assert (camera.K[0, 0], camera.size) == (fx, SIZE)
+    assert _read(tmp_path, data, "a.jpg").K[0, 2] == 320.25
 
 
 def test_a_4x4_matrix_as_text(tmp_path: Path) -> None:

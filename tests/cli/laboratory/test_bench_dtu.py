@@ -1,16 +1,13 @@
-"""bench-dtu from a scan on the disk to the report, in every layout and both protocols."""
+"""bench-dtu from a scan on the disk to the results, in both protocols."""
 
 import csv
 import os
 from pathlib import Path
 
-import cv2
 import dtu_layout
 import numpy as np
 import pytest
 from command_line import run
-
-from dgc_pose.benchmarks.dtu.calibration import DtuView
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +16,7 @@ FAST = ("--runs", "1", "--iterations", "100")
 
 @pytest.fixture(scope="module")
 def dtu(tmp_path_factory) -> Path:
-    """A rendered scan in the raw layout."""
+    """A rendered scan."""
     root = tmp_path_factory.mktemp("dtu")
     dtu_layout.write_raw(root, dtu_layout.rendered_scan())
     return root
@@ -77,43 +74,6 @@ def test_true_flows_give_the_true_poses(dtu, flows, tmp_path, protocol) -> None:
         assert float(row["translation_error_deg"]) < 1.5
         assert float(row["epipolar_confident_px"]) < 0.02
         assert int(row["num_matches"]) > 1500
-
-
-# The sizes of flow files: of the view, of a multiple of 64 that it is resized to, and of a quarter.
-FLOW_SIZES = {"whole": (160, 120), "multiple": (192, 128), "quarter": (40, 30)}
-
-
-@pytest.mark.parametrize(("protocol", "size"), [("paper", (256, 256)), ("native", (160, 120))])
-def test_a_flo_of_any_size_is_read_in_its_own_pixels(tmp_path, protocol, size) -> None:
-    """Views 2 and 3 lie beside and below view 1, so that epipolar lines are rows and columns. D_e
-    is the displacement across them, 2 px of the file, in pixels of the protocol's images."""
-    grey = np.full((120, 160, 3), 128, np.uint8)
-    centres = {1: (0.0, 0.0, 0.0), 2: (40.0, 0.0, 0.0), 3: (0.0, 40.0, 0.0)}
-    views = {n: DtuView(dtu_layout.K, np.eye(3), -np.array(at)) for n, at in centres.items()}
-    dtu_layout.write_raw(tmp_path / "dtu", dtu_layout.Scan(views, dict.fromkeys(views, grey), {}))
-    numbers = " 0 0" + 2 * " 9 0 4 0 9 3 0 0 1" + " 1 0 0 1 0 1 0 0 0 0 1 0 0 0 0 1\n"
-    names = [f"scan65/rect_{number:03d}_max.png" for number in views]
-    lines = [f"{names[0]} {name}{numbers}" for name in names[1:]]
-    (tmp_path / "pairs.txt").write_text("".join(lines))
-    for name, (width, height) in FLOW_SIZES.items():
-        (tmp_path / name).mkdir()
-        along = np.random.default_rng(0).uniform(2, 6, (height, width)).astype(np.float32)
-        across = np.full_like(along, 2)
-        for view2, flow in ((2, (along, across)), (3, (across, along))):
-            path = tmp_path / name / f"scan65_1_{view2}.flo"
-            assert cv2.writeOpticalFlow(str(path), np.stack(flow, -1))
-    bench(
-        *("--root", tmp_path / "dtu", "--out", tmp_path / "run", "--pairs", tmp_path / "pairs.txt"),
-        *("--protocol", protocol, "--methods", ",".join(f"{name}/all" for name in FLOW_SIZES)),
-        *(word for name in FLOW_SIZES for word in ("--matches", f"{name}={tmp_path / name}")),
-    )
-    rows = table(tmp_path / "run")
-    assert len(rows) == 2 * len(FLOW_SIZES)
-    for row in rows:
-        axis = 1 if "rect_002" in row["image2"] else 0
-        expected = 2 * size[axis] / FLOW_SIZES[row["method"].removesuffix("/all")][axis]
-        for kind in ("all", "all_mean", "confident", "confident_mean"):
-            assert float(row[f"epipolar_{kind}_px"]) == pytest.approx(expected, rel=1e-4)
 
 
 def results(folder: Path) -> list[dict[str, str]]:

@@ -1,10 +1,13 @@
-"""For the command-line reference: the help of each command as a terminal shows it.
+"""Hooks of mkdocs, loaded by mkdocs.yml.
 
-A hook, loaded by mkdocs.yml. In a page `<!-- commands: SECTION -->` stands for the commands of a
-section of `dgc-pose --help`, and `<!-- sections -->` for a table of all.
+In a page `<!-- commands: SECTION -->` stands for the commands of a section of `dgc-pose --help`,
+each with its help as a terminal shows it, and `<!-- sections -->` for a table of all.
 """
 
+import html
+import json
 import re
+from pathlib import Path
 from typing import Any
 
 import click
@@ -14,6 +17,7 @@ from dgc_pose.cli.main import SECTIONS, main
 WIDTH = 88  # characters of a line
 _COMMANDS = re.compile(r"<!-- commands: (.+) -->")
 _SECTIONS = "<!-- sections -->"
+_NONE = 'alt="No description has been provided for this image"'
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
@@ -41,3 +45,18 @@ def _reference(name: str) -> str:
     assert command is not None
     text = command.get_help(click.Context(command, parent, name))
     return f"## {name}\n\n```text\n{text}\n```\n"
+
+
+def on_page_content(content: str, *, page: Any, **_: Any) -> str:
+    """A notebook's page with the texts of its figures, for who cannot see them, in order.
+
+    Jupyter keeps them in the metadata of the cells' outputs; the template of nbconvert that
+    mkdocs-jupyter uses says that there are none.
+    """
+    path = Path(page.file.abs_src_path)
+    if path.suffix == ".ipynb":
+        cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+        for output in (output for cell in cells for output in cell.get("outputs", [])):
+            if picture := output.get("metadata", {}).get("image/jpeg"):
+                content = content.replace(_NONE, f'alt="{html.escape(picture["alt"])}"', 1)
+    return content
