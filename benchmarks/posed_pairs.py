@@ -14,14 +14,13 @@ from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
 from dgc_pose.geometry.pixels import exif_turn
-from dgc_pose.images.image import Image, load_image, resize
-from dgc_pose.matching.cache import BoundedCache
+from dgc_pose.images.image import Image
+from dgc_pose.images.store import ImageStore
 
 if TYPE_CHECKING:
     from dgc_pose.training.room_pairs import RoomPairs
 
 Ids = Mapping[str, str]
-_IMAGE_BYTES = 2**29
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +63,7 @@ class ListedPairs:
         self.ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
         self._seeds = seeds
         self._size = size
-        self._images: BoundedCache[Path, Image] = BoundedCache(
-            lambda _, image: image.pixels.nbytes, _IMAGE_BYTES
-        )
+        self._images = ImageStore(Path(), size=size)
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         """The pairs from number `first` on.
@@ -88,7 +85,7 @@ class ListedPairs:
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
         """An upright image and its camera, and the turn (3, 3) to its axes from those of a list,
         which is of the pixels as stored."""
-        image, turn = self._images.get(path, lambda: self._read(path)), np.eye(3)
+        image, turn = self._images.get(str(path)), np.eye(3)
         full = image.stored_size or image.size
         turn[:2, :2] = exif_turn(image.exif.orientation)
         stored = full if turn[0, 0] else full[::-1]
@@ -98,12 +95,6 @@ class ListedPairs:
         if self._size is not None:
             camera = replace(camera, size=full).resized(self._size)
         return image, camera, turn
-
-    def _read(self, path: Path) -> Image:
-        image = load_image(path)
-        if self._size is None:
-            return image
-        return replace(image, pixels=resize(image.pixels, self._size), stored_size=image.size)
 
 
 def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.dataclass_options import dataclass_options
@@ -147,8 +146,10 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
 
     lines = ["pair,status,probability,rotation,R within,t within,inliers".split(",")]
     for row in rows[:PAIRS_SHOWN]:
-        angle = None if row.R is None else rotation_angle_deg(np.reshape(row.R, (3, 3)))
-        degrees = (angle, row.rotation_error_90_deg, row.translation_error_90_deg)
+        degrees: list[float | None] = [None] * 3
+        if (pose := row.pose) is not None:
+            angle = None if pose.R is None else rotation_angle_deg(pose.R)
+            degrees = [angle, pose.rotation_error_90_deg, pose.translation_error_90_deg]
         shown = ["-" if value is None else f"{value:.2f} deg" for value in degrees]
         likely = "-" if row.probability is None else percent_text(row.probability)
         names, inliers = f"{row.name1} {row.name2}", f"{row.num_inliers} of {row.num_matches}"

@@ -9,21 +9,14 @@ photograph has that camera after all.
 
 import math
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from dgc_pose.batch.pooling import (
-    FittedPair,
-    PooledCamera,
-    by_image,
-    centre_moved,
-    pool,
-    sharing,
-)
-from dgc_pose.batch.poses import Poses, epipolar_error_px, fitted_pairs
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.pooling import PooledCamera, by_image, centre_moved, fit_of, pool, sharing
+from dgc_pose.batch.poses import Poses, epipolar_error_px
+from dgc_pose.batch.rows import MatchedPair, PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SHARED, SIZE_STD
 from dgc_pose.estimation.camera_model import with_model
@@ -48,19 +41,19 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
 
     poses: of pairs that are stored each with its own fit of `cameras`.
     """
-    pairs = fitted_pairs(poses.store.blocks())
-    start = _by_models(cameras, pairs)
-    known = {**start, **by_image(pool(start, pairs, inside=start))}
+    rows = _rows_of(poses.store.pairs("matched"))
+    start = _by_models(cameras, rows)
+    known = {**start, **by_image(pool(start, rows, inside=start))}
     if start != cameras or centre_moved(start, known):
         start = {name: replace(c, K=known[name].K) for name, c in start.items()}
-        pairs = fitted_pairs(poses.estimated(start, fit=True))
-        known = {**start, **by_image(pool(start, pairs, inside=start))}
+        rows = _rows_of(poses.estimated(start, fit=True))
+        known = {**start, **by_image(pool(start, rows, inside=start))}
     single = {name for name, names in sharing(start).items() if len(names) == 1}
     certain = [n for n, c in known.items() if n not in single and c.focal_std < _PARTNER_FOCAL_STD]
-    own = _own_cameras(poses, start, pairs, known, certain)
+    own = _own_cameras(poses, start, rows, known, certain)
     whose = _whose(start, known, certain, own)
     members = {name: camera for name, camera in start.items() if name not in own}
-    kept = [pair for pair in pairs if not {*pair.row.names} & {*own}]
+    kept = [row for row in rows if not {*row.names} & {*own}]
     listed = [*pool(members, kept, inside=certain), *own.values()]
     final = {**start, **by_image(listed)}
     for name, other in whose.items():  # off by the same factor
@@ -73,10 +66,15 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
     return listed
 
 
+def _rows_of(pairs: Iterable[MatchedPair]) -> list[PairRow]:
+    """The rows in the order of the pairs."""
+    return sorted((pair.row for pair in pairs), key=lambda row: row.index)
+
+
 def _own_cameras(
     poses: Poses,
     start: Cameras,
-    pairs: Sequence[FittedPair],
+    rows: Sequence[PairRow],
     known: Cameras,
     certain: Sequence[str],
 ) -> dict[str, PooledCamera]:
@@ -90,22 +88,22 @@ def _own_cameras(
     for name, names in sharing(start).items():
         camera, agreeing, single = start[name], 0, len(names) == 1
         if not single:
-            agreeing, count = _agreement(name, names, known[name], pairs)
+            agreeing, count = _agreement(name, names, known[name], rows)
             stated = camera.focal_source == "given" or camera.identity == SHARED
             if stated or name not in certain or len(names) < _MIN_GROUP:
                 continue
             if agreeing >= _AGREEING_SHARE * count:
                 continue
         partners = {*certain} - {name}
-        chosen = [p for p in pairs if name in p.row.names and partners.intersection(p.row.names)]
-        chosen.sort(key=lambda pair: -pair.row.num_inliers)
-        some = {pair.index for pair in chosen[:_MOST_PAIRS]}
+        chosen = [r for r in rows if name in r.names and partners.intersection(r.names)]
+        chosen.sort(key=lambda row: -row.num_inliers)
+        some = {row.index for row in chosen[:_MOST_PAIRS]}
         tried = {**known, name: _own(camera, doubted=not single)}
-        refitted = fitted_pairs(poses.estimated(tried, fit=True, only=some))
+        refitted = _rows_of(poses.estimated(tried, fit=True, only=some))
         (found,) = pool({**exact, name: tried[name]}, refitted)
         # A wide fit contradicts no pairs that agree, or that determine as little.
         contradicts = agreeing == 0 and any(
-            _is_ample(p.row) for p in refitted if p.row.status != "mirrored"
+            _is_ample(row) for row in refitted if row.status != "mirrored"
         )
         fit = found.cameras[name]
         in_group = not single and _agrees(fit, known[name])
@@ -146,13 +144,14 @@ def _whose(
     return whose
 
 
-def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
+def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
     """The cameras before the fit by the model that most of their pairs agree with."""
     groups = sharing(cameras)
     weights: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
-    for row in (pair.row for pair in pairs if pair.row.success):
-        for name in {groups[n][0] for n in row.names if n in groups}:
-            weights[name][row.camera_model] += 1.0 if row.probability is None else row.probability
+    for row in rows:
+        for name in {groups[n][0] for n in row.names if n in groups and row.success}:
+            weight = 1.0 if row.probability is None else row.probability
+            weights[name][row.camera_model] += weight
     changed = dict(cameras)
     for name, names in groups.items():
         of_group = weights[names[0]]
@@ -163,16 +162,16 @@ def _by_models(cameras: Cameras, pairs: Sequence[FittedPair]) -> Cameras:
 
 
 def _agreement(
-    name: str, names: Sequence[str], camera: Camera, pairs: Sequence[FittedPair]
+    name: str, names: Sequence[str], camera: Camera, rows: Sequence[PairRow]
 ) -> tuple[int, int]:
     """How many pairs of an image with its group agree with the group's camera, and how many ought
     to determine it."""
     agreeing, count = 0, 0
-    for pair in pairs:
-        if name in pair.row.names and {*pair.row.names} <= {*names}:
-            count += _is_ample(pair.row)
-            if pair.fitted is not None:
-                of_pair = pair.fitted.cameras[pair.row.names.index(name)]
+    for row in rows:
+        if name in row.names and {*row.names} <= {*names}:
+            count += _is_ample(row)
+            if (fitted := fit_of(row)) is not None:
+                of_pair = fitted[row.names.index(name)]
                 agreeing += _same_focal(of_pair, camera, _AGREEING_STDS)
     return agreeing, count
 
@@ -188,13 +187,12 @@ def _log_errors(poses: Poses, cameras: Cameras, only: Collection[int]) -> list[f
     """By pair the logarithm of the median epipolar error of its matches by these cameras, pixels;
     of a pair that has no pose with them that of a pixel."""
     errors = {}
-    for block in poses.estimated(cameras, fit=False, only=only):
-        for index, row, found in zip(block.indices, block.rows, block.matches, strict=True):
-            error = np.ones(1)
-            if row.t is not None:
-                of_pair = [cameras[name] for name in row.names]
-                error = epipolar_error_px(row, of_pair, found.points1, found.points2)
-            errors[index] = math.log(min(max(float(np.median(error)), _LEAST_ERROR_PX), 1.0))
+    for pair in poses.estimated(cameras, fit=False, only=only):
+        row, error = pair.row, np.ones(1)
+        if row.pose is not None and row.pose.t is not None:
+            of_pair = [cameras[name] for name in row.names]
+            error = epipolar_error_px(row, of_pair, pair.matches.points1, pair.matches.points2)
+        errors[row.index] = math.log(min(max(float(np.median(error)), _LEAST_ERROR_PX), 1.0))
     return [errors[index] for index in sorted(errors)]
 
 

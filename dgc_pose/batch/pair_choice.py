@@ -1,37 +1,31 @@
 """Which images of a folder are paired: all, neighbours in a sequence, or the most similar."""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
 
 Way = Literal["exhaustive", "sequential", "auto"]
-_DIGITS = 10  # of a number of images
 _EXHAUSTIVE_UP_TO = 20  # images
 _PAIRS = ArgumentName("pairs")
 
 
 @dataclass(frozen=True)
 class PairChoice:
-    """A way to choose pairs. Raises InputError for a number below 1."""
+    """A way to choose pairs."""
 
     way: Way
     # sequential: pairs of images at most so far apart. auto: most similar images of each image.
     number: int = 1
 
-    def __post_init__(self) -> None:
-        if self.number < 1:
-            raise InputError(_PAIRS, f"{self.way}:N needs N of at least 1, not {self.number}")
-
     def pairs(self, count: int) -> list[tuple[int, int]]:
         """The pairs (i, j), i < j, of so many images; none for "auto", which needs their scores."""
-        if self.way == "auto":
-            return []
-        widest = count if self.way == "exhaustive" else self.number
+        widest = {"exhaustive": count, "sequential": self.number, "auto": 0}[self.way]
         return [(i, j) for i in range(count) for j in range(i + 1, min(i + widest + 1, count))]
 
 
@@ -44,13 +38,11 @@ def parse_pair_choice(text: str) -> PairChoice:
     """`exhaustive`, `sequential:W` or `auto:K`. Raises InputError for another text."""
     if text == "exhaustive":
         return PairChoice("exhaustive")
-    way, _, number = text.partition(":")
-    if number.isdecimal() and len(number) < _DIGITS:
-        if way == "sequential":
-            return PairChoice("sequential", int(number))
-        if way == "auto":
-            return PairChoice("auto", int(number))
-    raise InputError(_PAIRS, f"must be exhaustive, sequential:W or auto:K, not {text!r}")
+    if match := re.fullmatch("(sequential|auto):([1-9][0-9]{0,8})", text):
+        return PairChoice(cast(Way, match[1]), int(match[2]))
+    raise InputError(
+        _PAIRS, f"must be exhaustive, sequential:W or auto:K, W and K from 1, not {text!r}"
+    )
 
 
 def similarities(features: Sequence[np.ndarray]) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The plan of a batch: its settings, the images with their cameras, and the pairs; `plan.json`."""
+"""The plan of a batch: its settings, the images with their cameras, and the pairs."""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.batch.matches_file import group_name
-from dgc_pose.batch.source import PLAN, FileState
+from dgc_pose.batch.source import STORE, FileState
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import ArgumentName, InputError, reason, shortened
-from dgc_pose.files.json_files import read_json
-from dgc_pose.files.outputs import write_text
+from dgc_pose.errors import ArgumentName, InputError, shortened
 
-_VERSION = 6
+_VERSION = 7
 _RESUME = ArgumentName("resume")
 
 
@@ -51,76 +49,56 @@ class Plan:
         first, second = self.pairs[index]
         return self.names[first], self.names[second]
 
-    def same_files(self, names: Iterable[str], states: Mapping[str, FileState]) -> bool:
-        """Whether the photographs of these names are in these states."""
-        return all(self.states.get(name) == states.get(name) for name in names)
 
-
-def write_plan(out: Path, plan: Plan) -> None:
-    """Write `plan.json`, making the folder. Raises InputError if two pairs would share a group of
-    the matches file."""
+def require_own_groups(plan: Plan) -> None:
+    """Raise InputError if two pairs would share a group of the matches file."""
     groups: dict[str, tuple[str, str]] = {}
-    for index in range(len(plan.pairs)):
-        pair = plan.pair(index)
+    for pair in map(plan.pair, range(len(plan.pairs))):
         other = groups.setdefault(group_name(*pair), pair)
         if other != pair:
             raise InputError(f"{' '.join(pair)} and {' '.join(other)} have one name in HDF5")
-    out.mkdir(parents=True, exist_ok=True)
-    pooled = plan.pooled or {}
-    data = {
+
+
+def plan_data(plan: Plan) -> dict[str, Any]:
+    """A plan as values of JSON."""
+    cameras, pooled = (
+        {name: camera_data(camera) for name, camera in (of or {}).items()}
+        for of in (plan.cameras, plan.pooled)
+    )
+    return {
         "version": _VERSION,
         "root": str(plan.root.resolve()),
         "settings": dict(plan.settings),
-        "images": [
-            {
-                "name": name,
-                "camera": camera_data(plan.cameras[name]) if name in plan.cameras else None,
-                "pooled": camera_data(pooled[name]) if name in pooled else None,
-                "bad": plan.bad.get(name),
-                "state": plan.states.get(name),
-            }
-            for name in plan.names
-        ],
+        "names": plan.names,
+        "cameras": cameras,
+        "pooled": pooled,
+        "bad": dict(plan.bad),
+        "states": dict(plan.states),
         "pairs": plan.pairs.tolist(),
     }
-    write_text(out / PLAN, json.dumps(data, allow_nan=False) + "\n")
 
 
-def read_plan(out: Path) -> Plan:
-    """The plan of a folder. Raises InputError, with the path, if there is none or it is broken."""
-    path = out / PLAN
-    if not path.is_file():
-        raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no {PLAN})")
-    data = read_json(path, "the plan of a batch")
-    try:
-        if data["version"] != _VERSION:
-            raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
-        cameras, pooled, bad, states = (
-            {image["name"]: image[key] for image in data["images"] if image[key] is not None}
-            for key in ("camera", "pooled", "bad", "state")
-        )
-        plan = Plan(
-            Path(data["root"]),
-            {name: parse_camera_data(values) for name, values in cameras.items()},
-            bad,
-            parse_states(states),
-            tuple(image["name"] for image in data["images"]),
-            np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
-            dict(data["settings"]),
-            {name: parse_camera_data(values) for name, values in pooled.items()} or None,
-        )
-        if not all(isinstance(name, str) for name in (*plan.names, *plan.bad.values())):
-            raise ValueError("names that are no texts")
-        if len(plan.pairs) and not 0 <= plan.pairs.min() <= plan.pairs.max() < len(plan.names):
-            raise ValueError("pairs of images that are not listed")
-        return plan
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, OverflowError) as error:
-        raise InputError(f"{path}: not the plan of a batch ({reason(error)})") from None
-
-
-def parse_states(data: Mapping[str, Any]) -> dict[str, FileState]:
-    """States of photographs from JSON; those that are null are absent."""
-    return {name: tuple(map(int, state)) for name, state in data.items() if state is not None}
+def parse_plan(data: Mapping[str, Any]) -> Plan:
+    """The plan of `plan_data`. Raises anything for other data."""
+    if data["version"] != _VERSION:
+        raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
+    cameras, pooled = (
+        {name: parse_camera_data(values) for name, values in data[key].items()}
+        for key in ("cameras", "pooled")
+    )
+    plan = Plan(
+        Path(data["root"]),
+        cameras,
+        dict(data["bad"]),
+        {name: tuple(map(int, state)) for name, state in data["states"].items()},
+        tuple(map(str, data["names"])),
+        np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
+        dict(data["settings"]),
+        pooled or None,
+    )
+    if len(plan.pairs) and not 0 <= plan.pairs.min() <= plan.pairs.max() < len(plan.names):
+        raise ValueError("pairs of images that are not listed")
+    return plan
 
 
 def continued(before: Plan, now: Plan, out: Path) -> Plan:
@@ -137,12 +115,12 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
         raise InputError(
             f"{now.root / changed[0]} {what} since that batch:", _RESUME, "needs the same"
         )
-    unchanged = [name for name in now.names if now.same_files([name], before.states)]
+    unchanged = [n for n in now.names if now.states.get(n) == before.states.get(n)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     for what in {**old, **new}:
         if old.get(what) != new.get(what):
             had, has = (shortened(json.dumps(facts.get(what))) for facts in (old, new))
-            differs = f"{out / PLAN}: that batch had {what} {had}, not {has}:"
+            differs = f"{out / STORE}: that batch had {what} {had}, not {has}:"
             raise InputError(differs, _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     return replace(now, names=before.names, pairs=before.pairs, bad=bad | dict(now.bad))

@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.intrinsics_prior import SIZE, is_of_part, parameter_stds, with_parameters
@@ -54,13 +53,9 @@ class CameraFit:
     weight: float = 1.0  # the probability that the pair's pose is right
 
 
-@dataclass(frozen=True, eq=False)
-class FittedPair:
-    """A pair with the cameras that it fits."""
-
-    index: int  # of the pair in the batch
-    row: PairRow
-    fitted: FittedCameras | None  # by the assumed camera model, of a pair with a pose
+def fit_of(row: PairRow) -> tuple[Camera, Camera] | None:
+    """The cameras that a pair with a pose fits by the assumed camera model."""
+    return row.fitted_cameras if row.success and row.camera_model == "assumed" else None
 
 
 def is_known(camera: Camera) -> bool:
@@ -83,18 +78,18 @@ def by_image(pooled: Iterable[PooledCamera]) -> dict[str, Camera]:
 
 
 def pool(
-    cameras: Mapping[str, Camera], pairs: Iterable[FittedPair], inside: Collection[str] = ()
+    cameras: Mapping[str, Camera], rows: Iterable[PairRow], inside: Collection[str] = ()
 ) -> list[PooledCamera]:
     """The cameras that have a deviation, one by one, as all pairs fit them.
 
     cameras: by name, as the pairs had them. inside: images whose cameras are fitted by the pairs of
     one camera, and by those of two images alone. Images of several sizes, and parts without EXIF
-    data, share a focal length and no principal point. The same for any order of the pairs.
+    data, share a focal length and no principal point. The same for any order of the rows.
     """
     shared = sharing(cameras)
     fits: dict[tuple[str, ...], list[CameraFit]] = defaultdict(list)
-    for pair in pairs:
-        for key, fit in _fits_of(pair, cameras, shared, inside).items():
+    for row in rows:
+        for key, fit in _fits_of(row, cameras, shared, inside).items():
             fits[key].append(fit)
     pooled = []
     for names in dict.fromkeys(shared.values()):
@@ -217,20 +212,21 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
 
 
 def _fits_of(
-    pair: FittedPair,
+    row: PairRow,
     cameras: Mapping[str, Camera],
     shared: Mapping[str, tuple[str, ...]],
     inside: Collection[str],
 ) -> dict[tuple[str, ...], CameraFit]:
     """The fits of a pair's cameras; one camera of both images once."""
-    row, fits = pair.row, {}
-    if pair.fitted is not None:
+    fits: dict[tuple[str, ...], CameraFit] = {}
+    pose, fitted = row.pose, fit_of(row)
+    if fitted is not None and pose is not None and pose.camera_covariance is not None:
         first, second = (shared.get(name, (name,)) for name in row.names)
         between = first != second and max(len(first), len(second)) > 1
-        weight = 1.0 if row.probability is None else row.probability
-        blocks = pair.fitted.covariance[:SIZE, :SIZE], pair.fitted.covariance[SIZE:, SIZE:]
-        for name, camera, covariance in zip(row.names, pair.fitted.cameras, blocks, strict=True):
+        weight = 1.0 if pose.probability is None else pose.probability
+        blocks = pose.camera_covariance[:SIZE, :SIZE], pose.camera_covariance[SIZE:, SIZE:]
+        for name, camera, block in zip(row.names, fitted, blocks, strict=True):
             if name in shared and not (between and name in inside):
                 value = _parameters(camera) - _parameters(cameras[name])
-                fits[shared[name]] = CameraFit(value, covariance, weight)
+                fits[shared[name]] = CameraFit(value, block, weight)
     return fits

@@ -7,14 +7,14 @@ from itertools import islice
 
 import numpy as np
 
-from dgc_pose.batch.pooling import FittedPair
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.batch.schedule import block_size
-from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import Estimate, Matched
-from dgc_pose.batch.workers import RunTasks
+from dgc_pose.batch.rows import MatchedPair, PairRow
+from dgc_pose.batch.schedule import block_size, blocks_of
+from dgc_pose.batch.store import BatchStore
+from dgc_pose.batch.work import Worker
+from dgc_pose.batch.workers import Run
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
+from dgc_pose.estimation import RelativePose
+from dgc_pose.geometry.epipolar import sampson_distance
 
 _BLOCKS_HELD = 4  # of matches in memory, for each worker
 _FEW_LEFT = 0.5  # of the inliers of a pair by itself
@@ -24,25 +24,26 @@ _FEW_LEFT = 0.5  # of the inliers of a pair by itself
 class Poses:
     """Estimates poses by workers."""
 
-    store: PairStore  # of the pairs as they are matched
-    run: RunTasks
+    store: BatchStore  # of the pairs as they are matched
+    run: Run
     workers: int
 
     def estimated(
         self, cameras: Mapping[str, Camera], *, fit: bool, only: Collection[int] | None = None
-    ) -> Iterator[Matched]:
-        """The pairs with their poses by these cameras. fit: whether each pair fits its cameras;
-        otherwise those alone do whose cameras are not known. only: indices of some pairs."""
-        count = len(self.store if only is None else only)
-        blocks = self.store.blocks(block_size(count, self.workers), only)
-        while held := list(islice(blocks, _BLOCKS_HELD * self.workers)):
+    ) -> Iterator[MatchedPair]:
+        """The pairs with their poses by these cameras, in any order. fit: whether each pair fits
+        its cameras; otherwise those alone do whose cameras are not known. only: some pairs."""
+        indices = [index for index, _ in self.store.lines("matched")] if only is None else only
+        size = block_size(len(indices), self.workers)
+        pairs = self.store.pairs("matched", indices)
+        while held := list(islice(pairs, size * _BLOCKS_HELD * self.workers)):
             tasks = []
-            for block in held:
-                of_block = {n: cameras[n] for row in block.rows for n in row.names if n in cameras}
-                tasks.append(Estimate(block, of_block, fit))
-            for outcome in self.run(tasks):
-                assert isinstance(outcome, Matched)
-                yield outcome
+            for block in blocks_of(held, size):
+                names = {name for pair in block for name in pair.row.names}
+                of_block = {name: cameras[name] for name in names if name in cameras}
+                tasks.append((block, of_block, fit))
+            for outcome in self.run(Worker.estimate, tasks):
+                yield from outcome
 
 
 def epipolar_error_px(
@@ -50,42 +51,31 @@ def epipolar_error_px(
 ) -> np.ndarray:
     """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
     where distortion cannot be undone, and 0 without a translation. cameras: that the pose is of."""
-    if row.R is None or row.t is None:
+    if row.pose is None or row.pose.E is None:
         return np.zeros(len(points1))
     camera1, camera2 = cameras
-    E = essential_from_pose(np.reshape(row.R, (3, 3)), np.array(row.t))
-    focal = (camera1.focal + camera2.focal) / 2
-    distance = sampson_distance(camera1.normalise(points1), camera2.normalise(points2), E) * focal
+    normalised = camera1.normalise(points1), camera2.normalise(points2)
+    distance = sampson_distance(*normalised, row.pose.E) * (camera1.focal + camera2.focal) / 2
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
-def fitted_pairs(blocks: Iterable[Matched]) -> list[FittedPair]:
-    """The pairs with the cameras that each fits, in their order."""
-    pairs = []
-    for block in blocks:
-        for index, row, matches in zip(block.indices, block.rows, block.matches, strict=True):
-            is_fit = row.success and row.camera_model == "assumed"
-            pairs.append(FittedPair(index, row, matches.fitted if is_fit else None))
-    return sorted(pairs, key=lambda pair: pair.index)
-
-
-def compared(blocks: Iterable[Matched], alone: Sequence[PairRow]) -> Iterator[Matched]:
-    """The blocks, in which no pose is of a mirrored photograph and one that is not; and where few
+def compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterator[MatchedPair]:
+    """The pairs, in which no pose is of a mirrored photograph and one that is not; and where few
     inliers are left, a warning. alone: the rows of the pairs by themselves."""
     mirrored = _mirrored(alone)
     inliers = {row.names: row.num_inliers if row.success else 0 for row in alone}
-    for block in blocks:
-        rows, matches = list(block.rows), list(block.matches)
-        for i, row in enumerate(rows):
-            one = mirrored.intersection(row.names)
-            if row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
-                few = f"the folder's cameras leave {row.num_inliers} of {before} inliers"
-                rows[i] = replace(row, warnings=(*row.warnings, few))
-            if len(one) == 1 and row.t is not None:
-                why = f"by most pairs {one.pop()} is a mirror image of the other photographs"
-                rows[i] = PairRow(*row.names, "mirrored", False, why, num_matches=row.num_matches)
-                matches[i] = replace(matches[i], inliers=np.zeros_like(matches[i].inliers))
-        yield replace(block, rows=rows, matches=matches)
+    for pair in pairs:
+        row, pose = pair.row, pair.row.pose
+        one = mirrored.intersection(row.names)
+        if pose is not None and pose.t is not None and len(one) == 1:
+            why = f"by most pairs {one.pop()} is a mirror image of the other photographs"
+            none = np.zeros_like(pose.inliers)
+            pose = RelativePose("mirrored", why, none, pose.num_matches)
+            row = replace(row, status=pose.status, reason=why, pose=pose)
+        elif pose is not None and row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
+            few = f"the folder's cameras leave {row.num_inliers} of {before} inliers"
+            row = replace(row, pose=replace(pose, warnings=(*pose.warnings, few)))
+        yield replace(pair, row=row)
 
 
 def _mirrored(rows: Sequence[PairRow]) -> set[str]:

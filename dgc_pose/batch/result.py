@@ -2,28 +2,21 @@
 cameras, in the order of the pairs whatever the order in which they were done."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import h5py
-
-from dgc_pose.batch.matches_file import (
-    PairMatches,
-    group_name,
-    open_matches,
-    read_matches,
-    write_matches,
-)
-from dgc_pose.batch.plan import Plan, read_plan
-from dgc_pose.batch.pooling import PooledCamera
-from dgc_pose.batch.rows import BAD_INPUT, FAILED, PairRow, read_rows, write_rows
-from dgc_pose.batch.work import Matched
+from dgc_pose.batch.matches_file import write_matches
+from dgc_pose.batch.plan import Plan
+from dgc_pose.batch.pooling import PooledCamera, write_cameras
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, MatchedPair, PairRow
+from dgc_pose.batch.source import STORE
+from dgc_pose.batch.store import BatchStore, open_store
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import STATUSES
-from dgc_pose.files.json_files import read_json
-from dgc_pose.files.outputs import replaced, require_room
+from dgc_pose.files.json_files import write_json
+from dgc_pose.files.outputs import replaced, require_room, writing
 
 PAIRS, MATCHES, SUMMARY = "pairs.jsonl", "matches.h5", "summary.json"
 
@@ -37,58 +30,56 @@ class Batch:
     rows: Sequence[PairRow]  # in the order of the pairs
     summary: Mapping[str, Any]
 
-    def matches(self) -> Iterator[tuple[PairRow, PairMatches]]:
-        """Each row with its matches. Raises InputError if the file is cut short."""
-        with open_matches(self.folder / MATCHES) as file:
-            for row in self.rows:
-                yield row, read_matches(file, group_name(*row.names))
+    def pairs(self) -> Iterator[MatchedPair]:
+        """Each pair with its matches. Raises InputError if the store is broken."""
+        with open_store(self.folder) as store:
+            yield from store.pairs("result")
 
 
-def is_finished(out: Path) -> bool:
-    """Whether the folder has a result; not whether it is whole."""
-    return (out / SUMMARY).is_file()
+def stored_plan(out: Path) -> Plan | None:
+    """The plan of the batch in a folder; None if there is none. Raises InputError, with the path,
+    if it is broken."""
+    if not (out / STORE).is_file():
+        return None
+    with open_store(out) as store:
+        return store.plan
 
 
 def read_batch(out: Path) -> Batch:
     """The result of a finished batch. Raises InputError, with the path, if it is not finished, or
-    a file of it is broken."""
-    plan = read_plan(out)
-    if not is_finished(out):
-        raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
-    rows = list(read_rows(out / PAIRS))
-    if len(rows) != len(plan.pairs):
-        raise InputError(
-            f"{out / PAIRS}: {len(rows)} rows, and the plan has {len(plan.pairs)} pairs"
-        )
-    summary = read_json(out / SUMMARY, "the summary of a batch")
-    if not isinstance(summary, dict) or not isinstance(summary.get("bad_images"), dict):
-        raise InputError(f"{out / SUMMARY}: not the summary of a batch")
+    broken."""
+    if (plan := stored_plan(out)) is None:
+        raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no plan in {STORE})")
+    with open_store(out) as store:
+        summary = store.summary
+        if summary is None:
+            raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
+        rows = store.rows("result")
+    if [row.names for row in rows] != [plan.pair(i) for i in range(len(plan.pairs))]:
+        raise InputError(f"{out / STORE}: the rows are of other pairs than the plan's")
     return Batch(out, plan, rows, summary)
 
 
-def write_pairs(out: Path, blocks: Iterable[Matched], size: int) -> list[PairRow]:
-    """Write the rows and the matches of all pairs, and return the rows in the order of the pairs.
-
-    size: of the matches, bytes, roughly.
-    """
-    with replaced(out / PAIRS) as pairs, replaced(out / MATCHES) as matches:
-        require_room(out / MATCHES, size)
-        by_index: dict[int, PairRow] = {}
-        with h5py.File(matches, "w") as file:
-            for block in blocks:
-                by_index |= zip(block.indices, block.rows, strict=True)
-                for row, of_pair in zip(block.rows, block.matches, strict=True):
-                    write_matches(file.create_group(group_name(*row.names)), of_pair)
-        rows = [by_index[index] for index in sorted(by_index)]
-        write_rows(pairs, rows)
-    return rows
+def write_files(out: Path, store: BatchStore, plan: Plan, summary: Mapping[str, Any]) -> None:
+    """Write the files of a result, whose pairs are in the store."""
+    if plan.uncertain:
+        write_cameras(out, plan.final_cameras)
+    with replaced(out / PAIRS) as file, writing(file), file.open("w", encoding="utf-8") as stream:
+        stream.writelines(f"{line}\n" for _, line in store.lines("result"))
+    with replaced(out / MATCHES) as file:
+        require_room(out / MATCHES, store.byte_count())
+        write_matches(file, store.pairs("result"))
+    write_json(out / SUMMARY, summary)
 
 
 def summary_of(
-    plan: Plan, rows: Sequence[PairRow], bad: Mapping[str, str], cameras: Sequence[PooledCamera]
+    plan: Plan, rows: Sequence[PairRow], cameras: Sequence[PooledCamera]
 ) -> dict[str, Any]:
-    """The content of `summary.json`. bad: the reasons by image; cameras: the pooled ones."""
+    """The content of `summary.json`. cameras: the pooled ones."""
     by_status = Counter(row.status for row in rows)
+    bad = dict(plan.bad)
+    for row in rows:
+        bad.update(row.bad_images)
     return {
         "images": len(plan.names),
         "bad_images": dict(sorted(bad.items())),

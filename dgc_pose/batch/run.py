@@ -2,33 +2,31 @@
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
-from dgc_pose.batch.plan import Plan, continued, read_plan, write_plan
-from dgc_pose.batch.pooling import PooledCamera, by_image, write_cameras
+from dgc_pose.batch.plan import Plan, continued, require_own_groups
+from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses, compared
-from dgc_pose.batch.result import SUMMARY, Batch, is_finished, read_batch, summary_of, write_pairs
+from dgc_pose.batch.result import SUMMARY, Batch, read_batch, stored_plan, summary_of, write_files
 from dgc_pose.batch.rows import FAILED
 from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
-from dgc_pose.batch.source import PLAN, Source, survey
-from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import FEATURE_BYTES, Describe, Job, Match, Matched
-from dgc_pose.batch.workers import RunTasks, local_workers, ray_workers
+from dgc_pose.batch.source import STORE, Source, survey
+from dgc_pose.batch.store import BatchStore, open_store
+from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker
+from dgc_pose.batch.workers import Run, local_workers, ray_workers
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
-from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
@@ -59,7 +57,7 @@ def run_batch(
     from the same matches.
 
     A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
-    have changed since; all of them if photographs have changed after a result without bad pairs.
+    have changed since.
 
     Raises InputError if there is a batch in `out` already and `resume` is not asked for, if that
     one had other settings, images or cameras, or if the input is unusable; OSError if the disk is
@@ -84,63 +82,78 @@ def run_batch(
         "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
-        "format": "jsonl",  # of the rows
     }
     with _folder_alone(out):
-        if (out / PLAN).is_file() and not options.resume:
+        before = stored_plan(out)
+        if before is not None and not options.resume:
             raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
-        before = read_plan(out) if (out / PLAN).is_file() else None
-        plan = _first_plan(source, calibration, choice, settings)
+        place = {name: i for i, name in enumerate(source.names)}
+        chosen = [(place[a], place[b]) for a, b in source.pairs or ()]
+        if choice is not None:  # none by the images' features, yet
+            chosen = choice.pairs(len(source.names))
+        pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
+        plan = Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
+        again: set[int] = set()
         if before is not None:
             plan = continued(before, plan, out)
-            if is_finished(out) and plan.same_files(plan.names, before.states):
-                result = read_batch(out)
-                if all(row.status != FAILED for row in result.rows):
-                    return result
+            changed = {n for n in plan.names if plan.states.get(n) != before.states.get(n)}
+            again = {i for i in range(len(plan.pairs)) if changed.intersection(plan.pair(i))}
+            with open_store(out) as store:
+                again |= {row.index for row in store.rows("matched") if row.status == FAILED}
+                is_finished = store.summary is not None
+            if is_finished and not again:
+                return read_batch(out)
         limit = options.worker_bytes
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks)
         # What a matcher cannot load is an error before anything is written.
         start_workers = ray_workers if options.engine == "ray" else local_workers
         with start_workers(job, options.worker_count) as run:
-            if before is None:
-                if choice is not None and choice.way == "auto":
-                    plan = _with_similar(plan, choice.number, run, progress)
-                write_plan(out, plan)
-            (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
-            store = PairStore(out, plan)
-            poses = Poses(store, run, options.worker_count)
-            worked = _match(store, plan, run, options, progress)
-            cameras: list[PooledCamera] = []
-            blocks, alone = store.blocks(), store.rows
-            if plan.uncertain:
-                cameras = folder_cameras(poses, plan.cameras)
-                plan = replace(plan, pooled=by_image(cameras))
-                flipped = [i for i, row in enumerate(alone) if row.status == "mirrored"]
-                others = [i for i, row in enumerate(alone) if row.status != "mirrored"]
-                first = list(poses.estimated(plan.final_cameras, fit=False, only=flipped))
-                for block in first:  # perhaps not by the folder's cameras
-                    for index, row in zip(block.indices, block.rows, strict=True):
-                        alone[index] = row
-                blocks = chain(first, poses.estimated(plan.final_cameras, fit=False, only=others))
-                blocks = _counted(blocks, plan, progress)
-            blocks = compared(blocks, alone)
-            rows = write_pairs(out, blocks, store.byte_count)
-        if plan.uncertain:
-            write_cameras(out, plan.final_cameras)
-        write_plan(out, plan)  # with photographs and focal lengths as they are now
-        summary = summary_of(plan, rows, store.bad, cameras)
-        seconds = round(time.perf_counter() - start, 2)
-        write_json(out / SUMMARY, summary | {"matched_now": worked, "seconds": seconds})
-        if not (summary["failed_pairs"] or summary["bad_pairs"]):
-            store.remove()
+            if before is None and choice is not None and choice.way == "auto":
+                plan = _with_similar(plan, choice.number, run, progress)
+            require_own_groups(plan)
+            with open_store(out, create=True) as store:
+                store.begin(plan, again)
+                (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
+                worked = _match(store, plan, run, options, progress)
+                poses = Poses(store, run, options.worker_count)
+                with store.change():
+                    plan, cameras = _pose(store, plan, poses, progress)
+                    summary = summary_of(plan, store.rows("result"), cameras)
+                    summary["matched_now"] = worked
+                    summary["seconds"] = round(time.perf_counter() - start, 2)
+                    store.finish(plan, summary)
+                    write_files(out, store, plan, summary)
         return read_batch(out)
+
+
+def _pose(
+    store: BatchStore, plan: Plan, poses: Poses, progress: Progress
+) -> tuple[Plan, list[PooledCamera]]:
+    """Store the pairs of the result, with the poses by the cameras of the folder. Returns the plan
+    with these cameras, and them one by one."""
+    cameras: list[PooledCamera] = []
+    pairs, alone = store.pairs("matched"), store.rows("matched")
+    if plan.uncertain:
+        cameras = folder_cameras(poses, plan.cameras)
+        plan = replace(plan, pooled=by_image(cameras))
+        flipped = [row.index for row in alone if row.status == "mirrored"]
+        others = [row.index for row in alone if row.status != "mirrored"]
+        first = list(poses.estimated(plan.final_cameras, fit=False, only=flipped))
+        for pair in first:  # perhaps not by the folder's cameras
+            alone[pair.row.index] = pair.row
+        pairs = chain(first, poses.estimated(plan.final_cameras, fit=False, only=others))
+    for done, pair in enumerate(compared(pairs, alone), start=1):
+        store.add("result", [pair])
+        if plan.uncertain:
+            progress("poses", done, len(plan.pairs))
+    return plan, cameras
 
 
 @contextmanager
 def _folder_alone(out: Path) -> Iterator[None]:
     """The folder to this process alone; made if missing, and removed if nothing is written."""
     is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
-    if is_used and not (out / PLAN).is_file():
+    if is_used and not (out / STORE).is_file():
         raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
     made = [path for path in (out, *out.parents) if not path.exists()]
     out.mkdir(parents=True, exist_ok=True)
@@ -153,34 +166,17 @@ def _folder_alone(out: Path) -> Iterator[None]:
                 path.rmdir()
 
 
-def _first_plan(
-    source: Source,
-    calibration: Calibration,
-    choice: PairChoice | None,
-    settings: Mapping[str, Any],
-) -> Plan:
-    """The plan; without pairs where they are chosen by the images' features."""
-    if choice is not None:
-        chosen = choice.pairs(len(source.names))
-    else:
-        position = {name: i for i, name in enumerate(source.names)}
-        chosen = [(position[a], position[b]) for a, b in source.pairs or ()]
-    pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
-    return Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
-
-
-def _with_similar(plan: Plan, number: int, run: RunTasks, progress: Progress) -> Plan:
+def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan:
     """The plan with the pairs of each image and its `number` most similar ones, and with the bad
     images that showed up."""
     features: dict[str, np.ndarray] = {}
     bad = dict(plan.bad)
-    for outcome in run([Describe(tuple(names)) for names in blocks_of(plan.names, 4)]):
-        assert isinstance(outcome, dict)
-        for name, described in outcome.items():
-            if isinstance(described, str):
-                bad[name] = described
+    for described in run(Worker.describe, [(names,) for names in blocks_of(plan.names, 4)]):
+        for name, found in described.items():
+            if isinstance(found, str):
+                bad[name] = found
             else:
-                features[name] = described
+                features[name] = found
         progress("images", len(features) + len(bad), len(plan.names))
     usable = [i for i, name in enumerate(plan.names) if name in features]
     scores = similarities([features[plan.names[i]] for i in usable])
@@ -189,38 +185,25 @@ def _with_similar(plan: Plan, number: int, run: RunTasks, progress: Progress) ->
 
 
 def _match(
-    store: PairStore, plan: Plan, run: RunTasks, options: BatchOptions, progress: Progress
+    store: BatchStore, plan: Plan, run: Run, options: BatchOptions, progress: Progress
 ) -> int:
     """Match the pairs that are left; returns their number."""
-    left = np.array(store.left, dtype=np.int64)
-    order = left[tile_order(plan.pairs[left], len(plan.names), _capacity(plan, options))]
-    size = block_size(len(left), options.worker_count)
-    tasks = [
-        Match(tuple(block), tuple(plan.pair(index) for index in block))
-        for block in blocks_of(order.tolist(), size)
-    ]
-    progress("pairs", len(store), len(plan.pairs))
-    for outcome in run(tasks):
-        assert isinstance(outcome, Matched)
-        store.add(outcome)
-        progress("pairs", len(store), len(plan.pairs))
-    return len(left)
-
-
-def _counted(blocks: Iterator[Matched], plan: Plan, progress: Progress) -> Iterator[Matched]:
-    """The blocks, whose pairs are counted as they come."""
-    done = 0
-    for block in blocks:
-        yield block
-        done += len(block.indices)
-        progress("poses", done, len(plan.pairs))
-
-
-def _capacity(plan: Plan, options: BatchOptions) -> int:
-    """Images that fit into the memory of one worker."""
+    matched = dict(store.lines("matched"))
+    left = np.array([i for i in range(len(plan.pairs)) if i not in matched], dtype=np.int64)
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)
-    return max(2, options.worker_bytes // (largest + FEATURE_BYTES))
+    capacity = options.worker_bytes // (largest + FEATURE_BYTES)
+    order = left[tile_order(plan.pairs[left], capacity)]
+    named = [(index, plan.pair(index)) for index in order.tolist()]
+    done = len(matched)
+    progress("pairs", done, len(plan.pairs))
+    size = block_size(len(left), options.worker_count)
+    for pairs in run(Worker.match, [(block,) for block in blocks_of(named, size)]):
+        with store.change():
+            store.add("matched", pairs)
+        done += len(pairs)
+        progress("pairs", done, len(plan.pairs))
+    return len(left)
 
 
 def _weights_hash(weights: str) -> str | None:

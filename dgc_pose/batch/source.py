@@ -20,7 +20,7 @@ from dgc_pose.images.header import Header
 from dgc_pose.images.image import image_header, size_in_file
 from dgc_pose.images.mask import mask_file
 
-PLAN = "plan.json"  # in the folder of a batch
+STORE = "batch.db"  # in the folder of a batch
 BATCH, PICTURE, PAGE = "batch", "picture.png", "model.html"  # in the folder of a reconstruction
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 # Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
@@ -90,7 +90,7 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
         folders = list(path.parents)[: name.count("/")]
         if path.name == PICTURE:
             folders.append(path.with_name(BATCH))
-        return any(os.path.isfile(folder / PLAN) for folder in folders)
+        return any(os.path.isfile(folder / STORE) for folder in folders)
 
     content = search_images(root)
     results = [name for name in content.names if is_result(name)]
@@ -98,7 +98,7 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     others = {n for n in content.names if files and os.path.realpath(root / n) in files}
     names = [name for name in content.names if name not in others.union(results)]
     copies = copies_of_others(root, names)
-    why = {f"results, told by their {PLAN}": results, "copies of other photographs": copies}
+    why = {f"results, told by their {STORE}": results, "copies of other photographs": copies}
     lines = [left_out_line("file", found, reason) for reason, found in why.items() if found]
     kept = tuple(name for name in names if name not in copies)
     return Source(root, kept, None, {}, (*content.left_out, *lines))

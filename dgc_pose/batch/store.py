@@ -1,127 +1,187 @@
-"""The pairs of a batch that are matched, in two files that grow: `matched.jsonl`, `matched.bin`.
+"""The store of a batch, `batch.db`: its plan, the pairs that are matched, and its result.
 
-A line of the first is the row of a pair, with the place of its matches in the second. It is
-written after them, so a kill leaves every line with its matches, but for a last one cut short.
+It is an SQLite database, of which a kill at any moment leaves each change whole or undone. A pair
+has a row of JSON, the arrays of its pose, and those of its matches, float32, as an .npz each.
 """
 
+import errno
+import io
 import json
+import sqlite3
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from contextlib import closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
-from dgc_pose.batch.matches_file import pack, unpack
-from dgc_pose.batch.plan import Plan, parse_states
-from dgc_pose.batch.rows import FAILED, PairRow, parse_row
-from dgc_pose.batch.schedule import BLOCK, blocks_of
-from dgc_pose.batch.work import Matched
-from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import open_regular, read_as
-from dgc_pose.files.outputs import writing
+import numpy as np
+
+from dgc_pose.batch.plan import Plan, parse_plan, plan_data
+from dgc_pose.batch.rows import MatchedPair, PairRow, parse_row
+from dgc_pose.batch.source import STORE
+from dgc_pose.files.arrays import unpacked
+from dgc_pose.files.inputs import read_as
+from dgc_pose.matches import Matches
+
+_TABLES = (
+    "facts (name TEXT PRIMARY KEY, value TEXT)",
+    "matched (pair INTEGER PRIMARY KEY, row TEXT, pose BLOB, matches BLOB)",  # each by itself
+    # As the folder's cameras have them; without matches if these are as they were.
+    "result (pair INTEGER PRIMARY KEY, row TEXT, pose BLOB, matches BLOB)",
+)
+_ADD = {
+    "matched": "INSERT OR REPLACE INTO matched VALUES (?, ?, ?, ?)",
+    "result": "INSERT INTO result SELECT ?1, ?2, ?3, NULLIF(?4, matches) FROM matched "
+    "WHERE pair = ?1",
+}
+_WHAT = "the store of a batch"
+_FIELDS = ("points1", "points2", "confidence")
+Table = Literal["matched", "result"]
 
 
-@dataclass(frozen=True, eq=False)
-class _Done:
-    """A pair that is done."""
+@contextmanager
+def open_store(out: Path, *, create: bool = False) -> Iterator["BatchStore"]:
+    """The store in a folder. Raises InputError, with the path, if there is none, unless it is to be
+    created."""
+    path = out / STORE
+    uri = f"{path.resolve().as_uri()}?mode={'rwc' if create else 'rw'}"
+    with read_as(_WHAT, path):
+        database = sqlite3.connect(uri, uri=True, isolation_level=None)
+    with closing(database):
+        yield BatchStore(path, database)
 
-    row: PairRow
-    bad: Mapping[str, str]  # of its images that could not be read: the reason by name
-    start: int  # of its matches, bytes
-    length: int
 
+class BatchStore:
+    """The pairs of a batch. What reads raises InputError, with the path, for a file that is broken;
+    what writes, OSError."""
 
-class PairStore:
-    """The pairs that are done. Raises InputError, with the path, for lines of another kind."""
+    def __init__(self, path: Path, database: sqlite3.Connection) -> None:
+        self._path, self._database = path, database
 
-    def __init__(self, out: Path, plan: Plan) -> None:
-        """Reads the pairs that are done, by photographs as the plan has them, without a failure."""
-        self._plan = plan
-        self._lines, self._matches = out / "matched.jsonl", out / "matched.bin"
-        self._done: dict[int, _Done] = {}
-        self._whole = 0  # bytes of the lines without one that a kill cut short
-        if self._lines.exists():
-            self._read()
+    @contextmanager
+    def change(self) -> Iterator[None]:
+        """Around what writes: all of it is done, or after an error or a kill nothing."""
+        try:
+            with self._database:
+                self._database.execute("BEGIN IMMEDIATE")
+                yield
+        except sqlite3.OperationalError as error:
+            raise OSError(errno.EIO, f"SQLite: {error}", str(self._path)) from None
 
-    def __len__(self) -> int:
-        return len(self._done)
+    def begin(self, plan: Plan, again: Collection[int] = ()) -> None:
+        """Store the plan, and remove a result and the pairs that are to be matched again."""
+        with self.change():
+            for table in _TABLES:
+                self._database.execute(f"CREATE TABLE IF NOT EXISTS {table}")
+            self._database.execute("DELETE FROM result")
+            self._database.execute("DELETE FROM facts")
+            self._database.executemany("DELETE FROM matched WHERE pair = ?", zip(again))
+            self._put_fact("plan", plan_data(plan))
+
+    def finish(self, plan: Plan, summary: Mapping[str, Any]) -> None:
+        """Store the plan with the cameras of the result, and the summary, within a `change`."""
+        self._put_fact("plan", plan_data(plan))
+        self._put_fact("summary", summary)
+
+    def add(self, table: Table, pairs: Collection[MatchedPair]) -> None:
+        """Store pairs, within a `change`; those of the result are matched before."""
+        for pair in pairs:
+            row, pose = pair.row, pair.row.pose
+            of_pose = {} if pose is None else {"inliers": pose.inliers}
+            if pose is not None and pose.camera_covariance is not None:
+                of_pose["camera_covariance"] = pose.camera_covariance
+            values = row.index, row.to_json(), _packed(of_pose), _packed(_arrays(pair))
+            self._database.execute(_ADD[table], values)
 
     @property
-    def left(self) -> list[int]:
-        """The pairs that are not done."""
-        return [index for index in range(len(self._plan.pairs)) if index not in self._done]
+    def plan(self) -> Plan | None:
+        """None if a kill came before it was stored."""
+        with read_as(_WHAT, self._path):
+            data = self._fact("plan")
+            return None if data is None else parse_plan(data)
 
     @property
-    def rows(self) -> list[PairRow]:
-        """The rows of the pairs that are done, in their order."""
-        return [self._done[index].row for index in sorted(self._done)]
+    def summary(self) -> Mapping[str, Any] | None:
+        """That of the result; None if there is none."""
+        with read_as(_WHAT, self._path):
+            data = self._fact("summary")
+            return None if data is None else dict(data)
 
-    @property
-    def bad(self) -> dict[str, str]:
-        """The reasons of all images that cannot be used, by name."""
-        reasons = dict(self._plan.bad)
-        for done in self._done.values():
-            reasons.update(done.bad)
-        return reasons
+    def rows(self, table: Table) -> list[PairRow]:
+        """The rows of a table in the order of the pairs."""
+        return [parse_row(text, pair, self._where(pair)) for pair, text in self.lines(table)]
 
-    @property
+    def lines(self, table: Table) -> list[tuple[int, str]]:
+        """The rows as JSON, each after the number of its pair."""
+        with read_as(_WHAT, self._path):
+            return list(self._database.execute(f"SELECT pair, row FROM {table} ORDER BY pair"))
+
+    def pairs(self, table: Table, only: Collection[int] | None = None) -> Iterator[MatchedPair]:
+        """The pairs of a table in their order; only: the numbers of some."""
+        for index in sorted(dict(self.lines(table)) if only is None else only):
+            yield self._pair(table, index)
+
     def byte_count(self) -> int:
         """Size of the matches, bytes."""
-        return self._matches.stat().st_size if self._matches.exists() else 0
+        with read_as(_WHAT, self._path):
+            counts = self._database.execute("SELECT SUM(LENGTH(matches)) FROM matched")
+            return counts.fetchone()[0] or 0
 
-    def add(self, block: Matched) -> None:
-        """Put the pairs of a block on disk."""
-        lines = []
-        with writing(self._matches), self._matches.open("ab") as file:
-            for index, row, matches in zip(block.indices, block.rows, block.matches, strict=True):
-                packed = pack(matches)
-                bad = {name: block.bad[name] for name in row.names if name in block.bad}
-                done = _Done(row, bad, file.tell(), len(packed))
-                file.write(packed)
-                states = {name: self._plan.states.get(name) for name in row.names}
-                data = {"pair": index, "states": states, **asdict(done)}
-                lines.append(json.dumps(data, allow_nan=False) + "\n")
-                self._done[index] = done
-        with writing(self._lines), self._lines.open("ab") as stream:
-            stream.truncate(self._whole)
-            stream.write("".join(lines).encode())
-            self._whole = stream.tell()
+    def _pair(self, table: Table, index: int) -> MatchedPair:
+        with read_as(_WHAT, self._path):
+            found = self._database.execute(
+                f"SELECT t.row, t.pose, COALESCE(t.matches, m.matches) FROM {table} t "
+                "LEFT JOIN matched m USING (pair) WHERE pair = ?",
+                (index,),
+            )
+            text, *packed = found.fetchone()
+            row = parse_row(text, index, self._where(index))
+            of_pose, arrays = (unpacked(data, self._where(index)) for data in packed)
+            error_px, key_points, map_error_px = arrays["facts"].tolist()
+            points1, points2, confidence = (arrays[name] for name in _FIELDS)
+            matches = Matches(points1, points2, confidence, error_px, bool(key_points))
+            sample = None
+            if map_error_px:
+                points1, points2, confidence = (arrays[f"map_{name}"] for name in _FIELDS)
+                sample = Matches(points1, points2, confidence, map_error_px)
+            if row.pose is not None:
+                inliers, covariance = of_pose["inliers"], of_pose.get("camera_covariance")
+                if inliers.shape != (len(matches),) or inliers.dtype != bool:
+                    raise ValueError("inliers of other matches")
+                if covariance is not None and covariance.shape != (12, 12):
+                    raise ValueError("no covariance of two cameras")
+                pose = replace(row.pose, inliers=inliers, camera_covariance=covariance)
+                row = replace(row, pose=pose)
+            return MatchedPair(row, matches, sample)
 
-    def blocks(self, size: int = BLOCK, only: Collection[int] | None = None) -> Iterator[Matched]:
-        """The pairs that are done, in their order, so many at a time; only: the indices of some."""
-        for block in blocks_of(sorted(self._done if only is None else only), size):
-            matches = []
-            with open_regular(self._matches) as file:
-                for index in block:
-                    done = self._done[index]
-                    file.seek(done.start)
-                    matches.append(unpack(file.read(done.length), f"{self._matches}: pair {index}"))
-            yield Matched(tuple(block), [self._done[index].row for index in block], matches, {})
+    def _where(self, index: int) -> str:
+        return f"{self._path}: pair {index + 1}"
 
-    def remove(self) -> None:
-        """Remove the files."""
-        for path in (self._lines, self._matches):
-            path.unlink(missing_ok=True)
-        self._done.clear()
-        self._whole = 0
+    def _put_fact(self, name: str, value: Mapping[str, Any]) -> None:
+        text = json.dumps(value, allow_nan=False)
+        self._database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, text))
 
-    def _read(self) -> None:
-        byte_count = self.byte_count
-        with read_as("the pairs that a batch has done", self._lines):
-            with open_regular(self._lines) as stream:
-                for number, line in enumerate(stream, start=1):
-                    if line.endswith(b"\n"):
-                        self._whole += len(line)
-                        self._hold(line, f"{self._lines}:{number}", byte_count)
+    def _fact(self, name: str) -> Any:
+        kinds = {kind for (kind,) in self._database.execute("SELECT type FROM sqlite_master")}
+        if not kinds:
+            return None
+        if kinds & {"view", "trigger"}:  # which might never end
+            raise ValueError("a view or a trigger")
+        found = self._database.execute("SELECT value FROM facts WHERE name = ?", (name,)).fetchone()
+        return None if found is None else json.loads(found[0])
 
-    def _hold(self, line: bytes, where: str, byte_count: int) -> None:
-        """Take a pair that need not be done again. Raises anything for another line."""
-        data = json.loads(line)
-        pair, start, length = (int(data[key]) for key in ("pair", "start", "length"))
-        row, states = parse_row(data["row"], where), parse_states(data["states"])
-        if not (0 <= pair < len(self._plan.pairs) and start >= 0 and length >= 0):
-            raise InputError(f"{where}: numbers out of range")
-        if (
-            row.status != FAILED
-            and start + length <= byte_count
-            and self._plan.same_files(self._plan.pair(pair), states)
-        ):
-            self._done[pair] = _Done(row, dict(data["bad"]), start, length)
+
+def _arrays(pair: MatchedPair) -> dict[str, np.ndarray]:
+    """The arrays of a pair's matches by name."""
+    matches, sample = pair.matches, pair.map_matches
+    arrays = {name: getattr(matches, name).astype(np.float32) for name in _FIELDS}
+    if sample is not None:
+        arrays |= {f"map_{name}": getattr(sample, name).astype(np.float32) for name in _FIELDS}
+    map_error_px = 0.0 if sample is None else sample.error_px
+    return {**arrays, "facts": np.array([matches.error_px, matches.key_points, map_error_px])}
+
+
+def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, **arrays)  # type: ignore[arg-type]
+    return file.getvalue()

@@ -12,17 +12,20 @@ from typing import Any
 
 import cv2
 
-from dgc_pose.batch.work import Job, Outcome, Task, Worker
+from dgc_pose.batch.work import Job, Worker
 from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
 from dgc_pose.files.outputs import writing
 from dgc_pose.system.processes import process_pools
 
+# A method of `Worker`, and its arguments: what is done.
+Work = Callable[..., Any]
+Task = tuple[Any, ...]
 # Does tasks, several times; the outcomes come in any order and are the same whatever the workers.
-RunTasks = Callable[[Sequence[Task]], Iterator[Outcome]]
+Run = Callable[[Work, Sequence[Task]], Iterator[Any]]
 
 
 @contextmanager
-def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
+def local_workers(job: Job, workers: int) -> Iterator[Run]:
     """Workers on this machine; a single one works in this process.
 
     Raises what `load_matcher` raises, before a process starts, and DgcPoseError if a process ends;
@@ -30,7 +33,7 @@ def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     """
     if workers == 1:
         worker = Worker(job)
-        yield lambda tasks: map(worker.do, tasks)
+        yield lambda work, tasks: (work(worker, *task) for task in tasks)
         return
     job.matcher.load()
     # One pool a worker, since neighbouring blocks share images and belong to one worker.
@@ -38,15 +41,18 @@ def local_workers(job: Job, workers: int) -> Iterator[RunTasks]:
         with writing("worker processes"):
             submit = stack.enter_context(process_pools([1] * workers, _start, job))
 
-        def give(worker: int, task: Task) -> Future[Outcome]:
-            with writing("worker processes"):
-                return submit(worker, _do, task)
+        def run(work: Work, tasks: Sequence[Task]) -> Iterator[Any]:
+            def give(worker: int, task: Task) -> Future[Any]:
+                with writing("worker processes"):
+                    return submit(worker, _do, work, *task)
 
-        yield lambda tasks: in_spans(tasks, workers, give)
+            return in_spans(tasks, workers, give)
+
+        yield run
 
 
 @contextmanager
-def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
+def ray_workers(job: Job, workers: int) -> Iterator[Run]:
     """Actors of the cluster at RAY_ADDRESS; without that, a cluster is started on this machine.
 
     All machines of the cluster need the package, and the images at the same path. Raises InputError
@@ -67,13 +73,11 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
     kind: Any = ray.remote(num_cpus=1, num_gpus=gpus)(CoreWorker)
     actors: list[Any] = []
 
-    def give(worker: int, task: Task) -> Future[Outcome]:
-        future: Future[Outcome] = actors[worker].do.remote(task).future()
-        return future
-
-    def run(tasks: Sequence[Task]) -> Iterator[Outcome]:
+    def run(work: Work, tasks: Sequence[Task]) -> Iterator[Any]:
         try:
-            yield from in_spans(tasks, workers, give)
+            yield from in_spans(
+                tasks, workers, lambda worker, task: actors[worker].do.remote(work, *task).future()
+            )
         except ray.exceptions.RayActorError as error:
             raise DgcPoseError(
                 f"a worker of Ray ended ({reason(error)}):",
@@ -95,8 +99,8 @@ def ray_workers(job: Job, workers: int) -> Iterator[RunTasks]:
 
 
 def in_spans(
-    tasks: Sequence[Task], workers: int, submit: Callable[[int, Task], Future[Outcome]]
-) -> Iterator[Outcome]:
+    tasks: Sequence[Any], workers: int, submit: Callable[[int, Any], Future[Any]]
+) -> Iterator[Any]:
     """The outcomes of tasks as they come, each worker having one task at a time.
 
     Each worker gets a run of neighbouring tasks, which share images; when it is finished, the last
@@ -105,7 +109,7 @@ def in_spans(
     """
     bounds = [len(tasks) * i // workers for i in range(workers + 1)]
     left = [deque(tasks[first:end]) for first, end in pairwise(bounds)]
-    running: dict[Future[Outcome], int] = {}
+    running: dict[Future[Any], int] = {}
 
     def give(worker: int) -> None:
         if left[worker]:
@@ -132,7 +136,7 @@ class CoreWorker:
         self._job = job
         self._worker: Worker | None = None
 
-    def do(self, task: Task) -> Outcome:
+    def do(self, work: Work, *task: Any) -> Any:
         """The outcome of a task."""
         if self._worker is None:
             cv2.setNumThreads(1)
@@ -140,7 +144,7 @@ class CoreWorker:
             self._worker = Worker(self._job)
             if "torch" in sys.modules:
                 sys.modules["torch"].set_num_threads(1)
-        return self._worker.do(task)
+        return work(self._worker, *task)
 
 
 _of_process: list[CoreWorker] = []  # the worker of this process, once it has been started
@@ -150,5 +154,5 @@ def _start(job: Job) -> None:
     _of_process.append(CoreWorker(job))
 
 
-def _do(task: Task) -> Outcome:
-    return _of_process[0].do(task)
+def _do(work: Work, *task: Any) -> Any:
+    return _of_process[0].do(work, *task)

@@ -1,8 +1,10 @@
-"""From a finished batch to a COLMAP database."""
+"""From a finished batch to key points that its pairs share, and a COLMAP database.
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+A batch is of upright images; COLMAP reads the pixels as stored, and the database is of these.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,48 +17,27 @@ from dgc_pose.colmap.tracking import track_corners
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
-from dgc_pose.images.image import Image, image_header, load_image
-from dgc_pose.images.mask import mask_file, masked
-from dgc_pose.matching.cache import BoundedCache
-
-_IMAGE_BYTES = 2**29  # of images in memory
-
-
-@dataclass(frozen=True)
-class Exported:
-    """The counts of what was written."""
-
-    images: int  # with key points
-    key_points: int
-    pairs: int
-    matches: int
-    tracks_by_length: dict[int, int]  # tracks by number of views
+from dgc_pose.images.image import image_header
+from dgc_pose.images.store import ImageStore
 
 
 def share(
     batch: Batch,
     per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[SharedMatches, list[PairGeometry]]:
-    """The shared key points of a batch, in the pixels as stored, which other programs read; and the
-    pairs that they are of, of upright images. per_image: most corners of an image.
+) -> SharedMatches:
+    """The shared key points of a batch, of the pixels as stored. per_image: most corners of an
+    image.
 
     Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
     pairs = pair_geometries(batch)
     if not pairs:
         raise InputError(f"{batch.folder}: no pair of this batch has a pose")
-    images: BoundedCache[str, Image] = BoundedCache(
-        lambda name, image: image.pixels.nbytes, _IMAGE_BYTES
-    )
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
-
-    def load(name: str) -> Image:
-        return images.get(name, lambda: masked(load_image(root / name), mask_file(masks, name)))
-
-    shared = track_corners(pairs, load, per_image, progress)
+    shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
     key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
-    return SharedMatches(key_points, shared.pairs), pairs
+    return SharedMatches(key_points, shared.pairs)
 
 
 def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
@@ -69,37 +50,35 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
     """The pairs with a pose or a rotation, the matches that fit it, and the cameras: those of the
     folder, or as the pair fitted them."""
     geometries, final = [], batch.plan.final_cameras
-    for row, matches in batch.matches():
-        if row.status in CONFIGURATIONS:
-            arrays = (matches.points1, matches.points2, matches.scores)
-            inliers = (array[matches.inliers].astype(np.float64) for array in arrays)
+    for pair in batch.pairs():
+        row, pose = pair.row, pair.row.pose
+        if pose is not None and pose.status in CONFIGURATIONS:
+            inliers = pair.matches.subset(pose.inliers)
+            arrays = inliers.points1, inliers.points2, inliers.confidence
             of_folder = final[row.name1], final[row.name2]
-            cameras = matches.fitted.cameras if matches.fitted else of_folder
-            geometries.append(PairGeometry(row, cameras, *inliers))
+            cameras = row.fitted_cameras or of_folder
+            geometries.append(PairGeometry(row, cameras, *arrays))
     return geometries
 
 
-def write_shared(
-    batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
-) -> Exported:
-    """Write the database of shared key points, over what is there: of the pixels as stored, as
-    `shared` is."""
+def write_shared(batch: Batch, shared: SharedMatches, database: Path) -> None:
+    """Write the database of key points of `share`, over what is there. Raises as
+    `write_database`."""
     plan = batch.plan
     turns = {name: _to_stored(plan.root / name) for name in plan.final_cameras}
     cameras = {name: camera.turned(*turns[name]) for name, camera in plan.final_cameras.items()}
-    rows = {pair.names: _as_stored(pair.row, *(turns[n][0] for n in pair.names)) for pair in pairs}
+    rows = [
+        _as_stored(row, *(turns[name][0] for name in row.names))
+        for row in batch.rows
+        if row.names in shared.pairs
+    ]
     write_database(database, plan.names, cameras, shared, rows)
-    return Exported(
-        images=sum(len(points) > 0 for points in shared.key_points.values()),
-        key_points=sum(map(len, shared.key_points.values())),
-        pairs=len(shared.pairs),
-        matches=sum(map(len, shared.pairs.values())),
-        tracks_by_length=dict(sorted(Counter(shared.track_lengths().tolist()).items())),
-    )
 
 
 def _as_stored(row: PairRow, turn1: np.ndarray, turn2: np.ndarray) -> PairRow:
     """A row whose pose is of the pixels as stored. turn1, turn2: (2, 2) from the upright images."""
     turn1, turn2 = (np.block([[t, np.zeros((2, 1))], [0, 0, 1]]) for t in (turn1, turn2))
-    R = None if row.R is None else tuple((turn2 @ np.reshape(row.R, (3, 3)) @ turn1.T).flat)
-    return replace(row, R=R, t=None if row.t is None else tuple(turn2 @ row.t))
+    pose = row.pose
+    assert pose is not None and pose.R is not None  # by its status
+    t = None if pose.t is None else turn2 @ pose.t
+    return replace(row, pose=replace(pose, R=turn2 @ pose.R @ turn1.T, t=t))

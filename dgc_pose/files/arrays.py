@@ -51,7 +51,11 @@ def read_arrays(path: str | Path) -> Mapping[str, np.ndarray]:
     Raises InputError, with the path, if it is damaged, holds Python objects, or is larger than
     `ARRAY_BYTES` unpacked; OSError if it cannot be read.
     """
-    data = read_bytes(path, ARRAY_BYTES + 2**20)
+    return unpacked(read_bytes(path, ARRAY_BYTES + 2**20), path)
+
+
+def unpacked(data: bytes, path: str | Path) -> Mapping[str, np.ndarray]:
+    """The arrays of the content of an .npz. Raises InputError as `read_arrays` does."""
     with read_as("an .npz", path), np.load(io.BytesIO(data)) as file:
         if sum(info.file_size for info in file.zip.infolist()) > ARRAY_BYTES:
             raise InputError(f"{path} is too large: at most {ARRAY_BYTES} bytes of arrays are read")

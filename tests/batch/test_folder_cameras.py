@@ -1,28 +1,27 @@
 """Which photographs of a folder share a camera: pairs of points that known cameras see."""
 
-from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scenes import camera_scene, pinhole
 
 from dgc_pose.batch.folder_cameras import folder_cameras
-from dgc_pose.batch.matches_file import PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan
-from dgc_pose.batch.pooling import PooledCamera, by_image
+from dgc_pose.batch.pooling import by_image
 from dgc_pose.batch.poses import Poses
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.batch.store import PairStore
-from dgc_pose.batch.work import Estimate, Job, Matched, Outcome, Task, Worker
+from dgc_pose.batch.rows import MatchedPair, row_of
+from dgc_pose.batch.store import open_store
+from dgc_pose.batch.work import Job, Worker
+from dgc_pose.batch.workers import Task
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import FISHEYE, Distortion
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.header import Exif, Header
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matches import Matches
 
 SIZE, FOCAL, COUNT = (1200, 800), 1100.0, 4
 TURNS = ((8, 15, 12), (-9, 14, -10), (10, -16, 9), (7, 13, -14), (-8, -15, 11), (9, 12, 13))
@@ -35,16 +34,14 @@ def _prior(camera: Camera, exif: Exif = Exif()) -> Camera:  # noqa: B008, it is 
     return auto_camera(Header("JPEG", camera.size, exif))
 
 
-def _folder(
-    out: Path, true: Sequence[Camera], priors: Mapping[str, Camera] | None = None
-) -> tuple[dict[str, Camera], list[PooledCamera], list[Task]]:
+def _folder(out, true, priors=None):
     """The cameras of photographs 0.png, 1.png and so on, those one by one, and the tasks that they
     took after each pair was fitted alone."""
     names = tuple(f"{i}.png" for i in range(len(true)))
     priors = priors or {name: _prior(c) for name, c in zip(names, true, strict=True)}
     pairs = np.array(list(combinations(range(len(true)), 2)))
     worker = Worker(Job(out, priors, {}, MatcherOptions("sift"), EstimationOptions(runs=3), 2**20))
-    rows, matches = [], []
+    alone = []
     for k, (i, j) in enumerate(pairs):
         scene = camera_scene(
             true[i],
@@ -55,26 +52,23 @@ def _folder(
             centre=CENTRES[k % len(CENTRES)],
         )
         points = (scene.matches.points1, scene.matches.points2, scene.matches.confidence)
-        first, second, scores = (array.astype(np.float32) for array in points)
-        rows.append(PairRow(names[i], names[j], "ok", True, ""))
-        inputs = PoseInputs(0.5, False, None)
-        matches.append(PairMatches(first, second, scores, np.zeros(len(first), bool), inputs))
-    alone = Matched(tuple(range(len(pairs))), rows, matches, {})
-    store = PairStore(out, Plan(out, priors, {}, {}, names, pairs, {}))
-    outcome = worker.do(Estimate(alone, priors, True))
-    assert isinstance(outcome, Matched)
-    store.add(outcome)
+        matches = Matches(*(array.astype(np.float32) for array in points), 0.5)
+        pose = RelativePose("ok", "", np.zeros(len(matches), bool), len(matches))
+        alone.append(MatchedPair(row_of((names[i], names[j]), pose, 0.5, k), matches))
     done: list[Task] = []
 
-    def run(tasks: Sequence[Task]) -> Iterator[Outcome]:
+    def run(work, tasks):
         done.extend(tasks)
-        return map(worker.do, tasks)
+        return (work(worker, *task) for task in tasks)
 
-    listed = folder_cameras(Poses(store, run, 1), priors)
+    with open_store(out, create=True) as store:
+        store.begin(Plan(out, priors, {}, {}, names, pairs, {}))
+        store.add("matched", worker.estimate(alone, priors, fit_cameras=True))
+        listed = folder_cameras(Poses(store, run, 1), priors)
     return by_image(listed), listed, done
 
 
-def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path: Path) -> None:
+def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path):
     cameras, (one,), tasks = _folder(tmp_path, [pinhole(FOCAL, SIZE)] * COUNT)
     assert len(one.cameras) == COUNT and one.why == "" and not tasks
     assert all(camera.focal == pytest.approx(FOCAL, rel=0.02) for camera in cameras.values())
@@ -83,9 +77,7 @@ def test_photographs_that_agree_share_a_camera_without_further_work(tmp_path: Pa
 @pytest.mark.parametrize(
     ("focal", "centre"), [(1.5 * FOCAL, (0.0, 0.0)), (1.3 * FOCAL, (170.0, -110.0))]
 )
-def test_a_zoomed_or_cut_photograph_has_a_camera_of_its_own(
-    tmp_path: Path, focal: float, centre: tuple[float, float]
-) -> None:
+def test_a_zoomed_or_cut_photograph_has_a_camera_of_its_own(tmp_path, focal, centre):
     """Of the same size, without EXIF data: its pairs alone tell."""
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[1] = pinhole(focal, SIZE, centre=centre)
@@ -102,9 +94,7 @@ def test_a_zoomed_or_cut_photograph_has_a_camera_of_its_own(
 
 
 @pytest.mark.parametrize("resized", [(1,), (3, 4, 5)])
-def test_a_resized_photograph_has_the_camera_of_the_others(
-    tmp_path: Path, resized: tuple[int, ...]
-) -> None:
+def test_a_resized_photograph_has_the_camera_of_the_others(tmp_path, resized):
     """Off by the same factor as they are: a single one, and a group of its own."""
     half = SIZE[0] // 2, SIZE[1] // 2
     true = [pinhole(FOCAL, SIZE)] * (3 + len(resized))
@@ -118,7 +108,7 @@ def test_a_resized_photograph_has_the_camera_of_the_others(
     assert small.focal == pytest.approx(FOCAL / 2, rel=0.02)
 
 
-def test_a_resized_photograph_does_not_have_the_camera_of_a_zoomed_one(tmp_path: Path) -> None:
+def test_a_resized_photograph_does_not_have_the_camera_of_a_zoomed_one(tmp_path):
     """Which comes first, and is of the size and EXIF data of the others."""
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[0] = pinhole(1.5 * FOCAL, SIZE)
@@ -128,7 +118,7 @@ def test_a_resized_photograph_does_not_have_the_camera_of_a_zoomed_one(tmp_path:
     np.testing.assert_allclose(found, [camera.focal for camera in true], rtol=0.05)
 
 
-def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path: Path) -> None:
+def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path):
     """The lower right three quarters of a photograph, as they are."""
     part = (900, 600)
     true = [pinhole(FOCAL, SIZE)] * COUNT
@@ -141,7 +131,7 @@ def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path: Path) -> Non
     assert cameras["0.png"].focal == pytest.approx(FOCAL, rel=0.02)
 
 
-def test_a_part_of_another_width_is_not_a_squeezed_photograph(tmp_path: Path) -> None:
+def test_a_part_of_another_width_is_not_a_squeezed_photograph(tmp_path):
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[1] = pinhole(FOCAL, (SIZE[1], SIZE[1]))
     cameras, listed, _ = _folder(tmp_path, true)
@@ -149,7 +139,7 @@ def test_a_part_of_another_width_is_not_a_squeezed_photograph(tmp_path: Path) ->
     np.testing.assert_allclose(cameras[SECOND].K[[0, 1], [0, 1]], FOCAL, rtol=0.05)
 
 
-def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path: Path) -> None:
+def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path):
     """An action camera's fisheye, of which no file says anything."""
     size = (1280, 960)
     fisheye = pinhole(620.0, size, Distortion(FISHEYE, (0.0,) * 4))
@@ -160,7 +150,7 @@ def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path: Path) -> None:
         assert camera.lens_std < 0.1
 
 
-def test_a_stated_camera_stays_that_of_all(tmp_path: Path) -> None:
+def test_a_stated_camera_stays_that_of_all(tmp_path):
     """A K with a deviation, which one photograph contradicts."""
     true = [pinhole(FOCAL, SIZE)] * COUNT
     stated = replace(true[0], focal_std=0.05, identity="K")
@@ -170,7 +160,7 @@ def test_a_stated_camera_stays_that_of_all(tmp_path: Path) -> None:
     assert {*one.cameras} == {*priors}
 
 
-def test_a_squeezed_photograph_has_the_camera_of_the_others(tmp_path: Path) -> None:
+def test_a_squeezed_photograph_has_the_camera_of_the_others(tmp_path):
     """To three quarters of the width, which no pair alone tells from another focal length."""
     true = [pinhole(FOCAL, SIZE)] * COUNT
     true[1] = true[0].resized((900, 800))

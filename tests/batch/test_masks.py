@@ -1,7 +1,5 @@
 """Masks of the photographs of a batch, and of what is made of it."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ from batch_runs import run_sift, view_folder, write_masks
 from command_line import assert_refused, run
 from multi_view import SIZE, K_text
 
-from dgc_pose.batch.result import Batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.colmap.export import share
 
@@ -18,35 +15,36 @@ NAMES = [f"sub/view{i}.png" for i in range(3)]
 
 
 @pytest.fixture
-def photos(tmp_path: Path) -> Path:
+def photos(tmp_path):
     """Three views in a folder within the folder."""
     view_folder(tmp_path / "photos" / "sub", 3)
     return tmp_path / "photos"
 
 
 @pytest.fixture
-def batch(photos: Path, tmp_path: Path) -> Batch:
+def batch(photos, tmp_path):
     """Of photographs of which the last has no mask."""
     write_masks(tmp_path / "masks", NAMES[:2])
     return run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
 
 
-def test_masked_pixels_are_not_matched(batch: Batch) -> None:
+def test_masked_pixels_are_not_matched(batch):
     assert [(row.name1, row.name2) for row in batch.rows] == [
         (NAMES[0], NAMES[1]),
         (NAMES[0], NAMES[2]),
         (NAMES[1], NAMES[2]),
     ]
-    for row, matches in batch.matches():
-        assert row.success and len(matches.scores) > 50
-        for name, points in ((row.name1, matches.points1), (row.name2, matches.points2)):
-            if name != NAMES[2]:
-                assert points[:, 0].min() >= MIDDLE
-    unmasked = [m.points2[:, 0].min() for row, m in batch.matches() if row.name2 == NAMES[2]]
+    least = []
+    for pair in batch.pairs():
+        assert pair.row.success and len(pair.matches) > 50
+        points = pair.matches.points1, pair.matches.points2
+        least += [(n, p[:, 0].min()) for n, p in zip(pair.row.names, points, strict=True)]
+    assert all(x >= MIDDLE for name, x in least if name != NAMES[2])
+    unmasked = [x for name, x in least if name == NAMES[2]]
     assert min(unmasked) < MIDDLE - 5
 
 
-def test_pixels_of_alpha_0_are_not_matched(photos: Path, tmp_path: Path) -> None:
+def test_pixels_of_alpha_0_are_not_matched(photos, tmp_path):
     """Of photographs whose left is under alpha 0; and one has a mask of its own."""
     for name in NAMES:
         pixels = cv2.imread(str(photos / name))
@@ -56,24 +54,18 @@ def test_pixels_of_alpha_0_are_not_matched(photos: Path, tmp_path: Path) -> None
     write_masks(tmp_path / "masks", NAMES[:1])
     batch = run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
     least = dict.fromkeys(NAMES, np.inf)
-    for row, matches in batch.matches():
-        for name, points in ((row.name1, matches.points1), (row.name2, matches.points2)):
+    for pair in batch.pairs():
+        found = pair.matches.points1, pair.matches.points2
+        for name, points in zip(pair.row.names, found, strict=True):
             least[name] = min(least[name], points[:, 0].min())
     assert least[NAMES[0]] >= MIDDLE
     assert all(0.3 * SIZE[0] - 1 < least[name] < MIDDLE for name in NAMES[1:])
-    points = share(batch, 1000)[0].key_points.values()
+    points = share(batch, 1000).key_points.values()
     assert len(points) == 3 and min(p[:, 0].min() for p in points) >= 0.3 * SIZE[0] - 1
 
 
-def test_no_key_point_of_a_reconstruction_is_masked(batch: Batch) -> None:
-    shared, _ = share(batch, 1000)
-    for name in NAMES[:2]:
-        assert len(shared.key_points[name]) > 100
-        assert shared.key_points[name][:, 0].min() >= MIDDLE
-
-
 @pytest.mark.parametrize("kind", ["shape", "black", "text"])
-def test_a_bad_mask_makes_its_photograph_bad(photos: Path, tmp_path: Path, kind: str) -> None:
+def test_a_bad_mask_makes_its_photograph_bad(photos, tmp_path, kind):
     masks, bad = tmp_path / "masks", tmp_path / "masks" / f"{NAMES[0]}.png"
     write_masks(masks, NAMES[1:])
     if kind == "text":
@@ -92,9 +84,7 @@ def test_a_bad_mask_makes_its_photograph_bad(photos: Path, tmp_path: Path, kind:
 
 
 @pytest.mark.parametrize("inside", ["masks", "."])
-def test_masks_in_the_folder_of_the_photographs_are_no_photographs(
-    photos: Path, inside: str
-) -> None:
+def test_masks_in_the_folder_of_the_photographs_are_no_photographs(photos, inside):
     """In a folder below it, or beside them."""
     write_masks(photos / inside, NAMES)
     assert len(open_source(photos).names) == 4  # the masks are equal
@@ -102,7 +92,7 @@ def test_masks_in_the_folder_of_the_photographs_are_no_photographs(
 
 
 @pytest.mark.parametrize("command", ["batch", "reconstruct"])
-def test_a_folder_without_any_mask_is_refused(photos: Path, tmp_path: Path, command: str) -> None:
+def test_a_folder_without_any_mask_is_refused(photos, tmp_path, command):
     (tmp_path / "empty").mkdir()
     write_masks(tmp_path / "flat", ["view0.png"])  # the photograph is sub/view0.png
     for folder in ("nowhere", "empty", "flat"):
@@ -113,7 +103,7 @@ def test_a_folder_without_any_mask_is_refused(photos: Path, tmp_path: Path, comm
         assert not out.exists()
 
 
-def test_a_reconstruction_takes_masks(photos: Path, tmp_path: Path) -> None:
+def test_a_reconstruction_takes_masks(photos, tmp_path):
     out, masks = tmp_path / "out", tmp_path / "masks"
     write_masks(masks, NAMES, share=0.3)
     words = ["--K", K_text(), "--weights", "sift", "--workers", "1", "--out", out, "--masks", masks]

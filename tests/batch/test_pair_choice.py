@@ -23,25 +23,25 @@ from dgc_pose.errors import InputError
         ("auto:7", 3, []),
     ],
 )
-def test_the_pairs_of_a_choice(text: str, count: int, pairs: list[tuple[int, int]]) -> None:
+def test_the_pairs_of_a_choice(text, count, pairs):
     assert parse_pair_choice(text).pairs(count) == pairs
 
 
 @pytest.mark.parametrize(
     ("count", "text"), [(2, "exhaustive"), (20, "exhaustive"), (21, "auto:10")]
 )
-def test_the_pairs_of_a_folder_of_which_nothing_is_said(count: int, text: str) -> None:
+def test_the_pairs_of_a_folder_of_which_nothing_is_said(count, text):
     assert default_pair_choice(count) == parse_pair_choice(text)
 
 
 @pytest.mark.parametrize("text", ["all", "auto", "auto:0", "auto:-1", "sequential:x", "", "a:1"])
-def test_another_text_is_refused(text: str) -> None:
+def test_another_text_is_refused(text):
     with pytest.raises(InputError, match="^pairs"):
         parse_pair_choice(text)
 
 
 @pytest.mark.parametrize("most", [1, 3])
-def test_the_most_similar_ones_and_a_spanning_tree(most: int) -> None:
+def test_the_most_similar_ones_and_a_spanning_tree(most):
     """Each image has its `most` best partners; networkx' maximum spanning tree is there too."""
     rng = np.random.default_rng(5)
     scores = rng.random((12, 12))
@@ -59,19 +59,19 @@ def test_the_most_similar_ones_and_a_spanning_tree(most: int) -> None:
     assert nx.is_connected(nx.Graph(list(found)))
 
 
-def _cells(rng: np.random.Generator, count: int) -> np.ndarray:
+def _cells(rng, count):
     cells = rng.standard_normal((count, 32))
     return cells / np.linalg.norm(cells, axis=1, keepdims=True)
 
 
-def _score(one: np.ndarray, other: np.ndarray) -> float:
+def _score(one, other):
     """Cell by cell."""
     best = [max(float(a @ b) for b in other) for a in one]
     best += [max(float(a @ b) for a in one) for b in other]
     return sum(best) / len(best)
 
 
-def test_scores_are_those_of_a_plain_loop() -> None:
+def test_scores_are_those_of_a_plain_loop():
     """Also of images of different shapes."""
     rng = np.random.default_rng(0)
     features = [_cells(rng, count) for count in (20, 20, 12, 30)]

@@ -1,15 +1,12 @@
 """Focal lengths of many pairs as one number: against Gaussian arithmetic, and drawn errors."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from dgc_pose.batch.matches_file import FittedCameras
 from dgc_pose.batch.pooling import (
     CameraFit,
-    FittedPair,
     by_image,
     centre_moved,
     pool,
@@ -20,22 +17,23 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import RelativePose
 
 PRIOR, CENTRE, LENS = 0.4, 5.0, 0.1
 SIZE = (100, 80)
 K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
 
 
-def _fit(value: float, std: float, weight: float = 1.0) -> CameraFit:
+def _fit(value, std, weight=1.0):
     return CameraFit(np.array([value]), np.array([[std**2]]), weight)
 
 
-def _pooled(fits: list[CameraFit], images: int) -> tuple[float, float]:
+def _pooled(fits, images):
     (value,), (std,) = pooled_fit(fits, np.array([PRIOR]), images)
     return float(value), float(std)
 
 
-def test_parameters_that_are_correlated() -> None:
+def test_parameters_that_are_correlated():
     """Equal fits of four pairs: four times the information of the matches, and that of the prior.
     In the first axis the matches say nothing."""
     prior = np.array([PRIOR, 8.0, 8.0])
@@ -52,14 +50,14 @@ def test_parameters_that_are_correlated() -> None:
 
 
 @pytest.mark.parametrize("outlier", [0.5, -1.2])
-def test_outliers_do_not_move_it(outlier: float) -> None:
+def test_outliers_do_not_move_it(outlier):
     right = [_fit(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
     wrong = [_fit(outlier, 0.005), _fit(outlier, 0.005), _fit(outlier - 0.2, 0.001, weight=0.01)]
     value, std = _pooled(right + wrong, 24)
     assert abs(value - 0.1) < 0.004 and std < 0.02
 
 
-def test_errors_of_an_image_are_shared_by_its_pairs() -> None:
+def test_errors_of_an_image_are_shared_by_its_pairs():
     """Ten pairs of five images count as two and a half."""
     fits = [_fit(0.0, 0.01)] * 10
     assert _pooled(fits, 20)[1] == pytest.approx(0.01 / 10**0.5, rel=1e-3)
@@ -67,7 +65,7 @@ def test_errors_of_an_image_are_shared_by_its_pairs() -> None:
     assert _pooled(fits, 1)[1] == pytest.approx(0.01, rel=1e-3)
 
 
-def test_scatter_widens() -> None:
+def test_scatter_widens():
     """Eight fits two deviations away: each of the weight w = 1 / (1 + 4 / 2.385^2), and 4 times
     the variance that they state."""
     fits = [_fit(0.02 * sign, 0.01) for sign in (-1, 1) * 4]
@@ -77,7 +75,7 @@ def test_scatter_widens() -> None:
     assert std == pytest.approx(0.02 / (8 * weight) ** 0.5, rel=0.01)
 
 
-def _camera(identity: str | None) -> Camera:
+def _camera(identity):
     return Camera(
         K,
         SIZE,
@@ -89,28 +87,34 @@ def _camera(identity: str | None) -> Camera:
     )
 
 
-def _pair(name1: str, name2: str, focal1: float, focal2: float, std: float = 0.01) -> FittedPair:
+def _pair(name1, name2, focal1, focal2, std=0.01):
     """A pair that tells focal lengths, the principal point (51.5, 39.5), and the lens."""
     lens = Distortion("RADIAL", (0.05, -0.1))
     first, second = (
         Camera(np.array([focal, focal, 51.5, 39.5]), SIZE, lens) for focal in (focal1, focal2)
     )
     covariance = np.diag([std**2, 0.25, 0.25, 1e-4, 1e-4, 1e-4] * 2)
-    row = PairRow(name1, name2, "ok", True, "a pose", probability=1.0)
-    return FittedPair(0, row, FittedCameras((first, second), covariance))
+    pose = RelativePose(
+        *("ok", "a pose", np.ones(9, bool), 9),
+        camera1=first,
+        camera2=second,
+        camera_covariance=covariance,
+        probability=1.0,
+    )
+    return PairRow(name1, name2, "ok", "a pose", pose)
 
 
-def test_each_camera_has_its_pairs() -> None:
+def test_each_camera_has_its_pairs():
     """One of two images, one of an image alone, one that no pair tells, and one that is exact."""
     cameras = {"a": _camera("x"), "b": _camera("x"), "c": _camera(None), "d": _camera(None)}
     exact = {"focal_std": 0.0, "centre_std": 0.0, "lens_std": 0.0, "focal_source": "given"}
-    cameras["e"] = replace(_camera("y"), **exact)  # type: ignore[arg-type]
+    cameras["e"] = replace(_camera("y"), **exact)
     pairs = [
         _pair("a", "b", 121, 121),
         _pair("a", "c", 121, 99),
         _pair("c", "b", 99, 121),
         _pair("a", "d", 121, 300, std=0.39),
-        replace(_pair("a", "c", 500, 500), fitted=None),
+        replace(_pair("a", "c", 500, 500), pose=None),
     ]
     listed = pool(cameras, pairs)
     pooled = by_image(listed)
@@ -133,12 +137,12 @@ def test_each_camera_has_its_pairs() -> None:
 
 
 @pytest.mark.parametrize(("shift", "far"), [(7.4, False), (-7.6, True)])
-def test_a_principal_point_far_from_its_prior(shift: float, far: bool) -> None:
+def test_a_principal_point_far_from_its_prior(shift, far):
     moved = replace(_camera("x"), K=K + [[0, 0, 0], [0, 0, shift], [0, 0, 0]])
     assert centre_moved({"a": _camera("x")}, {"a": moved}) == far
 
 
-def test_images_of_two_sizes_share_no_principal_point() -> None:
+def test_images_of_two_sizes_share_no_principal_point():
     cameras = {"a": _camera("x"), "b": replace(_camera("x"), size=SIZE[::-1])}
     pooled = by_image(pool(cameras, [_pair("a", "b", 121, 121)]))
     for name in "ab":
@@ -147,7 +151,7 @@ def test_images_of_two_sizes_share_no_principal_point() -> None:
         assert pooled[name].centre_std == CENTRE
 
 
-def test_the_cameras_are_read_back(tmp_path: Path) -> None:
+def test_the_cameras_are_read_back(tmp_path):
     lens = Distortion("OPENCV", (-0.3, 0.1, 1e-3, 0.0))
     cameras = {
         'a "1", 2.png': _camera("x"),

@@ -1,7 +1,5 @@
 """The images that a batch works on, and what of a folder is left out."""
 
-from pathlib import Path
-
 import numpy as np
 import PIL.Image
 import pytest
@@ -12,12 +10,12 @@ from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.errors import InputError
 
 
-def _save(path: Path, format: str, count: int = 0) -> None:
+def _save(path, format, count=0):
     pixels = np.random.default_rng(count).integers(0, 256, (48, 64, 3), np.uint8)
     PIL.Image.fromarray(pixels).save(path, format)
 
 
-def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
+def test_a_folder_is_searched_for_images_of_any_name(tmp_path):
     _save(tmp_path / "a.jfif", "JPEG")
     _save(tmp_path / "b.gif", "GIF")
     (tmp_path / "notes.txt").write_text("of the day")
@@ -33,15 +31,15 @@ def test_a_folder_is_searched_for_images_of_any_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("plan", "result", "kept"),
     [
-        ("out/batch/plan.json", "out/picture.png", False),
-        ("batch/plan.json", "picture.png", False),  # in the folder of the photographs
-        ("out/plan.json", "out/more/drawn.png", False),
-        ("batch/plan.json", "other.png", True),
-        ("plan.json", "picture.png", True),
+        ("out/batch/batch.db", "out/picture.png", False),
+        ("batch/batch.db", "picture.png", False),  # in the folder of the photographs
+        ("out/batch.db", "out/more/drawn.png", False),
+        ("batch/batch.db", "other.png", True),
+        ("batch.db", "picture.png", True),
         ("out/summary.json", "out/picture.png", True),
     ],
 )
-def test_results_are_no_photographs(tmp_path: Path, plan: str, result: str, *, kept: bool) -> None:
+def test_results_are_no_photographs(tmp_path, plan, result, *, kept):
     """Of `batch` and `reconstruct`, wherever they were put; all else is taken."""
     for count, name in enumerate(("1.png", "2.png", result)):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -50,11 +48,11 @@ def test_results_are_no_photographs(tmp_path: Path, plan: str, result: str, *, k
     (tmp_path / plan).write_text("{}")
     source = open_source(tmp_path)
     assert source.names == ("1.png", "2.png") + (result,) * kept
-    assert kept or "results, told by their plan.json" in "; ".join(source.left_out)
+    assert kept or "results, told by their batch.db" in "; ".join(source.left_out)
 
 
 @pytest.mark.parametrize("root", ["photos/other", None])
-def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | None) -> None:
+def test_a_folder_without_any_of_the_listed_images(tmp_path, root):
     """The argument is named; one image that is there is enough, since a bad image stops nothing."""
     (tmp_path / "photos" / "other").mkdir(parents=True)
     (tmp_path / "list.txt").write_text("a.png b.png\nb.png c.png\n")
@@ -72,7 +70,7 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path: Path, root: str | N
     )
 
 
-def test_copies_of_photographs_are_left_out(tmp_path: Path) -> None:
+def test_copies_of_photographs_are_left_out(tmp_path):
     for i, name in enumerate(("1.png", "2.png", "sub/1.png")):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         _save(tmp_path / name, "PNG", i)
@@ -80,6 +78,14 @@ def test_copies_of_photographs_are_left_out(tmp_path: Path) -> None:
     source = open_source(tmp_path)
     assert source.names == ("1.png", "2.png", "sub/1.png")
     assert source.left_out == ("1 file left out (first: 3.png): copies of other photographs",)
+
+
+def _two(folder, *sizes, orientations=(1, 1)):
+    """Photographs of these sizes as stored, with EXIF orientations."""
+    exif = PIL.Image.Exif()
+    for name, size, exif[274] in zip(("a.jpg", "b.jpg"), sizes, orientations, strict=True):
+        PIL.Image.new("L", size).save(folder / name, exif=exif)
+    return Source(folder, ("a.jpg", "b.jpg"), None, {})
 
 
 # fx, fy, cx, cy of an image of 64 x 48, and the same in COLMAP's line and for twice the size.
@@ -93,17 +99,11 @@ KS = {
 
 @pytest.mark.parametrize("form", KS)
 @pytest.mark.parametrize("orientation", [1, 6, 8])
-def test_one_K_serves_photographs_that_are_turned(
-    tmp_path: Path, form: str, orientation: int
-) -> None:
+def test_one_K_serves_photographs_that_are_turned(tmp_path, form, orientation):
     """Of those with an EXIF orientation the upright image has this K; without one the principal
     point is the middle and its offset a deviation."""
-    exif = PIL.Image.Exif()
-    exif[274] = orientation
-    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
-    PIL.Image.new("L", (48, 64)).save(tmp_path / "b.jpg", exif=exif)
     text, size = KS[form]
-    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    source = _two(tmp_path, (64, 48), (48, 64), orientations=(1, orientation))
     cameras, bad, _ = survey(source, read_calibration(text, "K", KDetails(size)))
     fx, fy, cx, cy = K if form != "line" else (50, 50, 33, 23)
     np.testing.assert_allclose(cameras["a.jpg"].K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
@@ -122,26 +122,18 @@ def test_one_K_serves_photographs_that_are_turned(
 
 @pytest.mark.parametrize(("orientation", "identities"), [(1, {"K", None}), (6, {"K"})])
 def test_photographs_that_are_turned_share_the_focal_length_that_is_fitted(
-    tmp_path: Path, orientation: int, identities: set[str | None]
-) -> None:
+    tmp_path, orientation, identities
+):
     """In a sense that is not known they have a principal point, and so a camera, of their own."""
-    exif = PIL.Image.Exif()
-    exif[274] = orientation
-    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
-    PIL.Image.new("L", (48, 64)).save(tmp_path / "b.jpg", exif=exif)
-    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    source = _two(tmp_path, (64, 48), (48, 64), orientations=(1, orientation))
     cameras, _, _ = survey(source, read_calibration("50,52,33,23", "K", KDetails(focal_std=0.02)))
     assert {c.focal_std for c in cameras.values()} == {0.02}
     assert {c.identity for c in cameras.values()} == identities
 
 
-def test_a_lens_is_turned_with_its_photograph(tmp_path: Path) -> None:
+def test_a_lens_is_turned_with_its_photograph(tmp_path):
     """A point of the upright image is a quarter turn around the axis from that as stored."""
-    exif = PIL.Image.Exif()
-    exif[274] = 6
-    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
-    PIL.Image.new("L", (64, 48)).save(tmp_path / "b.jpg", exif=exif)
-    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+    source = _two(tmp_path, (64, 48), (64, 48), orientations=(1, 6))
     line = "OPENCV,64,48,50,52,33.5,23.5,0.1,0.02,0.01,-0.03"
     stored, upright = survey(source, read_calibration(line))[0].values()
     points = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2))
@@ -155,12 +147,8 @@ def test_a_lens_is_turned_with_its_photograph(tmp_path: Path) -> None:
         survey(source, read_calibration(prism))
 
 
-def test_a_K_of_upright_photographs_that_are_all_stored_turned(tmp_path: Path) -> None:
-    exif = PIL.Image.Exif()
-    exif[274] = 6
-    for name in ("a.jpg", "b.jpg"):
-        PIL.Image.new("L", (64, 48)).save(tmp_path / name, exif=exif)
-    source = Source(tmp_path, ("a.jpg", "b.jpg"), None, {})
+def test_a_K_of_upright_photographs_that_are_all_stored_turned(tmp_path):
+    source = _two(tmp_path, (64, 48), (64, 48), orientations=(6, 6))
     cameras, _, _ = survey(source, read_calibration("PINHOLE,48,64,52,50,24,33"))
     np.testing.assert_allclose(cameras["a.jpg"].K, [[52, 0, 23.5], [0, 50, 32.5], [0, 0, 1]])
 
@@ -173,11 +161,8 @@ def test_a_K_of_upright_photographs_that_are_all_stored_turned(tmp_path: Path) -
         ("OPENCV,64,48,50,52,33.5,23.5,0,0,0.01,0", (48, 64), "another lens in turned photographs"),
     ],
 )
-def test_what_one_K_does_not_serve(
-    tmp_path: Path, K: str, size: tuple[int, int], words: str
-) -> None:
+def test_what_one_K_does_not_serve(tmp_path, K, size, words):
     """Images of another shape; a K that may be of either; a lens with a direction."""
-    PIL.Image.new("L", (64, 48)).save(tmp_path / "a.jpg")
-    PIL.Image.new("L", size).save(tmp_path / "b.jpg")
+    source = _two(tmp_path, (64, 48), size)
     with pytest.raises(InputError, match=words):
-        survey(Source(tmp_path, ("a.jpg", "b.jpg"), None, {}), read_calibration(K))
+        survey(source, read_calibration(K))

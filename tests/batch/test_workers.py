@@ -3,24 +3,21 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 from batch_runs import assert_same_result, run_sift
 
-from dgc_pose.batch.work import Describe, Job, Outcome, Task
-from dgc_pose.batch.workers import CoreWorker, RunTasks, in_spans, local_workers, ray_workers
+from dgc_pose.batch.source import STORE
+from dgc_pose.batch.work import Job, Worker
+from dgc_pose.batch.workers import CoreWorker, in_spans, local_workers, ray_workers
 from dgc_pose.errors import DgcPoseError, WeightsError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
 
-def test_a_matcher_that_cannot_be_loaded_leaves_nothing(
-    views: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_matcher_that_cannot_be_loaded_leaves_nothing(views, tmp_path, capfd):
     """Before a process starts."""
     with pytest.raises(WeightsError, match="none.safetensors"):
         options = MatcherOptions("none.safetensors")
@@ -30,46 +27,40 @@ def test_a_matcher_that_cannot_be_loaded_leaves_nothing(
 
 
 @contextmanager
-def _killing(job: Job, workers: int) -> Iterator[RunTasks]:
+def _killing(job, workers):
     """Workers of which each is killed after the first outcome."""
     others = set(multiprocessing.active_children())
     with local_workers(job, workers) as run:
 
-        def some(tasks: Sequence[Task]) -> Iterator[Outcome]:
-            for outcome in run(tasks):
+        def some(*work):
+            for outcome in run(*work):
                 for process in set(multiprocessing.active_children()) - others:
-                    assert process.pid is not None
                     os.kill(process.pid, signal.SIGKILL)
                 yield outcome
 
         yield some
 
 
-def test_a_worker_that_is_killed_is_told_by_its_signal(views: Path, tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_is_told_by_its_signal(views, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(DgcPoseError, match=r"^a worker process ended \(SIGKILL\): resume goes on"):
         run_sift(views, out, workers=2, start_workers=_killing)
-    assert (out / "matched.jsonl").exists()
+    assert (out / STORE).exists()
 
 
-def test_what_a_worker_raises_is_raised_here(views: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_worker_raises_is_raised_here(views, monkeypatch):
     """Not the end of a process: here the weights are gone once the processes start."""
-    monkeypatch.setattr(MatcherOptions, "load", lambda self, caches=None: None)  # in this process
-    settings = MatcherOptions("gone.safetensors")
-    job = Job(views, {}, {}, settings, EstimationOptions(), 2**20)
-    with (
-        pytest.raises(WeightsError, match="gone.safetensors"),
-        local_workers(job, 2) as run,
-    ):
-        list(run([Describe(("view0.png",)), Describe(("view1.png",))]))
+    monkeypatch.setattr(MatcherOptions, "load", lambda self, cache=None: None)  # in this process
+    job = Job(views, {}, {}, MatcherOptions("gone.safetensors"), EstimationOptions(), 2**20)
+    with pytest.raises(WeightsError, match="gone.safetensors"), local_workers(job, 2) as run:
+        list(run(Worker.describe, [(["view0.png"],), (["view1.png"],)]))
 
 
-def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run() -> None:
+def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run():
     """Worker 1 is busy with its first task until all others are dealt."""
-    dealt: list[tuple[int, int]] = []
-    busy: Future[int] = Future()
+    dealt, busy = [], Future()
 
-    def submit(worker: int, task: int) -> Future[int]:
+    def submit(worker, task):
         dealt.append((worker, task))
         future = busy if worker == 1 else Future()
         if worker == 0:
@@ -83,22 +74,22 @@ def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run() -> Non
 
 
 def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
-    views: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    views, tmp_path, monkeypatch
+):
     """The batch resumes after that. A cluster that was there before stays."""
     ray = pytest.importorskip("ray")
 
     class Ending:
-        """An actor that ends at its second task."""
+        """An actor that ends at its second task; pickled with its code."""
 
-        def __init__(self, job: Job) -> None:
+        def __init__(self, job):
             self.worker, self.done = CoreWorker(job), 0
 
-        def do(self, task: Task) -> Outcome:
+        def do(self, *task):
             if self.done:
                 os._exit(1)
             self.done = 1
-            return self.worker.do(task)
+            return self.worker.do(*task)
 
     run_sift(views, tmp_path / "local", workers=2)
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)

@@ -12,8 +12,9 @@ from command_line import assert_refused, run
 from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.cli.batch import _echo_pairs
+from dgc_pose.estimation import RelativePose
 from dgc_pose.matching.sift import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
@@ -75,7 +76,7 @@ def test_failed_pairs_are_told(
     def fail(*arguments: object) -> None:
         raise np.linalg.LinAlgError("singular")
 
-    monkeypatch.setattr(SiftMatcher, "search", fail)
+    monkeypatch.setattr(SiftMatcher, "_match", fail)
     options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
     done = run("batch", photos, *options)
     assert done.exit_code == 3 and "0 poses of 3 pairs (failed 3)" in done.stdout
@@ -99,8 +100,8 @@ def test_a_batch_ends_with_a_table_and_its_files(
     assert heading.split() == "pair status probability rotation R within t within inliers".split()
     assert "if the pose is right" in legend
     for line, row in zip((first, second), rows, strict=False):
-        angle = np.linalg.norm(cv2.Rodrigues(np.reshape(row.R, (3, 3)))[0]) * 180 / np.pi
-        errors = (row.rotation_error_90_deg, row.translation_error_90_deg)
+        angle = np.linalg.norm(row.pose.rotvec) * 180 / np.pi
+        errors = (row.pose.rotation_error_90_deg, row.pose.translation_error_90_deg)
         shown = " ".join(f"{value:.2f} deg" for value in (angle, *errors))
         assert row.probability is None  # SIFT's matches have no model of it
         expected = f"{row.name1} {row.name2} {row.status} - {shown}"
@@ -118,17 +119,11 @@ def test_a_batch_ends_with_a_table_and_its_files(
 
 
 def test_the_table_shows_what_is_known(capsys: pytest.CaptureFixture[str]) -> None:
-    known = PairRow(
-        *("a.jpg", "b.jpg", "rotation_only", False, "a rotation"),
-        probability=0.42,
-        R=(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0),
-        rotation_error_90_deg=0.126,
-        num_matches=90,
-        num_inliers=80,
+    pose = RelativePose(
+        *("rotation_only", "a rotation", np.arange(90) < 80, 90), R=np.eye(3), probability=0.42
     )
-    _echo_pairs([known, PairRow("a.jpg", "c.jpg", "bad_input", False, "no image")])
+    bad = PairRow("a.jpg", "c.jpg", "bad_input", "no image")
+    _echo_pairs([row_of(("a.jpg", "b.jpg"), pose, 1.0), bad])
     _, first, second, _ = capsys.readouterr().out.splitlines()
-    assert (
-        first == "a.jpg b.jpg  rotation_only         42 %  0.00 deg  0.13 deg         -  80 of 90"
-    )
+    assert first.split()[2:] == "rotation_only 42 % 0.00 deg - - 80 of 90".split()
     assert second.split() == ["a.jpg", "c.jpg", "bad_input", *"----", "0", "of", "0"]

@@ -10,17 +10,17 @@ import pycolmap
 import pytest
 from scenes import camera_scene, pinhole
 
-from dgc_pose.batch.matches_file import PairMatches, PoseInputs
 from dgc_pose.batch.plan import Plan
 from dgc_pose.batch.poses import epipolar_error_px
-from dgc_pose.batch.result import Batch, write_pairs
-from dgc_pose.batch.rows import PairRow
-from dgc_pose.batch.work import Estimate, Job, Matched, Worker
+from dgc_pose.batch.result import Batch
+from dgc_pose.batch.rows import MatchedPair, row_of
+from dgc_pose.batch.store import open_store
+from dgc_pose.batch.work import Job, Worker
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.colmap.export import pair_geometries, share, write_shared
 from dgc_pose.colmap.shared import PairGeometry, SharedMatches
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matchers import MatcherOptions
 
 
@@ -32,20 +32,21 @@ def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Pa
     )
     first, second = scene.auto()
     cameras = dict(zip(names, (first, second), strict=True))
-    arrays = (scene.matches.points1, scene.matches.points2, scene.matches.confidence)
-    points1, points2, scores = (array.astype(np.float32) for array in arrays)
-    inputs = PoseInputs(0.5, False, None)
-    stored = PairMatches(points1, points2, scores, np.zeros(len(scores), bool), inputs)
-    alone = Matched((0,), [PairRow(*names, "ok", True, "")], [stored], {})
+    count = len(scene.matches)
+    alone = RelativePose("ok", "", np.zeros(count, bool), count)
     job = Job(tmp_path, cameras, {}, MatcherOptions("sift"), EstimationOptions(), 2**20)
-    fitted = Worker(job).do(Estimate(alone, cameras, True))
-    assert isinstance(fitted, Matched)
-    rows = write_pairs(tmp_path, [fitted], 0)
+    matched = [MatchedPair(row_of(names, alone, 0.5), scene.matches)]
+    (fitted,) = Worker(job).estimate(matched, cameras, fit_cameras=True)
     plan = Plan(tmp_path, cameras, {}, {}, names, np.array([[0, 1]]), {})
-    (pair,) = pair_geometries(Batch(tmp_path, plan, rows, {}))
+    with open_store(tmp_path, create=True) as store:
+        store.begin(plan)
+        for table in ("matched", "result"):
+            store.add(table, [fitted])  # type: ignore[arg-type]
+    (pair,) = pair_geometries(Batch(tmp_path, plan, [fitted.row], {}))
     focals = [camera.focal for camera in pair.cameras]
-    np.testing.assert_allclose(focals, (rows[0].focal1, rows[0].focal2))
-    assert len(pair.points1) > 0.7 * len(scores)
+    assert fitted.row.pose is not None
+    np.testing.assert_allclose(focals, [c.focal for c in fitted.row.fitted_cameras])
+    assert len(pair.points1) > 0.7 * count
     assert epipolar_error_px(pair.row, pair.cameras, pair.points1, pair.points2).max() < 3
     points = pair.points1, pair.points2
     assert np.median(epipolar_error_px(pair.row, (first, second), *points)) > 3
@@ -73,16 +74,15 @@ def test_a_database_is_of_the_pixels_as_stored(
     seen = [
         cameras[n].project(x[:, :2] / x[:, 2:]) for n, x in zip(names, (points, moved), strict=True)
     ]
-    row = PairRow(*names, "ok", True, "", R=tuple(np.eye(3).ravel()), t=tuple(t))
+    row = row_of(names, RelativePose("ok", "", np.ones(9, bool), 9, np.eye(3), t), 1.0)
     pair = PairGeometry(row, (cameras["a.jpg"], cameras["b.jpg"]), *seen, np.ones(9))
     matches = np.arange(9, dtype=np.uint32).repeat(2).reshape(9, 2)
     monkeypatch.setattr("dgc_pose.colmap.export.pair_geometries", lambda batch: [pair])
     upright = SharedMatches(dict(zip(names, seen, strict=True)), {names: matches})
     monkeypatch.setattr("dgc_pose.colmap.export.track_corners", lambda *_: upright)
-    batch: Any = SimpleNamespace(
-        plan=SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path, settings={})
-    )
-    write_shared(batch, *share(batch, 100), tmp_path / "d.db")
+    plan = SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path, settings={})
+    batch: Any = SimpleNamespace(plan=plan, rows=[row])
+    write_shared(batch, share(batch, 100), tmp_path / "d.db")
     with pycolmap.Database.open(tmp_path / "d.db") as database:
         image = database.read_image_with_name("b.jpg")
         camera = database.read_camera(image.camera_id)

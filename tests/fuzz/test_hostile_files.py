@@ -7,7 +7,6 @@ import zipfile
 from contextlib import closing
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -111,23 +110,6 @@ def test_an_array_that_claims_too_much_takes_no_memory(tmp_path):
         read_arrays(tmp_path / "a.npz")
 
 
-def test_a_file_of_matches_leads_nowhere(tmp_path):
-    """HDF5 could follow links to any file: here to a pipe, which would never answer."""
-    make_batch(tmp_path)
-    os.mkfifo(tmp_path / "pipe")
-    name = "one.png/two.png/keypoints0"
-    for damage in (
-        lambda file: file.update({name: h5py.ExternalLink(str(tmp_path / "pipe"), "/x")}),
-        lambda file: file.create_dataset(name, data=np.full((8, 2), np.nan, "f4")),
-        lambda file: file.create_dataset(name, (2**40, 2), "f4", chunks=(64, 2)),
-    ):
-        with h5py.File(tmp_path / "batch/matches.h5", "r+") as file:
-            del file[name]
-            damage(file)
-        with pytest.raises(InputError, match=r"matches\.h5"):
-            list(read_batch(tmp_path / "batch").matches())
-
-
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
 TRIGGER = "CREATE TRIGGER t AFTER INSERT ON cameras BEGIN DELETE FROM cameras; END"
 
@@ -142,3 +124,11 @@ def test_a_database_that_computes_is_refused(tmp_path, script):
         database.executescript(script)
     with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
         read_database(path)
+
+
+def test_a_store_of_a_batch_that_computes_is_refused(tmp_path):
+    make_batch(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "batch/batch.db")) as database:
+        database.executescript(f"DROP TABLE result; CREATE VIEW result AS {ENDLESS}")
+    with pytest.raises(InputError, match=r"batch\.db is not the store of a batch"):
+        read_batch(tmp_path / "batch")
