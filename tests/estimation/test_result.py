@@ -121,7 +121,7 @@ LENS = Camera(
     (1000, 800),
     Distortion("RADIAL", (0.1, -0.02)),
     ("a warning",),
-    *(0.02, 3.0, 0.05, 6, "exif", "a telephone", "equirectangular", 0.01),
+    *(0.02, 3.0, 0.05, "exif", "a telephone", "equirectangular", 0.01),
 )
 
 
