@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -167,14 +168,29 @@ def test_a_background_that_stands_still_is_named(status: str, tmp_path: Path) ->
 
 
 def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
-    path = tmp_path / "database.db"
+    """To COLMAP, and to hloc's files: with the same matches of key points half a pixel apart."""
+    path, hloc = tmp_path / "database.db", tmp_path / "hloc"
     arguments = ("export-colmap", batch.folder, "--database", path)
-    assert run(*arguments).exit_code == 0
+    assert run(*arguments, "--hloc", hloc).exit_code == 0
+    assert_refused(run(*arguments[:2]), "give --database, or --hloc")
     assert_refused(run(*arguments), "--overwrite")
     assert f"{COUNT} images" in run(*arguments, "--overwrite").stdout
-    with pycolmap.Database.open(path) as exported:
+    features, matches = (h5py.File(hloc / f"{name}.h5") for name in ("features", "matches"))
+    with pycolmap.Database.open(path) as exported, features, matches:
         assert exported.num_images() == COUNT
         assert exported.num_verified_image_pairs() == 10
+        ids = {image.name: image.image_id for image in exported.read_all_images()}
+        for name, number in ids.items():
+            stored = exported.read_keypoints(number)[:, :2]
+            np.testing.assert_allclose(features[name]["keypoints"], stored - 0.5, atol=5e-5)
+            assert len(features[name]["scores"]) == len(stored)
+        lines = (hloc / "pairs.txt").read_text().splitlines()
+        assert len(lines) == 10
+        for name0, name1 in map(str.split, lines):
+            matches0 = np.asarray(matches[f"{name0}/{name1}/matches0"])
+            index = np.flatnonzero(matches0 != -1)
+            stored = exported.read_matches(ids[name0], ids[name1])
+            assert {*zip(index, matches0[index], strict=True)} == {*map(tuple, stored)}
 
 
 def _without_pose(pair: MatchedPair) -> MatchedPair:
