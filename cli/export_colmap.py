@@ -16,7 +16,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
 
 if TYPE_CHECKING:
-    from dgc_pose.colmap.shared import SharedMatches
+    from dgc_pose.colmap.tracking import SharedMatches
 
 HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
 
@@ -48,7 +48,7 @@ def export_colmap(
     """
     from dgc_pose.adapters.hloc import write_hloc
     from dgc_pose.batch.result import read_batch
-    from dgc_pose.colmap.export import share, write_shared
+    from dgc_pose.colmap.database import share, write_shared
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.matches_file import group_name, new_file
-from dgc_pose.colmap.shared import SharedMatches
+from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import save_text, staged
 

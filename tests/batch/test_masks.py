@@ -8,7 +8,7 @@ from command_line import assert_refused, run
 from multi_view import SIZE, K_text
 
 from dgc_pose.batch.source import open_source
-from dgc_pose.colmap.export import share
+from dgc_pose.colmap.database import share
 
 MIDDLE = SIZE[0] / 2 - 0.5  # masks are black on the left of it
 NAMES = [f"sub/view{i}.png" for i in range(3)]
