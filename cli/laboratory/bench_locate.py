@@ -7,7 +7,7 @@ import click
 
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.files import finite_data
-from dgc_pose.benchmarks.locations import left_out, placed, report, thinned, true_model
+from dgc_pose.benchmarks.locations import placed, report, thinned, true_model
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import ArgumentName, InputError
@@ -27,9 +27,6 @@ class LocateBenchOptions:
 
     images: Path | None = option(None, "Folder of the images; default: images/ in MODEL.")
     k: WithheldCameras | None = option(None, "Withhold K, as for locate without one.", flag="--K")
-    every: int = option(
-        1, "Leave out every N-th image at once; 1: each in turn.", metavar="N", min=1, max=1000
-    )
     apart: int = option(
         1, "Names between a query and its database images, at least.", metavar="N", min=1, max=1000
     )
@@ -68,10 +65,9 @@ def bench_locate(
         above = sum((location.probability or 0) > 0.5 for location in locations)
         click.echo(f"{above} of {len(locations)} placed above 0.5")
         return
-    cases = [*left_out(sorted(model.poses), bench.every, bench.apart)]
     scores = []
-    for name, without in thinned(cases, bench.count):
-        scores.append(placed(locator, name, without, bench.k))
+    for name in thinned(sorted(model.poses), bench.count):
+        scores.append(placed(locator, name, bench.apart, bench.k))
         score = scores[-1]
         click.echo(
             f"{name}: {score.status}, {score.rotation_deg:.3f} deg, {score.position_percent:.3f} %",

@@ -68,7 +68,7 @@ def reconstruct(
                 model.write_binary(folder / str(number or ""))
         models = [load_model(out / MODEL / str(n or ""), plan.root) for n in range(len(found))]
         with replaced(out / POINTS) as temporary:
-            write_points(temporary, models[0].points, models[0].colours, out / POINTS)
+            write_points(temporary, models[0].points, models[0].colours)
     return models, shared, metric
 
 
