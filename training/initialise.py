@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+import torch
 from torch import nn
 
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.pyramid import Pyramid
-from dgc_pose.network.weights import check_tensors, read_state
+from dgc_pose.network.stored import check_state
+from dgc_pose.network.weights import read_state
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
@@ -17,10 +19,10 @@ def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
     """
     assert isinstance(net.pyramid, Pyramid)
     path, layers = Path(weights), nn.ModuleDict({"features": vgg_layers(net.pyramid)})
-    wanted, found = layers.state_dict(), read_state(Path(weights))
-    state = {key: value for key, value in found.items() if key in wanted}
-    check_tensors(path, "VGG-16 in torchvision's layout", state, wanted)
-    layers.load_state_dict(state)
+    wanted = {key: value.shape for key, value in layers.state_dict().items()}
+    state = {key: value for key, value in read_state(path).items() if key in wanted}
+    check_state(path, "VGG-16 in torchvision's layout", state, wanted)
+    layers.load_state_dict({key: torch.from_numpy(value) for key, value in state.items()})
 
 
 def vgg_layers(pyramid: Pyramid) -> nn.Sequential:

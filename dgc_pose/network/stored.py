@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from safetensors import safe_open
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
-from dgc_pose.network.config import PRESETS, preset
+from dgc_pose.network.config import PRESETS
 
 SUFFIX = ".safetensors"
 _FOLDER = Path(__file__).parents[1] / "weights"
 COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and unused here
 _BATCH_NORM_EPSILON = 1e-5
-Shape = tuple[int, ...]
 
 
 def shipped() -> list[str]:
@@ -41,37 +40,38 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
     return path
 
 
-def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, dict[str, Any]]:
-    """The preset's name, and the tensors or arrays of a file of ours.
+def read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
+    """The preset's name, and the arrays of a file of ours.
 
     Raises WeightsError, naming the file, if it is none.
     """
-    metadata, state = read_tensors(path, framework)
+    metadata, state = read_tensors(path)
     name = metadata.get("preset", "")
-    try:
-        preset(name)
-    except InputError:
-        raise WeightsError(
-            f"{path}: its header names no preset of ours ({name or 'nothing'})"
-        ) from None
+    if name not in PRESETS:
+        raise WeightsError(f"{path}: its header names no preset of ours ({name or 'nothing'})")
     return name, state
 
 
-def read_tensors(
-    path: Path, framework: Literal["pt", "np"]
-) -> tuple[dict[str, str], dict[str, Any]]:
-    """The header and the tensors or arrays of any safetensors file. Raises WeightsError, with the
-    path, for any other file."""
+def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """The header and the arrays of any safetensors file. Raises WeightsError, with the path, for
+    any other file."""
+    with reading("a safetensors file", path), safe_open(path, "np") as file:
+        return file.metadata() or {}, {key: file.get_tensor(key) for key in file.keys()}
+
+
+@contextmanager
+def reading(what: str, path: Path) -> Iterator[None]:
+    """`read_as`, of a regular file, where an OSError is a WeightsError, too."""
     try:
         require_regular(path, WeightsError)
-        with read_as("a safetensors file", path, WeightsError), safe_open(path, framework) as file:
-            return file.metadata() or {}, {key: file.get_tensor(key) for key in file.keys()}
+        with read_as(what, path, WeightsError):
+            yield
     except OSError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def check_state(
-    path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Shape]
+    path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Sequence[int]]
 ) -> None:
     """Raise WeightsError, naming the first such keys, if keys or shapes of the weights `name` are
     not those wanted, or values are not finite real floats."""

@@ -55,7 +55,7 @@ class OnnxEngine:
     concurrent = True  # each thread computes on, instead of waiting for the others at each layer
 
     def __init__(self, path: Path) -> None:
-        name, self._stored = read_safetensors(path, "np")
+        name, self._stored = read_safetensors(path)
         if name != DEFAULT_WEIGHTS:
             raise InputError(f"{path}: there are no ONNX graphs of {name}: run it by torch")
         self.config = preset(name)
