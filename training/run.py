@@ -19,11 +19,10 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.stored import COUNTER
-from dgc_pose.network.weights import load_checkpoint, load_network
+from dgc_pose.network.net import DGCNet, Pyramid
+from dgc_pose.network.stored import COUNTER, check_state
+from dgc_pose.network.weights import load_checkpoint, load_network, read_state
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.initialise import initialise_encoder
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
@@ -280,6 +279,25 @@ def _card(
         rows[name] = "; ".join([done, *figures])
     lines = [f"# {options.preset}", "", "| | |", "|---|---|"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows.items()]) + "\n"
+
+
+def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
+    """Load ImageNet's VGG-16 (.pth or .safetensors) in torchvision's layout (BSD-3-Clause), whose
+    later layers are left out, into the net's encoder. It is not needed to run.
+
+    Raises WeightsError if the file holds other weights.
+    """
+    assert isinstance(net.pyramid, Pyramid)
+    path, layers = Path(weights), nn.ModuleDict({"features": vgg_layers(net.pyramid)})
+    wanted = {key: value.shape for key, value in layers.state_dict().items()}
+    state = {key: value for key, value in read_state(path).items() if key in wanted}
+    check_state(path, "VGG-16 in torchvision's layout", state, wanted)
+    layers.load_state_dict({key: torch.from_numpy(value) for key, value in state.items()})
+
+
+def vgg_layers(pyramid: Pyramid) -> nn.Sequential:
+    """The pyramid's layers, all levels', as torchvision numbers those of VGG-16's `features`."""
+    return nn.Sequential(*(layer for level in pyramid.children() for layer in level.children()))
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:

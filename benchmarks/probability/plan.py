@@ -38,7 +38,7 @@ class PlanEntry:
     pairs: int = option(60, min=1)  # of the kinds without a list
     seed: int = option(0, min=0)
     scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
-    altered: bool = False  # whether each pair is altered, see `altered.py`
+    altered: bool = False  # whether each pair is altered, see `planned.py`
     # Scenes whose true poses are a tracker's, off by a degree or more: they part right from wrong,
     # but not how accurate a pose is.
     rough: tuple[str, ...] = ()

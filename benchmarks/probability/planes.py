@@ -17,16 +17,17 @@ from dgc_pose.training.room_pairs import (
     RoomOptions,
     RoomPairs,
     Rooms,
+    correspond,
+    first_hits,
     random_textures,
     render_pairs,
 )
-from dgc_pose.training.views import Cameras, inside, middle_of, pixel_grid
+from dgc_pose.training.views import Cameras, middle_of, pixel_grid
 
 # Heights of the reliefs, in widths of the plane that view 1 sees
 RELIEFS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
 OTHER_DEG = 10.0  # the second pose differs from the true one by more, in R or t
 
-_TILT_DEG = 60.0  # of the plane to camera 1, at most
 _ANGLE_DEG = (15.0, 60.0)  # between the optical axes
 _ROLL_DEG = 5.0  # standard deviation
 _FIELD_DEG = (40.0, 70.0)  # of view
@@ -34,7 +35,6 @@ _TILES = 4  # a side: the plane is a wall of photographs
 _TILE = (0.5, 0.9)  # side of one
 _BOXES = 6  # on the plane, at most
 _BEHIND = 0.01  # half of the tiles' thickness
-_CLEARANCE = 0.3  # of the cameras, above the plane: the highest relief is below
 _FILLS = 0.9  # share of each view that the plane fills, at least
 _OVERLAP = 0.4  # share of either view that the other one sees, at least
 _PROBE = 20  # shares are estimated on so many rays squared
@@ -45,14 +45,16 @@ def plane_pair(photos: Photos, size: int, draw: Draw, relief: float) -> RoomPair
     """Two views, `size` pixels square, of a plane in z = 0 of the world, covered with photographs
     and seen from z < 0, each in a light of its own.
 
-    relief: height of the boxes on the plane, in widths of the plane that view 1 sees; 0 for none. Cameras and plane are drawn again until its homography has a second pose, more than
-    `OTHER_DEG` off, with all points that both views see in front of both cameras.
+    relief: height of the boxes on the plane, in widths of the plane that view 1 sees; 0 for none.
+    Cameras and plane are drawn again until its homography has a second pose, more than `OTHER_DEG`
+    off, with all points that both views see in front of both cameras.
     """
-    while True:
+    allowed = False
+    while not allowed:
         tile = float(draw.log_uniform(1, low=_TILE[0], high=_TILE[1]))
         first, second = _cameras(draw, size)
-        if _allows_two_poses(first, second, size, _TILES * tile / 2):
-            break
+        flat = _wall(photos, draw, tile, 0.0)
+        allowed = _allows_two_poses(flat, first, second, size)
     rooms = _wall(photos, draw, tile, relief)
     pair = render_pairs(rooms, first, second, (size, size), photos.bank)
     views = other_light(torch.cat([pair.maps.image1, pair.maps.image2]), draw)
@@ -103,48 +105,27 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     )
 
 
-def _allows_two_poses(first: Cameras, second: Cameras, size: int, half_side: float) -> bool:
-    """Whether the square of `half_side` around the origin fills both views, they overlap at the
-    angle asked for, and its homography has another pose with the points in front of both
-    cameras."""
-    away = -first.centre[0, 2]
-    axes = torch.cat([first.pose[:, 2, :3], second.pose[:, 2, :3]])
-    angle = math.degrees(math.acos(min(1.0, float(axes[0] @ axes[1]))))
-    tilt = math.degrees(math.acos(float(axes[0, 2])))
-    near = min(away, -second.centre[0, 2]) < _CLEARANCE
-    if near or tilt > _TILT_DEG or not _ANGLE_DEG[0] <= angle <= _ANGLE_DEG[1]:
-        return False
-    points1, points2, shared1 = _seen(first, second, size, half_side)
-    shared2 = _seen(second, first, size, half_side)[2]
-    if any(len(shared) < _FILLS * _PROBE**2 for shared in (shared1, shared2)):
-        return False
-    if min(shared1.mean(), shared2.mean()) < _OVERLAP:
-        return False
+def _allows_two_poses(flat: Rooms, first: Cameras, second: Cameras, size: int) -> bool:
+    """Whether the plane fills both views, they overlap at the angle asked for, and its homography
+    has another pose with the points in front of both cameras."""
     pose = second.seen_by(first).pose[0].double().numpy()
     R, t = pose[:, :3], pose[:, 3]
+    if not _ANGLE_DEG[0] <= math.degrees(math.acos(min(1.0, R[2, 2]))) <= _ANGLE_DEG[1]:
+        return False
+    grid = pixel_grid((_PROBE, _PROBE), first.K.device).view(1, -1, 2) * size / (_PROBE - 1) - 0.5
+    for source, target in ((second, first), (first, second)):
+        depth, which = first_hits(flat, target.centre, target.rays(grid) @ target.pose[..., :3])
+        found, seen = correspond(flat, source, target, depth, grid, (size, size))
+        shared = seen & (which > 0)  # 0 is the hall
+        if (which > 0).float().mean() < _FILLS or shared.float().mean() < _OVERLAP:
+            return False
+    x1, x2 = (
+        rays[shared][:, :2].double().numpy() for rays in (first.rays(found), second.rays(grid))
+    )
     # The plane: normal @ x1 = away
-    H = R + np.outer(t, first.pose[0, :, 2].double().numpy()) / float(away)
-    x1, x2 = points1[shared1], points2[shared1]
+    normal, away = first.pose[0, :, 2].double().numpy(), -float(first.centre[0, 2])
     return any(
         max(rotation_error_deg(R2, R), translation_error_deg(t2, t)) > OTHER_DEG
         and min(np.min(depth) for depth in depths(x1, x2, R2, t2)) > 0
-        for R2, t2 in homography_poses(H)
+        for R2, t2 in homography_poses(R + np.outer(t, normal) / away)
     )
-
-
-def _seen(
-    camera: Cameras, other: Cameras, size: int, half_side: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points of the square on a grid of the camera's rays: normalised (n, 2) in the camera and in
-    the other one, and a mask of those that the other one sees."""
-    grid = pixel_grid((_PROBE, _PROBE), camera.K.device).view(1, -1, 2)
-    rays = camera.rays(grid * size / (_PROBE - 1) - 0.5)  # to the edges
-    depth = -camera.centre[:, None, 2] / (rays @ camera.pose[..., :3])[..., 2]
-    place = camera.centre[:, None] + rays @ camera.pose[..., :3] * depth[..., None]
-    on_square = (depth[0] > 0) & (place[0, :, :2].abs() <= half_side).all(-1)
-    seen, ahead = other.project(place[:, on_square])
-    shown = (ahead[0] > 0) & inside(seen[0], (size, size))
-    points1, points2 = (
-        part[0, :, :2].double().numpy() for part in (rays[:, on_square], other.rays(seen))
-    )
-    return points1, points2, shown.numpy()

@@ -44,7 +44,7 @@ class PoseRecord:
 
     likelihood: float  # see `Hypothesis`
     map_agreement: float | None
-    rotation_error_deg: float  # infinite if the images are of two scenes
+    rotation_error_deg: float  # infinite if the images are of two scenes, and without a pose
     translation_error_deg: float
 
     @property
@@ -60,9 +60,7 @@ class Record:
     entry: PlanEntry
     scene: str
     evidence: Evidence | None  # None without a model
-    rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
-    translation_error_deg: float
-    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, this one first
+    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, the best first
     cameras: CameraCase = "exact"
     # Of ln f of the less certain camera, per cent; NaN if it was not fitted, and without a pose.
     focal_error_percent: float = math.nan
@@ -71,9 +69,8 @@ class Record:
     exact_cameras: bool = True
 
     @property
-    def right(self) -> bool:
-        """Whether R and t are both within 10 degrees."""
-        return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
+    def best(self) -> PoseRecord:
+        return self.poses[0] if self.poses else PoseRecord(-math.inf, None, math.inf, math.inf)
 
     @property
     def exact(self) -> bool:
@@ -83,7 +80,7 @@ class Record:
     @property
     def any_right(self) -> bool:
         """Whether the pose or another that explains the matches about as well is right."""
-        return self.right or any(pose.right for pose in self.poses)
+        return any(pose.right for pose in self.poses)
 
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
@@ -97,9 +94,8 @@ def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator
 def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "exact") -> Record:
     """The record of one pair."""
     truth = pair.truth
-    camera1, camera2 = _cameras(pair, cameras)
+    stated = _cameras(pair, cameras)
     matches = pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled
-    stated = camera1, camera2
     problem = TwoViewProblem.of(matches, *stated, options)
     poses: tuple[PoseRecord, ...] = ()
     found, evidence, focal_error = None, None, math.nan
@@ -109,17 +105,8 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
         known = uncertainty(found, matches, options)
         evidence, focal_error = gathered(found, known), _focal_error(known.cameras, truth)
         poses = tuple(_pose_record(choice, truth) for choice in found.hypotheses if choice.likely)
-    return Record(
-        pair.entry,
-        pair.scene,
-        evidence,
-        poses[0].rotation_error_deg if poses else math.inf,
-        poses[0].translation_error_deg if poses else math.inf,
-        poses,
-        cameras,
-        focal_error,
-        _exact(truth),
-    )
+    facts = cameras, focal_error, _exact(truth)
+    return Record(pair.entry, pair.scene, evidence, poses, *facts)
 
 
 def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:

@@ -54,7 +54,7 @@ class Judged:
 
     @property
     def right(self) -> bool:
-        return self.record.right
+        return self.record.best.right
 
 
 def judged(record: Record, model: ProbabilityModel) -> Judged:
@@ -68,18 +68,14 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         model.choice["lapse"],
     )
     order = np.argsort(-shares, kind="stable")
-    share, best = float(shares[order[0]]), record.poses[order[0]]
+    share = float(shares[order[0]])
     rotation, translation = model.errors_90_deg(evidence)
     verdict = judge(
         evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
     )
     known = STATUSES[verdict.status]
     return Judged(
-        replace(
-            record,
-            rotation_error_deg=best.rotation_error_deg,
-            translation_error_deg=best.translation_error_deg,
-        ),
+        replace(record, poses=tuple(record.poses[k] for k in order)),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else share * any_right,
         of_right(rotation),
@@ -92,8 +88,8 @@ def report_text(poses: Sequence[Judged]) -> str:
     """The claims on scenes that have no part in the fit, and what they are worth."""
     error = 100 * reliability(poses).calibration_error
     exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
-    R = [p.record.rotation_error_deg <= p.rotation_90_deg for p in exact]
-    t = [p.record.translation_error_deg <= p.translation_90_deg for p in exact]
+    R = [p.record.best.rotation_error_deg <= p.rotation_90_deg for p in exact]
+    t = [p.record.best.translation_error_deg <= p.translation_90_deg for p in exact]
     within = f"{100 * np.mean(R):.0f} and {100 * np.mean(t):.0f} %" if exact else "none"
     return (
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.\n\n"

@@ -73,26 +73,22 @@ def reading(what: str, path: Path) -> Iterator[None]:
 def check_state(
     path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Sequence[int]]
 ) -> None:
-    """Raise WeightsError, naming the first such keys, if keys or shapes of the weights `name` are
+    """Raise WeightsError, naming the first such key, if keys or shapes of the weights `name` are
     not those wanted, or values are not finite real floats."""
-    expected = {key: shape for key, shape in wanted.items() if not key.endswith(COUNTER)}
-    missing = [key for key in expected if key not in state]
-    unexpected = [key for key in state if key not in expected]
-    reshaped = [
-        f"{key} {state[key].shape} instead of {tuple(shape)}"
-        for key, shape in expected.items()
-        if key in state and state[key].shape != tuple(shape)
-    ]
-    for what, keys in (("lacks", missing), ("has", unexpected), ("has", reshaped)):
-        if keys:
-            more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-            listed = ", ".join(keys[:3]) + more
-            raise WeightsError(f"{path}: not weights of {name}: it {what} {listed}")
-    for key, value in state.items():
-        if value.dtype.kind != "f":
-            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
-        if not np.isfinite(value).all():
-            raise WeightsError(f"{path}: {key} has values that are not finite")
+    expected = {key: tuple(shape) for key, shape in wanted.items() if not key.endswith(COUNTER)}
+    for key in [*expected, *state]:
+        value, shape = state.get(key), expected.get(key)
+        if value is None:
+            fault = f"lacks {key}"
+        elif value.shape != shape:
+            fault = f"has {key} {value.shape}" + (f" instead of {shape}" if shape else "")
+        elif value.dtype.kind != "f":
+            fault = f"has {key} of {value.dtype}, not of real floating point values"
+        elif not np.isfinite(value).all():
+            fault = f"has {key} with values that are not finite"
+        else:
+            continue
+        raise WeightsError(f"{path}: not weights of {name}: it {fault}")
 
 
 def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:

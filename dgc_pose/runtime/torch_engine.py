@@ -12,8 +12,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
-from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.net import DGCNet, normalise, to_pixels
 from dgc_pose.network.stored import fingerprint
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 

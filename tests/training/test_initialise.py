@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.training.initialise import initialise_encoder
+from dgc_pose.training.run import initialise_encoder
 
 
 def _torchvision_vgg16(seed: int) -> nn.Sequential:
@@ -52,15 +52,12 @@ def test_weights_of_another_encoder_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "encoder.pth"
     wider = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 32, 3, 3)}
     integral = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 64, 3, 3, dtype=torch.int8)}
-    vgg = "not weights of VGG-16 in torchvision's layout: it"
     for state, words in (
-        (
-            {"conv.weight": torch.zeros(1)},
-            f"{vgg} lacks features.0.weight, features.0.bias, .* and 17 more",
-        ),
-        (wider, f"{vgg} has features.2.weight .64, 32, 3, 3. instead of .64, 64, 3, 3."),
-        (integral, "features.2.weight holds int8"),
+        ({"conv.weight": torch.zeros(1)}, "lacks features.0.weight"),
+        (wider, "has features.2.weight .64, 32, 3, 3. instead of .64, 64, 3, 3."),
+        (integral, "has features.2.weight of int8"),
     ):
         torch.save(state, path)
-        with pytest.raises(WeightsError, match=rf"encoder\.pth: {words}"):
+        vgg = r"encoder\.pth: not weights of VGG-16 in torchvision's layout: it "
+        with pytest.raises(WeightsError, match=vgg + words):
             initialise_encoder(path, DGCNet(preset("dgcm")))

@@ -75,32 +75,14 @@ def test_held_scenes_validate_and_the_others_train(tmp_path: Path) -> None:
         assert source.make(2, (48, 48), Draw("cpu", 0)).valid.any()
     data = load_data(**folders, depths=tmp_path, shares=Shares(1, 0, 0, 0))
     assert data[TRAINING].posed is None  # without a share nothing is prepared
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Photographs, and the scenes a, b and blind, whose depths are unknown."""
-    root = tmp_path_factory.mktemp("data")
-    write_photos(root / "photos", 40)
-    for k, name in enumerate(("a", "b", "blind")):
-        write_rgbd(root / "posed" / name, rendered(3 + k, (96, 72)))
-    for path in (root / "posed/blind/depth").iterdir():
+    for path in (tmp_path / "posed/b/depth").iterdir():  # b is blind from now on
         cv2.imwrite(str(path), np.zeros((72, 96), np.uint16))
-    return root
-
-
-@pytest.mark.parametrize(
-    ("posed", "held", "message"),
-    [
+    for posed, held, message in (
         (["."], ["c"], "held: there is no scene c"),
         (["a", "a"], [], "posed: .*a: another folder, too, has a scene a"),
         (["a"], ["a"], "held: no scene of posed is left to train"),
-        (["blind"], [], "posed: in blind no two frames share enough of known depth"),
-    ],
-)
-def test_scenes_that_make_no_pairs_are_named(
-    folder: Path, posed: list[str], held: list[str], message: str
-) -> None:
-    folders = [folder / "posed" / name for name in posed]
-    with pytest.raises(InputError, match=message):
-        load_data(folder / "photos", posed=folders, depths=folder, held=held, shares=Shares())
+        (["b"], [], "posed: in b no two frames share enough of known depth"),
+    ):
+        folders["posed"] = [tmp_path / "posed" / name for name in posed]
+        with pytest.raises(InputError, match=message):
+            load_data(**folders, depths=tmp_path, held=held, shares=Shares())

@@ -52,14 +52,6 @@ def test_sensors_depths_are_read_in_order_and_in_metres(
         np.testing.assert_allclose(frame.camera.K, pair.K1)
 
 
-def test_frames_without_depth_have_their_reach(pair: RenderedPair, tmp_path: Path) -> None:
-    path = write_listed(tmp_path / "walk", pair, depth=False) / "cameras.txt"
-    path.write_text(path.read_text() + "\n")  # a blank line is no frame
-    frames = read_scene(tmp_path / "walk")
-    assert [frame.reach for frame in frames] == [(0.5, 9.0)] * 2
-    assert [frame.depth for frame in frames] == [None, None]
-
-
 def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path: Path) -> None:
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(
@@ -117,22 +109,21 @@ def test_a_damaged_folder_is_named(
         read_rgbd(root)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda text: text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
-        (lambda text: text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: the depths must"),
-        (lambda text: text.replace("png ", "png -", 1), "cameras.txt:1: fx fy cx cy must"),
-        (lambda text: "\n" + text.splitlines()[0], "walk: 1 frames of known pose and depth"),
-    ],
-)
-def test_a_wrong_line_of_cameras_is_named(
-    pair: RenderedPair, tmp_path: Path, change: Callable[[str], str], message: str
-) -> None:
+def test_a_wrong_line_of_cameras_is_named(pair: RenderedPair, tmp_path: Path) -> None:
     path = write_listed(tmp_path / "walk", pair, depth=False) / "cameras.txt"
-    path.write_text(change(path.read_text()))
-    with pytest.raises(InputError, match=message):
-        read_scene(tmp_path / "walk")
+    text = path.read_text()
+    path.write_text(text + "\n")  # a blank line is no frame
+    frames = read_scene(tmp_path / "walk")
+    assert [(frame.reach, frame.depth) for frame in frames] == [((0.5, 9.0), None)] * 2
+    for changed, message in (
+        (text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
+        (text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: .* the depths must"),
+        (text.replace("png ", "png -", 1), "cameras.txt:1: fx fy must"),
+        ("\n" + text.splitlines()[0], "walk: 1 frames of known pose and depth"),
+    ):
+        path.write_text(changed)
+        with pytest.raises(InputError, match=message):
+            read_scene(tmp_path / "walk")
 
 
 def test_a_folder_without_scenes_and_depths_of_another_kind_are_refused(

@@ -12,16 +12,13 @@ from photos import drawn_photos
 from torch import nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
-from dgc_pose.matchers import load_matcher
 from dgc_pose.network.config import preset
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.pyramid import Pyramid
+from dgc_pose.network.net import DGCNet, Pyramid
 from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
-from dgc_pose.training.initialise import vgg_layers
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
-from dgc_pose.training.run import Trainer, move_average, optimiser, save_weights
+from dgc_pose.training.run import Trainer, move_average, optimiser, save_weights, vgg_layers
 from dgc_pose.training.stages import EncoderStage
 
 pytestmark = pytest.mark.slow
@@ -79,15 +76,10 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
     for key, value in loaded.state_dict().items():
         if not key.endswith(COUNTER):
             torch.testing.assert_close(value, net.state_dict()[key], rtol=2e-3, atol=1e-5)
-    assert load_matcher(str(tmp_path / "dgcm-lite0.safetensors")).name
     card = (tmp_path / "dgcm-lite0.md").read_text()
-    for words in (
-        "6, and 2 places",
-        "| init | dgcm-lite0 |",
-        "| encoder | 2 steps, ",
-        "photos: found16 0.",
-    ):
+    for words in ("6, and 2 places", "| init | dgcm-lite0 |", "| encoder | 2 steps, "):
         assert words in card
+    assert "photos: found16 0." in card
 
 
 def test_half_precision_trains_as_single_precision_does(
@@ -125,6 +117,9 @@ def test_a_run_killed_in_every_stage_resumes_to_the_bit(
     for one, other in zip(first.parameters(), net.parameters(), strict=True):
         assert torch.equal(one, other)
     assert [again.stages[name]["steps"] for name in ("encoder", "decoders")] == [2, 2]
+    Trainer(tmp_path / "2", replace(options, steps=5), resume=True)  # a longer run goes on
+    with pytest.raises(InputError, match="^steps would lead from the decoders of .* back"):
+        Trainer(tmp_path / "2", replace(options, steps=20), resume=True)
 
 
 def test_a_run_that_diverges_stops_and_saves_nothing_of_it(
@@ -159,26 +154,6 @@ def test_runs_are_not_overwritten_or_mixed(data: dict[str, PairSource], tmp_path
         Trainer(tmp_path, _options(), resume=True)
 
 
-def test_a_longer_run_goes_on_and_never_back_to_the_encoder(
-    data: dict[str, PairSource], tmp_path: Path
-) -> None:
-    options = _options(steps=2, encoder_share=0.5)
-    Trainer(tmp_path, options).run(data)
-    Trainer(tmp_path, replace(options, steps=3), resume=True)
-    with pytest.raises(InputError, match="^steps would lead from the decoders of .* back"):
-        Trainer(tmp_path, replace(options, steps=20), resume=True)
-
-
-def test_all_pairs_that_are_to_validate_do(data: dict[str, PairSource], tmp_path: Path) -> None:
-    options = _options(validation_count=12, encoder_share=0.0)
-    trainer = Trainer(tmp_path, options)
-    batches = trainer._validation_pairs("photos", data["photos"])
-    assert [len(pairs.map) for pairs in batches] == [8, 4]
-    whole = trainer.validate({"photos": batches})["photos"]
-    parts = [trainer.validate({"photos": [pairs]})["photos"]["epe15"] for pairs in batches]
-    assert whole["epe15"] == pytest.approx((2 * parts[0] + parts[1]) / 3)
-
-
 def test_a_variance_beyond_half_precision_is_kept(tmp_path: Path) -> None:
     net = DGCNet(preset("dgcm-lite0")).eval()
     norm = net.get_submodule("reg_3.conv0.1")
@@ -201,8 +176,7 @@ def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
     assert rest["share"] == 1 and backbone["share"] == 0.35
     body = [*net.pyramid.get_submodule("stem").parameters()]
     body += net.pyramid.get_submodule("blocks").parameters()
-    shapes = [parameter.shape for parameter in backbone["params"]]
-    assert shapes == [parameter.shape for parameter in body]
+    assert [p.shape for p in backbone["params"]] == [p.shape for p in body]
     # Levels 0 and 1 and the decoders stay in this stage; the temperatures are the stage's own.
     heads = [m for n, m in net.pyramid.named_children() if n.startswith(("head", "lift", "merge"))]
     trained = sum(p.numel() for group in (rest, backbone) for p in group["params"])

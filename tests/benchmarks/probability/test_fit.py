@@ -118,7 +118,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
     (pair,) = read_collection(tmp_path, "net", [source])
     assert pair.map_matches is not None and 100 < len(pair.map_matches) <= 1600
     found = record(pair, OPTIONS)
-    assert found.right and found.evidence is not None
+    assert found.best.right and found.evidence is not None
     assert found.evidence.map_agreement > 0.9 > 0.5 > found.evidence.map_chance
     assert found.evidence.map_matchability == pytest.approx(pair.map_matches.confidence.mean())
 
@@ -136,7 +136,7 @@ def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
     rows = [record(pair, OPTIONS) for pair in read_collection(out, "sift", sources)]
     known = [row for row in rows if row.evidence is not None]
     likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
-    right = [row.right for row in known]
+    right = [row.best.right for row in known]
     assert np.mean(np.equal(likely, right)) > 0.95
 
 
@@ -174,15 +174,9 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
             apart = 3 * rng.random()
             poses.append(PoseRecord(-apart, 0.0, 60.0, 60.0))
             if rng.random() > 1 / (1 + np.exp(-CHOICE * apart)):
-                poses = [replace_errors(poses[0], 60.0), replace_errors(poses[1], error)]
-                error = 60.0
-        record = Record(entry, f"{part} {k % 5}", evidence, error, error, tuple(poses))
-        found.append(record)
+                poses = [PoseRecord(0.0, 0.0, 60.0, 60.0), PoseRecord(-apart, 0.0, error, error)]
+        found.append(Record(entry, f"{part} {k % 5}", evidence, tuple(poses)))
     return found
-
-
-def replace_errors(pose: PoseRecord, error: float) -> PoseRecord:
-    return dataclasses.replace(pose, rotation_error_deg=error, translation_error_deg=error)
 
 
 def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
@@ -192,11 +186,12 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
     model = fitted.by_kind["network"]
     fresh = [judged(one, model) for one in _records(1500, 2, "report")]
     probability = np.array([one.probability for one in fresh])
-    right = np.array([one.record.right for one in fresh])
+    right = np.array([one.right for one in fresh])
     for low, high in ((0.0, 0.3), (0.3, 0.7), (0.7, 1.01)):
         own = (probability >= low) & (probability < high)
         assert right[own].mean() == pytest.approx(probability[own].mean(), abs=0.08)
-    within = [o.record.rotation_error_deg <= o.rotation_90_deg for o in fresh if o.record.right]
+    errors = [one.record.best.rotation_error_deg for one in fresh]
+    within = [e <= o.rotation_90_deg for e, o in zip(errors, fresh, strict=True) if o.right]
     assert 0.85 < np.mean(within) < 0.95
     assert model.choice["likelihood"] == pytest.approx(CHOICE, rel=0.25)
     assert any(one.ambiguous for one in fresh)
@@ -207,7 +202,7 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
 
 
 def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
-    data = [one for one in _records(300, 0, "fit") if one.right]
+    data = [one for one in _records(300, 0, "fit") if one.any_right]
     with pytest.raises(InputError, match="0 wrong poses of 5 scenes to fit on"):
         fit_model(data, "network")
 

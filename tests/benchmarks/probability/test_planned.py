@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
-from dgc_pose.benchmarks.probability.altered import ALTERATIONS, Alteration, altered
+from dgc_pose.benchmarks.probability.planned import ALTERATIONS, Alteration, altered
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.images.image import Image
 from two_view import two_view_scene
