@@ -83,7 +83,7 @@ def check_state(
         elif value.shape != shape:
             fault = f"has {key} {value.shape}" + (f" instead of {shape}" if shape else "")
         elif value.dtype.kind != "f":
-            fault = f"has {key} of {value.dtype}, not of real floating point values"
+            fault = f"has {key} of {value.dtype}, not real floats"
         elif not np.isfinite(value).all():
             fault = f"has {key} with values that are not finite"
         else:

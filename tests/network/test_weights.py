@@ -77,7 +77,7 @@ def test_the_first_differing_keys_are_named(tmp_path: Path) -> None:
         state[key] = torch.zeros(2)
     ours = {k: v.half() for k, v in _random_net("dgcm-lite0").state_dict().items()}
     for metadata, words in (
-        ({"preset": "dgcm"}, "not weights of dgcm: it lacks"),
+        ({"preset": "dgcm"}, "not weights of dgcm: it has pyramid"),
         ({}, "no preset"),
     ):
         save_file(ours, tmp_path / "x.safetensors", metadata=metadata)
