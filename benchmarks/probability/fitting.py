@@ -60,7 +60,8 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
     odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
-    strength = min(odds, key=lambda c: _loss(odds[c], right))
+    # Of the least negative log-likelihood
+    strength = min(odds, key=lambda c: np.logaddexp(0, np.where(right, -odds[c], odds[c])).mean())
     slope, offset = _platt(odds[strength], right)
     weights, intercept = _logistic(X, right, signs, strength)
     medians = np.median(X[right], axis=0)
@@ -151,11 +152,6 @@ def _left_out_odds(
         weights, intercept = _logistic(X[~out], right[~out], signs, strength)
         odds[out] = X[out] @ weights + intercept
     return odds
-
-
-def _loss(odds: np.ndarray, right: np.ndarray) -> float:
-    """Mean negative log-likelihood."""
-    return float(np.logaddexp(0, np.where(right, -odds, odds)).mean())
 
 
 def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:

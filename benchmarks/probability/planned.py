@@ -70,9 +70,12 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         make = partial(_textureless, paths, entry.seed)
     else:
         make = _rendered(folder, entry)
-    if entry.altered:
-        make = partial(_altered, make)
-    return [PlannedPair(entry, k, name, partial(make, k)) for k, name in enumerate(scenes)]
+
+    def made(number: int) -> PosedPair:
+        pair, way = make(number), ALTERATIONS[number % len(ALTERATIONS)]
+        return altered(pair, way) if entry.altered else pair
+
+    return [PlannedPair(entry, k, name, partial(made, k)) for k, name in enumerate(scenes)]
 
 
 def altered(pair: PosedPair, way: Alteration) -> PosedPair:
@@ -100,10 +103,6 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
     image2 = replace(pair.image2, pixels=pixels)
     camera2 = replace(truth.camera2, K=K, size=image2.size)
     return PosedPair(replace(truth, camera2=camera2, R=R, t=t), pair.image1, image2)
-
-
-def _altered(make: Callable[[int], PosedPair], number: int) -> PosedPair:
-    return altered(make(number), ALTERATIONS[number % len(ALTERATIONS)])
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:

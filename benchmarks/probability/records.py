@@ -87,7 +87,8 @@ def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator
     """The records of each pair, in order."""
     stored = iter(pairs)
     while chunk := list(islice(stored, _CHUNK)):
-        work = [(pair, case) for pair in chunk for case in _cases(pair)]
+        work: list[tuple[StoredPair, CameraCase]] = [(pair, "exact") for pair in chunk]
+        work += [(p, "auto") for p in chunk if p.entry.withheld and not p.matches.key_points]
         yield from in_threads(lambda item: record(item[0], options, item[1]), work)
 
 
@@ -115,12 +116,6 @@ def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
         rotation = rotation_error_deg(choice.R, truth.R)
         translation = translation_error_deg(choice.t, truth.t)
     return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
-
-
-def _cases(pair: StoredPair) -> tuple[CameraCase, ...]:
-    if pair.matches.key_points or not pair.entry.withheld:
-        return ("exact",)
-    return ("exact", "auto")
 
 
 def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
@@ -151,12 +146,10 @@ def _focal_error(cameras: tuple[Camera, Camera], truth: Truth) -> float:
 
 def _exact(truth: Truth) -> bool:
     difference = abs(math.log(truth.camera1.focal / truth.camera2.focal))
-    centres = max(_offset(camera) for camera in (truth.camera1, truth.camera2))
-    return centres < _USUAL_CENTRE and not _EQUAL_FOCAL < difference < _SAME_FOCAL
-
-
-def _offset(camera: Camera) -> float:
-    """Of the principal point from the middle, over the longer side."""
-    assert camera.size is not None
-    middle = (np.array(camera.size) - 1) / 2
-    return float(np.abs(camera.K[:2, 2] - middle).max() / max(camera.size))
+    if _EQUAL_FOCAL < difference < _SAME_FOCAL:
+        return False
+    for camera in (truth.camera1, truth.camera2):
+        size = np.array(camera.size)
+        if np.abs(camera.K[:2, 2] - (size - 1) / 2).max() / size.max() >= _USUAL_CENTRE:
+            return False
+    return True

@@ -18,7 +18,6 @@ from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.competition import choice_shares, utility
-from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FORMAT,
     MatchKind,
@@ -181,26 +180,19 @@ def fit_all(
     return text, "\n\n\n".join(parts), figure
 
 
-def _kind(evidence: Evidence) -> MatchKind:
-    return match_kind(
-        key_points=evidence.key_points,
-        with_map=evidence.map_agreement is not None,
-        fitted=evidence.raw_focal_90_percent is not None,
-    )
-
-
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
     """A method's records by their kind of matches and cameras, and a network's as those of no map
     too. Those without evidence are of every kind of their cameras."""
     blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
     kinds: dict[MatchKind, list[Record]] = {}
-    for auto in (False, True):
-        members = [row for row in rows if (row.cameras == "auto") == auto]
-        kind = {_kind(row.evidence) for row in members if row.evidence is not None}
-        for name in kind:
-            kinds[name] = members
-        if "network" in kind or "network_auto" in kind:
-            evidence = [row.evidence and replace(row.evidence, **blank) for row in members]  # type: ignore[arg-type]
-            without = [replace(row, evidence=e) for row, e in zip(members, evidence, strict=True)]
-            kinds["matches_auto" if auto else "matches"] = without
+    for cameras in ("exact", "auto"):
+        members = [row for row in rows if row.cameras == cameras]
+        known = [row.evidence for row in members if row.evidence is not None]
+        for key_points, with_map in {(e.key_points, e.map_agreement is not None) for e in known}:
+            of = {"key_points": key_points, "fitted": cameras == "auto"}
+            kinds[match_kind(with_map=with_map, **of)] = members
+            if with_map:
+                without = [e and replace(e, **blank) for e in (row.evidence for row in members)]  # type: ignore[arg-type]
+                pairs = zip(members, without, strict=True)
+                kinds[match_kind(with_map=False, **of)] = [replace(r, evidence=e) for r, e in pairs]
     return kinds

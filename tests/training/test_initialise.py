@@ -1,7 +1,5 @@
 """ImageNet's VGG-16 as an encoder: its features, and what is refused."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -33,7 +31,7 @@ def _vgg16_state(seed: int = 4) -> dict[str, Tensor]:
 
 
 @pytest.mark.parametrize("ending", ["pth", "safetensors"])
-def test_an_encoder_of_torchvision_has_its_features(tmp_path: Path, ending: str) -> None:
+def test_an_encoder_of_torchvision_has_its_features(tmp_path, ending):
     path = tmp_path / f"vgg16.{ending}"
     if ending == "pth":
         torch.save(_vgg16_state(), path)
@@ -48,7 +46,7 @@ def test_an_encoder_of_torchvision_has_its_features(tmp_path: Path, ending: str)
             torch.testing.assert_close(features, layers[:end](image))
 
 
-def test_weights_of_another_encoder_are_refused(tmp_path: Path) -> None:
+def test_weights_of_another_encoder_are_refused(tmp_path):
     path = tmp_path / "encoder.pth"
     wider = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 32, 3, 3)}
     integral = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 64, 3, 3, dtype=torch.int8)}

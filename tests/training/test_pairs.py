@@ -1,7 +1,5 @@
 """Batches of all kinds, and the data that they are made of."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -20,9 +18,7 @@ from dgc_pose.training.views import Shape
 from dgc_pose.training.warped_pairs import warped_pairs
 
 
-def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn(monkeypatch):
     made: list[int] = []
 
     def counted(photos: Photos, count: int, shape: Shape, draw: Draw, light: bool) -> MapPairs:
@@ -41,7 +37,7 @@ def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn(
         assert max(numbers) - min(numbers) <= 1
 
 
-def test_batches_repeat_and_are_of_the_shape_asked_for() -> None:
+def test_batches_repeat_and_are_of_the_shape_asked_for():
     source = PairSource(drawn_photos(6, 64, places=2), shares=Shares(0.4, 0.3, 0.3, 0.5))
     pairs, again, other = (source.make(5, (48, 80), Draw("cpu", seed)) for seed in (0, 0, 1))
     assert pairs.image1.shape == (5, 3, 48, 80) and pairs.map.shape == (5, 48, 80, 2)
@@ -53,14 +49,14 @@ def test_batches_repeat_and_are_of_the_shape_asked_for() -> None:
         )
 
 
-def test_shares_are_read_from_percentages() -> None:
+def test_shares_are_read_from_percentages():
     assert Shares.parse("50, 0,25,25") == Shares(0.5, 0, 0.25, 0.25)
     for text in ("45,55", "a,b,c,d", "", "0,0,0,0", "-1,1,1,1", "nan,1,1,1"):
         with pytest.raises(InputError, match="four percentages"):
             Shares.parse(text)
 
 
-def test_held_scenes_validate_and_the_others_train(tmp_path: Path) -> None:
+def test_held_scenes_validate_and_the_others_train(tmp_path):
     write_photos(tmp_path / "photos", 40)
     for k, name in enumerate("ab"):
         write_rgbd(tmp_path / "posed" / name, rendered(3 + k, (96, 72)))

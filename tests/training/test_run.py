@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def data() -> dict[str, PairSource]:
+def data():
     source = PairSource(drawn_photos(6, 96, places=2))
     return {TRAINING: source, "photos": replace(source, shares=Shares(1, 0, 0, 0))}
 
@@ -35,7 +35,7 @@ def _options(**changes: object) -> TrainingOptions:
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
-def test_vgg_16_of_imagenet_stays_as_it_is(data: dict[str, PairSource], tmp_path: Path) -> None:
+def test_vgg_16_of_imagenet_stays_as_it_is(data, tmp_path):
     torch.manual_seed(5)
     layers = vgg_layers(Pyramid(preset("dgcm")))
     torch.save(layers.state_dict(prefix="features."), tmp_path / "vgg16.pth")
@@ -57,9 +57,7 @@ def _log(folder: Path) -> list[dict]:
     return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
 
 
-def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
-    data: dict[str, PairSource], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(data, tmp_path, capsys):
     options = _options(encoder_share=0.5, init="dgcm-lite0", rate=0.01)
     net = Trainer(tmp_path, options).run(data)
     rows = _log(tmp_path)
@@ -82,9 +80,7 @@ def test_a_run_of_both_stages_writes_weights_that_load_with_their_card(
     assert "photos: found16 0." in card
 
 
-def test_half_precision_trains_as_single_precision_does(
-    data: dict[str, PairSource], tmp_path: Path
-) -> None:
+def test_half_precision_trains_as_single_precision_does(data, tmp_path):
     """The same pairs and draws: losses a percent or two apart, gradients along each other."""
     losses, gradients = [], []
     for half in (False, True):
@@ -99,9 +95,7 @@ def test_half_precision_trains_as_single_precision_does(
     assert torch.cosine_similarity(*gradients, dim=0) > 0.8
 
 
-def test_a_run_killed_in_every_stage_resumes_to_the_bit(
-    data: dict[str, PairSource], tmp_path: Path
-) -> None:
+def test_a_run_killed_in_every_stage_resumes_to_the_bit(data, tmp_path):
     options = _options(encoder_share=0.5)
     first = Trainer(tmp_path / "1", options).run(data)
     for step in range(3):
@@ -122,9 +116,7 @@ def test_a_run_killed_in_every_stage_resumes_to_the_bit(
         Trainer(tmp_path / "2", replace(options, steps=20), resume=True)
 
 
-def test_a_run_that_diverges_stops_and_saves_nothing_of_it(
-    data: dict[str, PairSource], tmp_path: Path
-) -> None:
+def test_a_run_that_diverges_stops_and_saves_nothing_of_it(data, tmp_path):
     trainer = Trainer(tmp_path, _options())
     trainer.save()
     before = (tmp_path / "checkpoint.pt").read_bytes()
@@ -135,7 +127,7 @@ def test_a_run_that_diverges_stops_and_saves_nothing_of_it(
     assert (tmp_path / "checkpoint.pt").read_bytes() == before
 
 
-def test_runs_are_not_overwritten_or_mixed(data: dict[str, PairSource], tmp_path: Path) -> None:
+def test_runs_are_not_overwritten_or_mixed(data, tmp_path):
     Trainer(tmp_path, _options()).save()
     with pytest.raises(InputError, match=": resume continues"):
         Trainer(tmp_path, _options())
@@ -154,7 +146,7 @@ def test_runs_are_not_overwritten_or_mixed(data: dict[str, PairSource], tmp_path
         Trainer(tmp_path, _options(), resume=True)
 
 
-def test_a_variance_beyond_half_precision_is_kept(tmp_path: Path) -> None:
+def test_a_variance_beyond_half_precision_is_kept(tmp_path):
     net = DGCNet(preset("dgcm-lite0")).eval()
     norm = net.get_submodule("reg_3.conv0.1")
     norm.get_buffer("running_var").fill_(3e5)
@@ -170,7 +162,7 @@ def test_a_variance_beyond_half_precision_is_kept(tmp_path: Path) -> None:
     assert max(abs(value).max() for value in folded(arrays).values()) <= 1e5
 
 
-def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
+def test_a_backbone_learns_at_a_third_of_the_rate():
     net = DGCNet(preset("dgcm-lite0"))
     rest, backbone = optimiser(EncoderStage(net)).param_groups
     assert rest["share"] == 1 and backbone["share"] == 0.35
@@ -185,7 +177,7 @@ def test_a_backbone_learns_at_a_third_of_the_rate() -> None:
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.3, 0.998])
-def test_the_average_is_the_sum_of_all_values_by_their_decays(decay: float) -> None:
+def test_the_average_is_the_sum_of_all_values_by_their_decays(decay):
     """Of the weights, which lie between the values, and of the statistics; counters are copied."""
     norm = nn.BatchNorm1d(1)
     average = copy.deepcopy(norm)

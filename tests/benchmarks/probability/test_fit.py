@@ -70,7 +70,7 @@ def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[PlanEntry, list[Pl
 
 
 @pytest.fixture(scope="module")
-def stored(tmp_path_factory) -> tuple[Path, list[PlanEntry]]:
+def stored(tmp_path_factory):
     out = tmp_path_factory.mktemp("collected")
     matcher, sources = _Scenes(), []
     require_engine(out, "sift", matcher)
@@ -82,7 +82,7 @@ def stored(tmp_path_factory) -> tuple[Path, list[PlanEntry]]:
     return out, sources
 
 
-def test_a_collection_goes_on_where_it_stopped(stored) -> None:
+def test_a_collection_goes_on_where_it_stopped(stored):
     out, _ = stored
     matcher = _Scenes()
     source, pairs = _pairs(matcher, "fit", 88)
@@ -96,7 +96,7 @@ def test_a_collection_goes_on_where_it_stopped(stored) -> None:
         require_engine(out, "sift", SiftMatcher())
 
 
-def test_what_is_stored_comes_back(stored) -> None:
+def test_what_is_stored_comes_back(stored):
     out, sources = stored
     scene = two_view_scene("general", seed=3, count=150, outliers=0.2 + 0.004 * 3)
     pair = [one for one in read_collection(out, "sift", sources) if one.name == "fit 0003"][0]
@@ -106,7 +106,7 @@ def test_what_is_stored_comes_back(stored) -> None:
     assert pair.truth.camera1.size == (8, 8)
 
 
-def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
+def test_a_map_is_stored_as_a_sample(tmp_path):
     matcher = dense_scene.MapMatcher(dense_scene.true_map())
     camera = Camera(dense_scene.K, dense_scene.SIZE)
     images = [Image(pixels) for pixels in dense_scene.pictures()]
@@ -123,7 +123,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path) -> None:
     assert found.evidence.map_matchability == pytest.approx(pair.map_matches.confidence.mean())
 
 
-def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
+def test_models_and_report_come_of_stored_matches_alone(stored):
     out, sources = stored
     text, report, figure = fit_all(out, ["sift"], sources, OPTIONS)
     models = parse_models(text).by_kind
@@ -140,7 +140,7 @@ def test_models_and_report_come_of_stored_matches_alone(stored) -> None:
     assert np.mean(np.equal(likely, right)) > 0.95
 
 
-def test_the_command_refuses_what_it_cannot_fit(tmp_path) -> None:
+def test_the_command_refuses_what_it_cannot_fit(tmp_path):
     words = ("fit-probability", "--data", tmp_path, "--out", tmp_path)
     assert_refused(run(*words, "--collected"), "nothing is collected for dgcm-lite0")
     assert_refused(run(*words, "--methods", "sift"), "no such image; it is named in the pair list")
@@ -179,7 +179,7 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
     return found
 
 
-def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
+def test_the_fit_finds_a_known_probability_and_a_known_error():
     models = {"network": fit_model(_records(1000, 0, "fit"), "network")}
     data = {"engine": {}, "focal_error": FOCAL_ERROR, "models": models}
     fitted = parse_models(json.dumps(data))
@@ -201,14 +201,14 @@ def test_the_fit_finds_a_known_probability_and_a_known_error() -> None:
     assert "calibration error" in report_text(fresh)
 
 
-def test_too_few_wrong_poses_cannot_be_fitted_on() -> None:
+def test_too_few_wrong_poses_cannot_be_fitted_on():
     data = [one for one in _records(300, 0, "fit") if one.any_right]
     with pytest.raises(InputError, match="0 wrong poses of 5 scenes to fit on"):
         fit_model(data, "network")
 
 
 @pytest.mark.parametrize("kind", ["unrelated", "textureless", "planes"])
-def test_pairs_are_made_for_a_seed(tmp_path, monkeypatch, kind) -> None:
+def test_pairs_are_made_for_a_seed(tmp_path, monkeypatch, kind):
     monkeypatch.setattr("dgc_pose.benchmarks.probability.planned.PLANE_SIZE", 160)
     names = [path.name for path in write_photos(tmp_path / "a", 60)]
     with gzip.open(tmp_path / "unrelated.txt.gz", "wt") as stream:
