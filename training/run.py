@@ -35,7 +35,7 @@ _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
 _SAVE_SECONDS = 60.0  # between checkpoints
 _BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
-_VALIDATION_BATCH = 8
+_VALIDATION, _VALIDATION_BATCH = 4, 8  # batches of each kind that validate, and pairs of each
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
 _HALF_MAX = torch.finfo(torch.float16).max
 _RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
@@ -158,10 +158,9 @@ class Trainer:
         """Figures of the averaged weights, by what validates."""
         result = {}
         for kind, batches in validation.items():
-            draw, weights = Draw(self.device, "validation"), [len(pairs.map) for pairs in batches]
+            draw = Draw(self.device, "validation")
             rows = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
-            values = {key: [float(row[key]) for row in rows] for key in rows[0]}
-            result[kind] = {k: float(np.average(v, weights=weights)) for k, v in values.items()}
+            result[kind] = {k: float(np.mean([float(row[k]) for row in rows])) for k in rows[0]}
         self.stages[self.stage]["figures"] = result
         return result
 
@@ -224,9 +223,7 @@ class Trainer:
         """The same pairs for every run."""
         draw = Draw(self.device, "validation", name)
         shape = (208, 272) if name == "posed" and self.options.config.any_shape else _SQUARE
-        count = self.options.validation_count
-        sizes = [min(_VALIDATION_BATCH, count - k) for k in range(0, count, _VALIDATION_BATCH)]
-        return [source.make(size, shape, draw) for size in sizes]
+        return [source.make(_VALIDATION_BATCH, shape, draw) for _ in range(_VALIDATION)]
 
     def _write(
         self, figures: Mapping[str, Tensor], validation: Mapping[str, Sequence[MapPairs]]
@@ -251,7 +248,6 @@ class Trainer:
 
 
 def _text(figures: Mapping[str, float]) -> str:
-    """Figures for people."""
     return "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
 
 

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from dgc_pose.estimation.probability import (
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
+from dgc_pose.viz.figure import new_figure
 
 _DEFAULTS = EstimationOptions()
 _KINDS: dict[MatchKind, str] = {
@@ -102,47 +103,24 @@ def claims_table(poses: Sequence[Judged]) -> str:
     """A row a data set, and all of them."""
     headings = ("pairs", "number", "right", "claimed", "wrong", "right refused", "ambiguous")
     rows: list[tuple[str, ...]] = [(*headings, "mean of claims")]
-    for name, members in _groups(poses).items():
-        right = _values(members, "right")
-        claims = _values(members, "by_probability")
-        claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
-        share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
-        cells = [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
-        probability = _values(members, "probability")[claims]
-        cells += [str(_values(members, "ambiguous").sum())]
-        cells += [f"{100 * probability.mean():.1f} %" if len(probability) else "-"]
-        rows.append((name, str(len(members)), str(right.sum()), *cells))
+    groups: dict[str, list[Judged]] = {}
+    for pose in poses:
+        groups.setdefault(pose.record.entry.name, []).append(pose)
+    for name, members in {**groups, "all": poses}.items():
+        claims = [pose for pose in members if pose.by_probability]
+        right, wrong = sum(p.right for p in members), sum(not p.right for p in claims)
+        share = f" ({100 * wrong / len(claims):.1f} %)" if claims else ""
+        mean = f"{100 * np.mean([p.probability for p in claims]):.1f} %" if claims else "-"
+        counts = len(members), right, len(claims), f"{wrong}{share}", right - len(claims) + wrong
+        rows.append((name, *map(str, (*counts, sum(p.ambiguous for p in members), mean))))
     return aligned(rows)
 
 
 def reliability(poses: Sequence[Judged]) -> Reliability:
     """Of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
-    return Reliability.of(_values(known, "probability"), _values(known, "right"))
-
-
-def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
-    """The reliability diagram, a curve a kind of matches."""
-    from dgc_pose.viz.figure import new_figure
-
-    figure = new_figure(5.5, 5)
-    axes = figure.subplots()
-    curves = {name: reliability(poses) for name, poses in kinds.items()}
-    draw_reliability(axes, curves, right="within 10 degrees")
-    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    return figure
-
-
-def _values(poses: Sequence[Judged], name: str) -> np.ndarray:
-    kind = float if name == "probability" else bool
-    return np.array([getattr(pose, name) for pose in poses], kind)
-
-
-def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:
-    groups: dict[str, list[Judged]] = {}
-    for pose in poses:
-        groups.setdefault(pose.record.entry.name, []).append(pose)
-    return {**groups, "all": list(poses)}
+    right = np.array([pose.right for pose in known], bool)
+    return Reliability.of(np.array([pose.probability for pose in known]), right)
 
 
 def fit_all(
@@ -176,7 +154,11 @@ def fit_all(
         for kind, rows in by_kind.items()
     }
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
-    figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
+    figure = new_figure(5.5, 5)
+    axes = figure.subplots()
+    curves = {str(kind): reliability(rows) for kind, rows in reported.items()}
+    draw_reliability(axes, curves, right="within 10 degrees")
+    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     return text, "\n\n\n".join(parts), figure
 
 

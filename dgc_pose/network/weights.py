@@ -29,8 +29,8 @@ def load_network(
     """A network with its weights, in evaluation mode and frozen.
 
     weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;
-    `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first keys that
-    differ, if it is missing, unreadable or of another network.
+    `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first key that
+    differs, if it is missing, unreadable or of another network.
     """
     path = find_weights(weights)
     if path.suffix == SUFFIX:

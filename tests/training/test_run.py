@@ -8,17 +8,26 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 from textures import drawn_photos
-from torch import nn
+from torch import Tensor, nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet, Pyramid
 from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
+from dgc_pose.training import run
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
-from dgc_pose.training.run import Trainer, move_average, optimiser, save_weights, vgg_layers
+from dgc_pose.training.run import (
+    Trainer,
+    initialise_encoder,
+    move_average,
+    optimiser,
+    save_weights,
+    vgg_layers,
+)
 from dgc_pose.training.stages import EncoderStage
 
 pytestmark = pytest.mark.slow
@@ -30,8 +39,14 @@ def data():
     return {TRAINING: source, "photos": replace(source, shares=Shares(1, 0, 0, 0))}
 
 
+@pytest.fixture(autouse=True)
+def little_validates(monkeypatch):
+    monkeypatch.setattr(run, "_VALIDATION", 1)
+    monkeypatch.setattr(run, "_VALIDATION_BATCH", 1)
+
+
 def _options(**changes: object) -> TrainingOptions:
-    base = TrainingOptions(steps=4, validation_count=1, batch=1)
+    base = TrainingOptions(steps=4, batch=1)
     return replace(base, **changes)  # type: ignore[arg-type]
 
 
@@ -194,3 +209,53 @@ def test_the_average_is_the_sum_of_all_values_by_their_decays(decay):
     assert average.running_mean.item() == pytest.approx(statistic, rel=1e-5)
     assert int(average.num_batches_tracked) == 4
     assert norm.weight.requires_grad and norm.weight.item() == 1.5
+
+
+def _torchvision_vgg16(seed: int) -> nn.Sequential:
+    """The convolutions of torchvision's `vgg16().features`, "D" in its list of configurations."""
+    torch.manual_seed(seed)
+    layers: list[nn.Module] = []
+    inputs = 3
+    for width, count in ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3)):
+        for _ in range(count):
+            layers += [nn.Conv2d(inputs, width, kernel_size=3, padding=1), nn.ReLU()]
+            inputs = width
+        layers.append(nn.MaxPool2d(kernel_size=2, stride=2))
+    return nn.Sequential(*layers)
+
+
+def _vgg16_state(seed: int = 4) -> dict[str, Tensor]:
+    """As torchvision's file has it, a layer of the classifier included."""
+    state = _torchvision_vgg16(seed).state_dict(prefix="features.")
+    return {**state, "classifier.6.bias": torch.zeros(1000)}
+
+
+@pytest.mark.parametrize("ending", ["pth", "safetensors"])
+def test_an_encoder_of_torchvision_has_its_features(tmp_path, ending):
+    path = tmp_path / f"vgg16.{ending}"
+    if ending == "pth":
+        torch.save(_vgg16_state(), path)
+    else:
+        save_file(_vgg16_state(), path)
+    image = torch.randn(1, 3, 48, 64)
+    net = DGCNet(preset("dgcm"))
+    initialise_encoder(path, net)
+    layers, ends = _torchvision_vgg16(4), (2, 5, 10, 17, 24)
+    with torch.no_grad():
+        for end, features in zip(ends, net.pyramid(image), strict=True):
+            torch.testing.assert_close(features, layers[:end](image))
+
+
+def test_weights_of_another_encoder_are_refused(tmp_path):
+    path = tmp_path / "encoder.pth"
+    wider = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 32, 3, 3)}
+    integral = {**_vgg16_state(), "features.2.weight": torch.zeros(64, 64, 3, 3, dtype=torch.int8)}
+    for state, words in (
+        ({"conv.weight": torch.zeros(1)}, "lacks features.0.weight"),
+        (wider, "has features.2.weight .64, 32, 3, 3. instead of .64, 64, 3, 3."),
+        (integral, "has features.2.weight of int8"),
+    ):
+        torch.save(state, path)
+        vgg = r"encoder\.pth: not weights of VGG-16 in torchvision's layout: it "
+        with pytest.raises(WeightsError, match=vgg + words):
+            initialise_encoder(path, DGCNet(preset("dgcm")))

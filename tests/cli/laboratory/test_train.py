@@ -18,14 +18,14 @@ def photos(tmp_path_factory):
     return folder
 
 
-def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path):
+def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkeypatch):
+    monkeypatch.setattr("dgc_pose.training.run._VALIDATION", 1)
     out = tmp_path / "run"
     for seed, scene in ((3, "hall"), (4, "yard")):
         write_rgbd(tmp_path / "posed" / scene, rendered(seed, (96, 72)))
     words = ["train", "--photos", str(photos), "--posed", str(tmp_path / "posed")]
     words += ["--held", "yard"]
     words += ["--out", str(out), "--seconds", "1", "--batch", "1"]
-    words += ["--validation-pairs", "1"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.stderr
     assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
@@ -57,7 +57,7 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path):
 def test_wrong_words_are_refused_in_one_line(photos, tmp_path, words, named):
     out = tmp_path / "run"
     base = ["train", "--photos", str(photos), "--out", str(out), "--steps", "1"]
-    refused = CliRunner().invoke(main, [*base, "--validation-pairs", "1", *words])
+    refused = CliRunner().invoke(main, [*base, *words])
     assert refused.exit_code == 2
     assert named in refused.stderr
     assert not out.exists() or "no data" in named
