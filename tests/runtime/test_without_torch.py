@@ -5,7 +5,6 @@ import subprocess
 import sys
 import urllib.request
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +17,7 @@ _K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
 _PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg") for k in (1, 2)]
 
 
-def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path: Path) -> None:
+def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path):
     """In processes of their own, in which torch and all packages of the extras are missing."""
     environment = without(tmp_path / "site", *EXTRAS)
 
@@ -42,7 +41,7 @@ def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path: Pa
     assert (model / "points.ply").is_file() and (model / "model.html").is_file()
 
 
-def test_the_page_estimates_without_torch_colmap_and_figures(tmp_path: Path) -> None:
+def test_the_page_estimates_without_torch_colmap_and_figures(tmp_path):
     hidden = (*(set(EXTRAS) - {"starlette", "uvicorn"}), "pycolmap", "matplotlib")
     environment = without(tmp_path / "site", *hidden) | {"TMPDIR": str(tmp_path)}
     command = [sys.executable, "-m", "dgc_pose", "serve", "--no-browser"]
