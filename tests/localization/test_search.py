@@ -99,6 +99,7 @@ def test_one_database_image_has_no_scale_and_points_have() -> None:
     location = search.location()
     assert location.success and location.centre is not None
     assert np.linalg.norm(location.centre - scene.centre) < 0.02
+    assert location.position_error_90 is not None and location.position_error_90 < 0.05
 
 
 def test_unrelated_images_end_the_search_early() -> None:
