@@ -298,9 +298,7 @@ def test_channels_may_come_first(rgb: np.ndarray, channels: int) -> None:
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        (None, "is None, as cv2.imread returns it for a file that it cannot read"),
-        (b"\xff\xd8\xff\xe0", "is bytes, not a path, an array or a tensor"),
-        ("s3://a/b.png", "is a URL, which is not fetched: s3://a/b.png"),
+        (None, "is not an array of real numbers but NoneType"),
         (np.zeros((5, 20, 30), np.uint8), "must have shape"),
         (np.zeros((2, 3, 20, 30), np.uint8), "must have shape"),
         (np.zeros(20, np.uint8), "must have shape"),
