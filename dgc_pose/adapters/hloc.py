@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import group_name, new_file
+from dgc_pose.batch.result import group_name, new_file
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import InputError, reason
 from dgc_pose.files.outputs import replaced, save_text

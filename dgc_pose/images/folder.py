@@ -103,7 +103,6 @@ def left_out_line(kind: str, names: Collection[str], why: str) -> str:
 
 
 def _why_not(path: Path, name: str) -> str | None:
-    """Why a file is not taken as an image; None if it is one."""
     try:
         name.encode()
     except UnicodeEncodeError:  # as HDF5 and COLMAP hold names

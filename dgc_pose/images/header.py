@@ -212,7 +212,6 @@ def read_exif(stream: BinaryIO) -> tuple[Exif, float]:
 
 
 def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
-    """The camera by the tags of the first directory and of those of EXIF and GPS."""
     zoom, turn = _number(more.get(Base.DigitalZoomRatio)), first.get(Base.Orientation)
     return Exif(
         make=_text(first.get(Base.Make)),
@@ -229,7 +228,6 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
 
 
 def _position(tags: Mapping[int, Any]) -> tuple[float, float, float] | None:
-    """By the tags of GPS; the altitude is 0 without one."""
     try:
         degrees = [sum(float(part) / 60**n for n, part in enumerate(tags[k])) for k in (2, 4)]
         altitude = float(tags.get(6, 0)) * (-1 if tags.get(5) in (1, b"\1") else 1)

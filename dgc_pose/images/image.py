@@ -213,7 +213,6 @@ def image_header(path: Path) -> Header:
 
 @contextmanager
 def _image_errors(path: Path) -> Iterator[None]:
-    """Turn the errors of the reading of an image into ImageErrors with the path."""
     try:
         yield
     except OSError as error:
@@ -225,7 +224,6 @@ def _image_errors(path: Path) -> Iterator[None]:
 
 
 def _of_array(array: np.ndarray, name: str) -> Image:
-    """The image of an array (H, W), or (H, W, C) of grey, RGB or RGBA."""
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:

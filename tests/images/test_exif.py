@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import PIL.Image
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL.TiffImagePlugin import IFDRational
 from png_chunks import with_chunk
 
@@ -127,14 +125,3 @@ def test_units_of_the_resolution_and_names_in_one_line() -> None:
     assert exif.pixels_per_mm == pytest.approx(10000 / 25.4)
     assert exif.make == "OLYMPUS"
     assert exif.model.startswith("a bccc") and len(exif.model) == 80
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.data())
-def test_no_block_raises(data: st.DataObject) -> None:
-    block = bytearray(block_of(TAGS))
-    for _ in range(data.draw(st.integers(1, 8))):
-        block[data.draw(st.integers(0, len(block) - 1))] = data.draw(st.integers(0, 255))
-    exif = exif_of(bytes(block[: data.draw(st.integers(0, len(block)))]))
-    numbers = (exif.focal_mm, exif.focal_35mm, exif.digital_zoom, exif.pixels_per_mm)
-    assert all(number is None or 0 < number < np.inf for number in numbers)
