@@ -1,6 +1,6 @@
 """`dgc-pose bench-reconstruct`: reconstructions compared with true cameras."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -24,6 +24,8 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
+
+_SHARED = ("per_image", "mapper", "refine_intrinsics")  # with reconstruct
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,9 @@ class ReconstructBenchOptions:
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @dataclass_options(ReconstructBenchOptions, "bench")
-@dataclass_options(ReconstructionOptions, "reconstruction", only=("per_image", "mapping"))
+@dataclass_options(
+    ReconstructionOptions, "reconstruction", only=("per_image", "mapper", "refine_intrinsics")
+)
 @dataclass_options(BatchOptions, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(
@@ -77,8 +81,6 @@ def bench_reconstruct(
     views = views_of_list(truth, folder)
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
-    mapping = replace(reconstruction.mapping, mapper_threads=work.worker_count)
-    reconstruction = replace(reconstruction, mapping=mapping)
     setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k
     out.mkdir(parents=True, exist_ok=True)
     scores = []

@@ -8,7 +8,6 @@ pixel, `scores` (N,) float32, and `inliers` (N,) bool, which hloc passes over.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,14 +122,3 @@ def write_matches(path: Path, pairs: Iterable[MatchedPair]) -> None:
             file[f"{group}/keypoints1"] = matches.points2.astype(np.float32)
             file[f"{group}/scores"] = matches.confidence.astype(np.float32)
             file[f"{group}/inliers"] = np.zeros(0, bool) if pose is None else pose.inliers
-
-
-@contextmanager
-def new_file(path: Path) -> Iterator[Any]:
-    """An HDF5 file that is made in memory and written at once: HDF5 cannot bear a full disk."""
-    with h5py.File(path.name, "w", driver="core", backing_store=False) as file:
-        yield file
-        file.flush()
-        image = file.id.get_file_image()
-    with writing(path):
-        path.write_bytes(image)
