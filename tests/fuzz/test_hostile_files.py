@@ -2,15 +2,21 @@
 
 import io
 import os
+import sqlite3
 import zipfile
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
+from fuzz.readers import make_batch
 from safetensors.torch import load_file, save_file
 
 from dgc_pose import load_image
+from dgc_pose.batch.result import read_batch
+from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
@@ -102,3 +108,27 @@ def test_an_array_that_claims_too_much_takes_no_memory(tmp_path):
     (tmp_path / "a.npz").write_bytes(data)
     with pytest.raises(InputError, match="too large"):
         read_arrays(tmp_path / "a.npz")
+
+
+ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
+TRIGGER = "CREATE TRIGGER t AFTER INSERT ON cameras BEGIN DELETE FROM cameras; END"
+
+
+@pytest.mark.parametrize(
+    "script", [f"DROP TABLE matches; CREATE VIEW matches AS {ENDLESS}", TRIGGER]
+)
+def test_a_database_that_computes_is_refused(tmp_path, script):
+    path = tmp_path / "a.db"
+    pycolmap.Database.open(path).close()
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(script)
+    with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
+        read_database(path)
+
+
+def test_a_store_of_a_batch_that_computes_is_refused(tmp_path):
+    make_batch(tmp_path)
+    with closing(sqlite3.connect(tmp_path / "batch/batch.db")) as database:
+        database.executescript(f"DROP TABLE result; CREATE VIEW result AS {ENDLESS}")
+    with pytest.raises(InputError, match=r"batch\.db is not the store of a batch"):
+        read_batch(tmp_path / "batch")

@@ -28,6 +28,14 @@ _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
 _POINT_BYTES = 24
+# Views, triggers, virtual tables and generated columns are programs, which may run for ever.
+_PROGRAMS = """
+    SELECT name FROM sqlite_master
+    WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'
+    UNION ALL
+    SELECT tables.name FROM sqlite_master AS tables JOIN pragma_table_xinfo(tables.name)
+    WHERE tables.type = 'table' AND hidden
+"""
 _IMAGES = """
     SELECT image_id, CAST(name AS TEXT), model, width, height, params FROM images
     LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
@@ -167,6 +175,8 @@ def read_database(path: Path) -> PairList:
 
 
 def _database_content(database: sqlite3.Connection) -> PairList:
+    for (program,) in database.execute(_PROGRAMS):
+        raise ValueError(f"{program} computes")
     names: dict[int, str] = {}
     cameras: dict[str, Camera] = {}
     for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
