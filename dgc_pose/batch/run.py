@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
+from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued
 from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses, compared
@@ -40,6 +40,7 @@ from dgc_pose.runtime.load import default_runtime, device_type
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
+_EXHAUSTIVE_UP_TO = 20  # images
 
 
 def run_batch(
@@ -74,7 +75,8 @@ def run_batch(
     masks = source.masks and source.masks.resolve()
     source = replace(source, root=source.root.resolve(), masks=masks)
     if choice is None and source.pairs is None:
-        choice = default_pair_choice(len(source.names))
+        many = len(source.names) > _EXHAUSTIVE_UP_TO
+        choice = PairChoice("auto", 10) if many else PairChoice("exhaustive")
     digest, runtime = _weights_hash(matcher.weights), matcher.runtime
     if runtime == "auto" and digest is not None:  # it differs from machine to machine
         runtime = default_runtime(matcher.weights, matcher.device)
