@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
 from dgc_pose.geometry.pixels import exif_turn

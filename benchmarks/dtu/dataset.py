@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal
 
 from dgc_pose.benchmarks.dtu.calibration import DtuView, read_projection
+from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import image_size
 

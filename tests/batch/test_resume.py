@@ -51,7 +51,6 @@ CHANGES = {
         {},
         "photos/view2.png has gone since that batch: ",
     ),
-    "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
     "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }
 
