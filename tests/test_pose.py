@@ -30,7 +30,7 @@ from dgc_pose import (
 )
 from dgc_pose.images.mask import masked
 from dgc_pose.matching import Matcher, MatchResult, NetworkMatcher
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 

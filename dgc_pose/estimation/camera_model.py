@@ -24,11 +24,11 @@ from dgc_pose.estimation.camera_fit import (
     of_focals,
     start_at,
 )
-from dgc_pose.estimation.competition import choice_shares
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.intrinsics_prior import FOCALS, is_of_part
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.probability import choice_shares
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.matches import Matches

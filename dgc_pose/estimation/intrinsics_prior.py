@@ -22,7 +22,6 @@ from dgc_pose.geometry.radial import (
     undistorted,
     undistorted_slopes,
     unprojected,
-    unprojected_slopes,
 )
 
 # Derivatives of A by k and by a, times A^-1.
@@ -66,6 +65,7 @@ class IntrinsicsPrior:
 SIZE = 6  # parameters of a camera
 FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
 EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
+_SEEN_AND_LENS = np.eye(2 + SIZE)[[0, 1, 5, 6]]  # x and y of a point, c and d
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
 _OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
@@ -126,20 +126,16 @@ def renormalised_slopes(
     """The derivatives (N, 2, SIZE) of `renormalised` by the parameters."""
     lens = lens or _PINHOLE
     moved = _moved(points, lens, parameters)
-    if lens.projection is not None:
+    if lens.projection == "plane":
         coefficients = lens.radial + parameters[3:5]
-        ideal = undistorted(moved, coefficients)
-        by_seen, by_lens = undistorted_slopes(ideal, coefficients)
-        if lens.projection != "plane":
-            by_ideal = unprojected_slopes(ideal, lens.projection)
-            by_seen, by_lens = by_ideal @ by_seen, by_ideal @ by_lens
+        by_seen, by_lens = undistorted_slopes(undistorted(moved, coefficients), coefficients)
     else:
         ahead, behind = (
-            [_undone(moved + s * a, lens, parameters) for a in np.eye(2)]
+            [_undone(moved + s * at[:2], lens, parameters + s * at[2:]) for at in _SEEN_AND_LENS]
             for s in (_SLOPE_STEP, -_SLOPE_STEP)
         )
-        by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
-        by_lens = np.zeros((len(points), 2, 2))
+        slopes = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
+        by_seen, by_lens = slopes[:, :, :2], slopes[:, :, 2:]
     by_centre = -by_seen * _shrinks(parameters)
     by_both = [by_seen @ (moved * of_axes)[:, :, None] for of_axes in ((-1, -1), (0.5, -0.5))]
     return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)

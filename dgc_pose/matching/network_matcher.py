@@ -11,13 +11,12 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.align import spread
-from dgc_pose.matching.cache import ImageCache, LastImages
+from dgc_pose.matching.align import MIN_MATCHES, refine, spread
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
 from dgc_pose.matching.dense import dense_map, map_features
 from dgc_pose.matching.features import feature_matches, guided_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.refine import MIN_MATCHES, refine
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import INPUT_SIZE
@@ -48,7 +47,7 @@ class NetworkMatcher(Matcher):
         options: MatchingOptions | None = None,
         cache: ImageCache | None = None,
     ) -> None:
-        self.cache = cache or LastImages()
+        self.cache = cache or ImageCache()
         self.engine, self.name = engine, engine.config.name
         self.options = options or MatchingOptions()
         if engine.config.matchability == "network" and self.options.finest != INPUT_SIZE:

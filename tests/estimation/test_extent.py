@@ -8,7 +8,7 @@ import pytest
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
-from dgc_pose.estimation.extent import odd_extent
+from dgc_pose.estimation.problem import odd_extent
 from two_view import K1, SIZE1, two_view_scene
 
 POINTS = two_view_scene(count=300).points1  # of 1600 x 1200 pixels

@@ -13,7 +13,6 @@ from dgc_pose.geometry.radial import (
     undistorted,
     undistorted_slopes,
     unprojected,
-    unprojected_slopes,
 )
 
 POINTS = np.random.default_rng(0).uniform(-0.55, 0.55, (200, 2))
@@ -72,15 +71,6 @@ def test_the_slopes(lens: tuple[float, float]) -> None:
         np.testing.assert_allclose(by_seen[:, :, k], of_point / (2 * step), atol=1e-6)
         of_lens = undistorted(seen, lens + unit) - undistorted(seen, lens - unit)
         np.testing.assert_allclose(by_lens[:, :, k], of_lens / (2 * step), atol=1e-6)
-
-
-@pytest.mark.parametrize("projection", PROJECTIONS)
-def test_the_slopes_of_a_projection(projection: Projection) -> None:
-    seen, step = projected(WIDE, projection), 1e-6
-    slopes = unprojected_slopes(seen, projection)
-    for k, unit in enumerate(step * np.eye(2)):
-        expected = unprojected(seen + unit, projection) - unprojected(seen - unit, projection)
-        np.testing.assert_allclose(slopes[:, :, k], expected / (2 * step), rtol=1e-5, atol=1e-6)
 
 
 def test_beyond_the_largest_radius_nothing_is_undone() -> None:

@@ -30,7 +30,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, parse_models
 from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 from two_view import two_view_scene
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)

@@ -13,10 +13,9 @@ from scipy.special import softmax
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, Hypothesis, estimate_pose
-from dgc_pose.estimation.competition import (
+from dgc_pose.estimation.candidates import compared, ranked
+from dgc_pose.estimation.probability import (
     choice_shares,
-    compared,
-    ranked,
     utility,
 )
 from dgc_pose.matches import Matches
