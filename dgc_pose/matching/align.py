@@ -236,18 +236,23 @@ def nearby_corners(
 
 
 def spread(
-    points: np.ndarray, strength: np.ndarray, size: tuple[int, int], most: int
+    points: np.ndarray,
+    strength: np.ndarray,
+    size: tuple[int, ...],
+    most: int,
+    side: float = 1.0,
+    growth: float = 1.1,
 ) -> np.ndarray:
     """Indices of at most `most` of the points (N, 2): the strongest of each square block.
 
-    strength: (N,). size: (width, height) of the image of the points.
+    strength: (N,). size: (width, height) of the image of the points. side: of the blocks at the
+    least, which grow by a factor until `most` are enough.
     """
     order = np.argsort(-strength, kind="stable")
     x, y = points[order].T
-    side = 1.0
     while True:
         blocks = np.floor(x / side) + np.floor(y / side) * (size[0] // side + 1)
         if np.count_nonzero(np.diff(np.sort(blocks))) < most:
             _, first = np.unique(blocks, return_index=True)
             return np.sort(order[first])
-        side *= 1.1
+        side *= growth

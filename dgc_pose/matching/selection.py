@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from dgc_pose.matches import Matches
+from dgc_pose.matching.align import spread
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.system.options import check_options, option
 
@@ -87,20 +88,8 @@ def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.nd
     of each block is kept. An even spread keeps the essential matrix well conditioned when the
     confident cells concentrate on one object.
     """
-    rows, columns = np.nonzero(keep)
-    if len(rows) <= most:
-        return keep
-    order = np.argsort(-confidence[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    side = math.sqrt(len(rows) / most)
-    while True:
-        blocks = (rows // side * keep.shape[1] + columns // side).astype(np.int64)
-        first = np.full(keep.size, -1)
-        first[blocks[::-1]] = np.arange(len(rows))[::-1]  # of equal indices the last one counts
-        first = first[first >= 0]
-        if len(first) <= most:
-            break
-        side *= 1.05
+    cells, side = np.argwhere(keep)[:, ::-1], math.sqrt(keep.sum() / most)
+    rows = spread(cells, confidence[keep], keep.shape[::-1], most, max(side, 1.0), 1.05)
     chosen = np.zeros_like(keep)
-    chosen[rows[first], columns[first]] = True
+    chosen[tuple(cells[rows].T[::-1])] = True
     return chosen
