@@ -41,9 +41,7 @@ class MatcherOptions:
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
     half_precision: bool = option(
-        False,
-        "bfloat16, by torch: less exact, faster on some GPUs.",
-        section="matching",
+        False, "bfloat16, by torch: less exact, faster on some GPUs.", section="matching"
     )
     matching: MatchingOptions = field(default_factory=MatchingOptions)
 
