@@ -48,9 +48,6 @@ def test_the_transfer_error_is_the_distance_in_image_2():
     found = transfer_error(points1, points2, H)
     for p, q, error in zip(moved(points1, H), points2, found, strict=True):
         assert error == pytest.approx(math.dist(p, q))
-
-
-def test_a_point_on_the_horizon_is_infinitely_far_off():
     horizon = np.array([[1.0, 0, 0], [0, 1, 0], [1, 0, 0]])
     assert transfer_error(np.zeros((1, 2)), np.zeros((1, 2)), horizon)[0] == math.inf
 
