@@ -173,9 +173,7 @@ def test_what_is_known_of_the_cameras(
     assert (cameras[0].identity == cameras[1].identity) is shared
 
 
-def test_a_K_that_is_turned_is_told_once_if_it_may_be_of_the_upright_image(
-    tmp_path: Path,
-) -> None:
+def test_a_K_that_is_turned_is_told_once_if_it_may_be_of_the_upright_image(tmp_path: Path) -> None:
     photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
     exif[0x0112] = 6
     paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]

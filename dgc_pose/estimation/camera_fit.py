@@ -32,12 +32,7 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised_pair,
     renormalised_slopes,
 )
-from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
-    cauchy_losses,
-    loss_width,
-)
+from dgc_pose.estimation.least_squares import CORRELATED, EFFICIENT, cauchy_losses, loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (

@@ -16,11 +16,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, skew
-from dgc_pose.geometry.radial import (
-    undistorted,
-    undistorted_slopes,
-    unprojected,
-)
+from dgc_pose.geometry.radial import undistorted, undistorted_slopes, unprojected
 
 _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 

@@ -63,7 +63,7 @@ class NetworkMatcher(Matcher):
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""
-        features = map_features(self.engine, image, View.whole(image.size), self.cache)
+        (features,) = map_features(self.engine, self.cache, (image, View.whole(image.size)))
         return np.concatenate(self.engine.coarsest(features))
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
@@ -120,13 +120,10 @@ class NetworkMatcher(Matcher):
 
     @property
     def _has_features(self) -> bool:
-        """Whether the features of the network are matched."""
         return self.options.aligned in ("auto", "features")
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        """The map at `finest` x `finest` cells, and its matches that pass the options."""
-        cells = self.options.finest
-        dense = dense_map(self.engine, image1, image2, self.cache, cells=cells)
+        dense = dense_map(self.engine, image1, image2, self.cache, cells=self.options.finest)
         matches = select_matches(dense, self.options)
         return MatchResult(replace(matches, weights=self.fingerprint), dense)
 
@@ -153,6 +150,5 @@ class NetworkMatcher(Matcher):
         return MatchResult(self._spread(image2, completed), dense, aligned)
 
     def _spread(self, image2: Image, matches: Matches) -> Matches:
-        """An even subsample of at most `max_matches`."""
         most, size = self.options.max_matches, image2.size
         return matches.subset(spread(matches.points2, matches.confidence, size, most))

@@ -40,12 +40,7 @@ class MatchingOptions:
         section="matching",
     )
     max_matches: int = option(
-        2000,
-        "Most matches, evenly spread.",
-        metavar="N",
-        min=1,
-        max=2**31,
-        section="matching",
+        2000, "Most matches, evenly spread.", metavar="N", min=1, max=2**31, section="matching"
     )
     aligned: Literal["none", "auto", "map", "features"] = option(
         "auto",

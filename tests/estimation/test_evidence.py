@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.estimation.evidence import (
-    chance_ratio,
-    log10_false_alarms,
-    measured,
-    robust_rotation,
-)
+from dgc_pose.estimation.evidence import chance_ratio, log10_false_alarms, measured, robust_rotation
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance

@@ -31,11 +31,7 @@ def test_the_fit_finds_a_homography_among_outliers_and_repeats_to_the_bit():
 
 @pytest.mark.parametrize(
     "points",
-    [
-        np.zeros((0, 2)),
-        np.array([[0, 0], [1, 0], [0, 1.0]]),
-        np.tile([[0.1, 0.2]], (30, 1)),
-    ],
+    [np.zeros((0, 2)), np.array([[0, 0], [1, 0], [0, 1.0]]), np.tile([[0.1, 0.2]], (30, 1))],
     ids=["none", "three", "all alike"],
 )
 def test_degenerate_points_have_no_homography_and_raise_nothing(points):

@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
-from dgc_pose.matching.selection import (
-    MatchingOptions,
-    even_subsample,
-    select_matches,
-)
+from dgc_pose.matching.selection import MatchingOptions, even_subsample, select_matches
 
 
 def _map(seed: int = 0, side: int = 60) -> CorrespondenceMap:
