@@ -1,18 +1,10 @@
 """Tables and data that are written."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from dgc_pose.files.json_files import finite_or_none
-from dgc_pose.files.tables import aligned
-
-
-def table(columns: Mapping[str, str], rows: Iterable[object]) -> str:
-    """A line for each row below the headings; a column's text, such as "{0.seconds:.2f}", is
-    formatted with the row."""
-    cells = ([text.format(row) for text in columns.values()] for row in rows)
-    return aligned([[*columns], *cells])
 
 
 def decimals(value: float, digits: int) -> str:

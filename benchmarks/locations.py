@@ -1,4 +1,4 @@
-"""Photographs of known poses left out of a model, and placed in it."""
+"""Queries of known poses left out of a model, and placed in it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.reconstructions import views_of_list
 from dgc_pose.images.image import image_size
 from dgc_pose.localization.locate import Locator
-from dgc_pose.localization.model import PosedModel, load_model
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.model import Model, load_model
 from dgc_pose.training.posed_frames import read_rgbd
 
 Item = TypeVar("Item")
@@ -27,12 +27,12 @@ CLAIMS = (0.5, 0.9, 0.99)  # probabilities of which the precision is reported
 
 @dataclass(frozen=True)
 class LocationScore:
-    """A photograph that was placed, compared with its true pose."""
+    """A query that was placed, compared with its true pose."""
 
     name: str
     status: str
     probability: float
-    references: int  # that were matched
+    database_images: int  # that were matched
     seconds: float
     pair_seconds: float  # of these, of the pairs
     # NaN unless it is located
@@ -48,7 +48,7 @@ class LocationScore:
         return self.rotation_deg < rotation_deg and self.position_percent < percent
 
 
-def true_model(path: Path, images: Path | None) -> PosedModel:
+def true_model(path: Path, images: Path | None) -> Model:
     """A model as of `load_model`; of a list of pairs in SuperGlue's format; or of a folder of posed
     RGB-D, see `read_rgbd`.
 
@@ -60,12 +60,12 @@ def true_model(path: Path, images: Path | None) -> PosedModel:
         frames = {frame.image.name: frame for frame in read_rgbd(path)}
         cameras = {n: replace(f.camera, size=image_size(f.image)) for n, f in frames.items()}
         poses = {name: frame.cam_from_world[:3] for name, frame in frames.items()}
-        return PosedModel(path / "images", cameras, poses)
+        return Model(path / "images", cameras, poses)
     return load_model(path, images or path / "images")
 
 
 def left_out(names: Sequence[str], every: int, apart: int) -> Iterator[tuple[str, list[str]]]:
-    """The photographs to be placed, and those that are no references for each: within fewer than
+    """The queries to be placed, and the images that are not matched with each: within fewer than
     `apart` names; or all of every `every`-th, if that is above 1."""
     asked = names[every // 2 :: every]
     for name in asked:
@@ -83,13 +83,13 @@ def thinned(items: Sequence[Item], count: int | None) -> list[Item]:
 def placed(
     locator: Locator, name: str, out: Sequence[str], withheld: WithheldCameras | None
 ) -> LocationScore:
-    """The score of a photograph of the model."""
+    """The score of an image of the model as a query."""
     model, start = locator.model, time.perf_counter()
     camera = model.cameras[name]
     location = locator.locate(model.root / name, withheld or camera, left_out=out)
     seconds = time.perf_counter() - start
     likely = np.nan if location.probability is None else location.probability
-    common = (name, location.status, likely, len(location.references), seconds)
+    common = (name, location.status, likely, len(location.database_images), seconds)
     of_pairs = location.seconds["match"]
     if location.R is None or location.centre is None or location.camera is None:
         return LocationScore(*common, of_pairs)
@@ -127,7 +127,7 @@ def report(scores: Sequence[LocationScore]) -> list[tuple[str, str]]:
         "position, median, % of the extent": [score.position_percent for score in located],
         "position, median, unit": [score.position for score in located],
         "f off, median, %": [score.focal_percent for score in located],
-        "references, median": [float(score.references) for score in scores],
+        "database images, median": [float(score.database_images) for score in scores],
         "seconds, median": [score.seconds for score in scores],
         "seconds over those of the pairs, median": [
             score.seconds / score.pair_seconds for score in scores if score.pair_seconds

@@ -85,7 +85,7 @@ def estimate(
 
             save_figure(plot_pose(result), stage(outputs.plot))
         if outputs.ply is not None and pose.success:
-            from dgc_pose.colmap.points_file import write_points
+            from dgc_pose.model import write_points
 
             points = result.points3d  # in camera 1's axes
             known = np.isfinite(points).all(axis=1)

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import click
 
-from dgc_pose.adapters.model_formats import FORMATS, read_model
+from dgc_pose.adapters.model_formats import FORMATS
 from dgc_pose.cli.batch import OUT
 from dgc_pose.cli.guard import NamedPath
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.outputs import replaced_folder
+from dgc_pose.model import read_colmap
 
 
 @click.command()
@@ -24,7 +25,7 @@ def export(model: Path, to: str, images: Path | None, out: Path) -> None:
     """
     if out.exists():
         raise InputError(ArgumentName("out"), f"{out} is there already")
-    read = read_model(model)
+    read = read_colmap(model)
     with replaced_folder(out) as folder:
         FORMATS[to](read, images, folder, out)
     click.echo(f"{out}: {read.num_images()} images for {to}")

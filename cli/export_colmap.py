@@ -9,61 +9,41 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import OutputFile, OutputFolder
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import require_no_input
 
 if TYPE_CHECKING:
-    from dgc_pose.colmap.export import Exported
-
-HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
+    from dgc_pose.colmap.shared import SharedMatches
 
 
-def described(exported: Exported) -> str:
+def described(shared: SharedMatches) -> str:
     """A line on what was written."""
-    longer = sum(count for views, count in exported.tracks_by_length.items() if views > 2)
-    tracks = sum(exported.tracks_by_length.values())
-    return (
-        f"{exported.images} images, {exported.key_points} key points, {exported.pairs} pairs, "
-        f"{exported.matches} matches, {tracks} tracks, {longer} of 3 and more views"
-    )
+    images = sum(len(points) > 0 for points in shared.key_points.values())
+    key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
+    return f"{images} images, {key_points} key points, {len(shared.pairs)} pairs, {matches} matches"
 
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option("--database", type=OutputFile(), metavar="DB", help="The database to write.")
 @click.option(
-    "--hloc",
-    type=OutputFolder(*HLOC, path_type=Path),
-    metavar="DIR",
-    help="Write features.h5, matches.h5 and pairs.txt there, as hloc's reconstruction reads them.",
+    "--database", type=OutputFile(), required=True, metavar="DB", help="The database to write."
 )
 @dataclass_options(ReconstructionOptions, "options", only=("per_image",))
-def export_colmap(
-    folder: Path, database: str | None, hloc: Path | None, options: ReconstructionOptions
-) -> None:
+def export_colmap(folder: Path, database: str, options: ReconstructionOptions) -> None:
     """Write the matches and poses of a batch as a COLMAP database.
 
     DIR is the folder of a finished `dgc-pose batch`. Pairs without a pose or a rotation are left
     out. The key points have COLMAP's half-pixel offset.
     """
-    from dgc_pose.adapters.hloc import write_hloc
     from dgc_pose.batch.result import read_batch
     from dgc_pose.colmap.export import share, write_shared
 
-    if database is None and hloc is None:
-        raise InputError("give --database, or --hloc")
     batch = read_batch(folder)
-    written = [] if database is None else [Path(database)]
-    written += [] if hloc is None else [hloc / name for name in HLOC]
     images = [batch.plan.root / name for name in batch.plan.names]
-    require_no_input(written, [*folder.iterdir(), *images])
+    require_no_input([database], [*folder.iterdir(), *images])
     with progress_bars() as progress:
-        shared, pairs = share(batch, options.per_image, partial(progress, "images"))
-    if hloc is not None:
-        write_hloc(hloc, shared)
-        click.echo(f"{hloc}: features.h5, matches.h5 and pairs.txt of {len(shared.pairs)} pairs")
-    if database is not None:
-        click.echo(f"{database}: {described(write_shared(batch, shared, pairs, Path(database)))}")
+        shared = share(batch, options.per_image, partial(progress, "images"))
+    write_shared(batch, shared, Path(database))
+    click.echo(f"{database}: {described(shared)}")

@@ -1,4 +1,4 @@
-"""`dgc-pose locate`: the poses of photographs in a model."""
+"""`dgc-pose locate`: the poses of queries in a model."""
 
 from __future__ import annotations
 
@@ -43,56 +43,56 @@ class Place:
     images: Path = option(help="Folder of the model's images.", metavar="FOLDER")
     masks: Path | None = option(
         None,
-        "Folder with the mask NAME.jpg.png of NAME.jpg, of the model or a PHOTO: black is not "
+        "Folder with the mask NAME.jpg.png of NAME.jpg, of the model or a QUERY: black is not "
         "matched.",
         metavar="DIR",
     )
     json: str | None = output_file(
-        "Write the locations as JSON, by photograph; - for stdout.", "PATH|-", stdout=True
+        "Write the locations as JSON, by query; - for stdout.", "PATH|-", stdout=True
     )
     plot: str | None = output_file(
-        "Draw a single photograph's place and matches with references.", "PATH.png", picture=True
+        "Draw a single query's place and matches with database images.", "PATH.png", picture=True
     )
     add: Path | None = output_folder(
         *("cameras.bin", "images.bin", "points3D.bin"),
-        help="Write the model with the located photographs, as COLMAP's.",
+        help="Write the model with the located queries, as COLMAP's.",
         default=None,
     )
 
 
 @click.command()
-@click.argument("photos", metavar="PHOTO...", nargs=-1, required=True, type=click.Path())
+@click.argument("queries", metavar="QUERY...", nargs=-1, required=True, type=click.Path())
 @dataclass_options(Place, "place")
 @dataclass_options(KChoice, "cameras")
 @dataclass_options(MatcherOptions, "matcher")
 @dataclass_options(EstimationOptions, "estimation")
 def locate(
-    photos: Sequence[str],
+    queries: Sequence[str],
     place: Place,
     cameras: KChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> int:
-    """Place photographs in a model of known camera poses.
+    """Place photographs, the queries, in a model of known camera poses.
 
     Prints cam_from_world, x = R X + t, and the centre of the camera, in the frame and unit of the
-    model, with their expected errors. Exits with 3 and the reason if a photograph is not located.
+    model, with their expected errors. Exits with 3 and the reason if a query is not located.
     """
-    from dgc_pose.localization.adding import extensible, write_model_with
+    from dgc_pose.localization.adding import require_addable, write_model_with
     from dgc_pose.localization.locate import Locator
-    from dgc_pose.localization.model import load_model
+    from dgc_pose.model import load_model
     from dgc_pose.viz.figure import save_figure
     from dgc_pose.viz.location import plot_location
 
-    if place.plot is not None and len(photos) > 1:
-        raise InputError(ArgumentName("plot"), f"draws a single photograph, not {len(photos)}")
+    if place.plot is not None and len(queries) > 1:
+        raise InputError(ArgumentName("plot"), f"draws a single query, not {len(queries)}")
     if place.masks is not None and not place.masks.is_dir():
         raise InputError(ArgumentName("masks"), f"{place.masks}: no such folder")
-    for photo in photos:
-        image_header(Path(photo))
+    for query in queries:
+        image_header(Path(query))
     model = load_model(place.model, place.images)
     if place.add is not None:
-        extended = extensible(place.add, model, list(dict.fromkeys(photos)))
+        require_addable(place.add, model, list(dict.fromkeys(queries)))
     for warning in model.warnings:
         say(f"warning: {warning}")
     locator = Locator(model, matcher.load(image_cache()), estimation, place.masks)
@@ -101,26 +101,26 @@ def locate(
     json_file = None if place.json == STDOUT else place.json
     locations: dict[str, Location] = {}
     with staged(json_file, place.plot) as stage:
-        for photo in photos:
-            location = locations[photo] = locator.locate(photo, cameras.k, cameras.details)
+        for query in queries:
+            location = locations[query] = locator.locate(query, cameras.k, cameras.details)
             if place.json != STDOUT:
-                click.echo(location_text(photo, location))
-        data = json_text({photo: location.to_dict() for photo, location in locations.items()})
+                click.echo(location_text(query, location))
+        data = json_text({query: location.to_dict() for query, location in locations.items()})
         if json_file is not None:
             save_text(stage(json_file), data)
         if place.plot is not None:
-            figure = plot_location(model, photos[0], locations[photos[0]])
+            figure = plot_location(model, queries[0], locations[queries[0]])
             save_figure(figure, stage(place.plot))
     if place.json == STDOUT:
         click.echo(data, nl=False)
     if place.add is not None:  # last: a model of COLMAP holds not every camera
-        write_model_with(place.add, extended, locations)
+        write_model_with(place.add, model, locations)
     return 0 if all(location.success for location in locations.values()) else NO_POSE
 
 
-def location_text(photo: str, location: Location) -> str:
+def location_text(query: str, location: Location) -> str:
     """A location for people."""
-    name = printable(photo)
+    name = printable(query)
     lines = [f"{name}: {location.status}, {location.reason}"]
     if location.success:
         lines = [f"{name}: cam_from_world (x = R X + t), in the frame and unit of the model"]
@@ -142,6 +142,7 @@ def location_text(photo: str, location: Location) -> str:
         lines.append(probability_text(location.probability, of))
     if location.success and location.camera is not None and not location.camera.exact:
         lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
-    used = [reference.name for reference in location.references if reference.agrees]
-    lines.append(f"references: {len(used)} of {len(location.references)} agree: {', '.join(used)}")
+    matched = location.database_images
+    used = [image.name for image in matched if image.agrees]
+    lines.append(f"database images: {len(used)} of {len(matched)} agree: {', '.join(used)}")
     return "\n".join(map(printable, lines + closing_lines(location.warnings, location.seconds)))

@@ -14,7 +14,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import replaced, write_text
+from dgc_pose.files.outputs import write_text
 
 
 @click.command()
@@ -31,25 +31,23 @@ def reconstruct(
     FOLDER may also be a video, a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
     Writes sparse/ (COLMAP's model; further scenes in sparse/1/, ...), database.db, points.ply,
-    picture.png, model.html, summary.json, and batch/, the folder of the batch.
+    model.html, summary.json, and batch/, the folder of the batch.
     """
-    from dgc_pose.batch.source import BATCH, PAGE, PICTURE, STORE
+    from dgc_pose.batch.source import BATCH, PAGE, STORE
     from dgc_pose.colmap import reconstruction
     from dgc_pose.colmap.mapping import MIN_IMAGES
     from dgc_pose.colmap.metric import known_metres
-    from dgc_pose.localization.model import load_model
-    from dgc_pose.viz.figure import save_figure
+    from dgc_pose.model import require_model_folder
     from dgc_pose.viz.model_page import model_page
-    from dgc_pose.viz.reconstruction import plot_reconstruction
 
-    known = [name for name in (*reconstruction.OUTPUTS, PICTURE, PAGE) if (out / name).exists()]
+    known = [name for name in (*reconstruction.OUTPUTS, PAGE) if (out / name).exists()]
     if known:
         there = f"{out / known[0]} is there already"
         if not choice.work.resume:
             raise InputError(f"{there}: --resume continues the run and replaces it")
         if not (out / BATCH / STORE).is_file():
             raise InputError(f"{there}, and {out} holds no batch to continue")
-    reconstruction.require_model_folder(out / reconstruction.MODEL, several=True)
+    require_model_folder(out / reconstruction.MODEL, several=True)
     if options.gps or options.scale:  # refused before the matching
         images = choice.open(source, out / BATCH)
         known_metres(images.root, images.names, options)
@@ -59,29 +57,28 @@ def reconstruct(
     matched = time.perf_counter()
     with progress_bars() as progress:
         show = partial(progress, "images")
-        model, exported = reconstruction.reconstruct(batch, out, options, show)
+        models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
-    with replaced(out / PICTURE) as temporary:
-        save_figure(plot_reconstruction(model), temporary)
-    posed, unit = load_model(out, batch.plan.root), model.metric.get("unit", "")
-    write_text(out / PAGE, model_page(posed, model.points, model.colours, unit))
-    data = reconstruction.write_summary(out, batch, model, exported, seconds)
-    click.echo(f"{out / reconstruction.DATABASE}: {described(exported)}")
+    write_text(out / PAGE, model_page(models[0], metric.get("unit", "")))
+    data = reconstruction.write_summary(out, batch, models, shared, metric, seconds)
+    click.echo(f"{out / reconstruction.DATABASE}: {described(shared)}")
     click.echo(
         f"{out / reconstruction.MODEL}: {data['registered']} of {data['images']} images, "
         f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "
         f"reprojection error {data['reprojection_error_px']:.3f} px"
     )
-    for number, other in enumerate(model.others, start=1):
+    for number, other in enumerate(models[1:], start=1):
         facts = f"{len(other.poses)} of {data['images']} images, {len(other.points)} points"
         click.echo(f"{out / reconstruction.MODEL / str(number)}: {facts}, in axes of its own")
-    for fact, value in model.metric.items():
+    for fact, value in metric.items():
         click.echo(f"{fact.replace('_', ' ')}: {value}")
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
-    click.echo(f"{out / PICTURE}: cameras and points, from above and from the front")
-    click.echo(f"{out / PAGE}: the same with the photographs, for a browser, from any side")
+    click.echo(f"{out / PAGE}: cameras with their photographs, and points, for a browser")
     after = " after bundle adjustment" if reconstruction.refines(batch, options) else ""
-    cameras = [(c.images, f"{c.model}, f = {c.focal_px:.1f} px{after}") for c in model.cameras]
+    cameras = [
+        (camera["images"], f"{camera['model']}, f = {camera['focal_px']:.1f} px{after}")
+        for camera in data["cameras"]
+    ]
     echo_each_camera(cameras, out / reconstruction.SUMMARY)
     for name, pairs in data["not_registered_pairs"].items():
         say(f"not registered: {name}: {pairs}")

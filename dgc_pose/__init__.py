@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from dgc_pose.localization.locate import Locator as Locator
     from dgc_pose.localization.locate import locate as locate
     from dgc_pose.localization.location import Location as Location
-    from dgc_pose.localization.model import PosedModel as PosedModel
-    from dgc_pose.localization.model import load_model as load_model
     from dgc_pose.matchers import MatcherOptions as MatcherOptions
     from dgc_pose.matchers import load_matcher as load_matcher
     from dgc_pose.matches import Matches as Matches
@@ -36,6 +34,8 @@ if TYPE_CHECKING:
     from dgc_pose.matching import MatchingOptions as MatchingOptions
     from dgc_pose.matching import MatchResult as MatchResult
     from dgc_pose.matching import NetworkMatcher as NetworkMatcher
+    from dgc_pose.model import Model as Model
+    from dgc_pose.model import load_model as load_model
     from dgc_pose.pair_result import PairResult as PairResult
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
     from dgc_pose.pose import solve_pair as solve_pair
@@ -55,7 +55,7 @@ _PUBLIC = {
     "images.image": ("Image", "load_image"),
     "localization.locate": ("Locator", "locate"),
     "localization.location": ("Location",),
-    "localization.model": ("PosedModel", "load_model"),
+    "model": ("Model", "load_model"),
     "matchers": ("MatcherOptions", "load_matcher"),
     "matches": ("Matches",),
     "matching": (

@@ -8,6 +8,7 @@ import numpy as np
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.neighbours import nearest
+from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.pair_result import PairResult
 
 _MOST = 3000  # points of a pair: more would slow a page down
@@ -20,28 +21,35 @@ def pose_scene(result: PairResult) -> dict[str, Any]:
     if result.pose.R is None or result.pose.t is None:
         raise InputError(ArgumentName("result"), f"has no R and t: {result.pose.reason}")
     pose = np.column_stack([result.pose.R, result.pose.t * (result.pose.length or 1.0)])
-    first = scene_camera("1", result.camera1.K, result.image1.size, np.eye(3, 4))
-    second = scene_camera("2", result.camera2.K, result.image2.size, pose)
-    return scene_of([first, second], result.points3d, result.colours, _MOST)
+    first = frustum(result.camera1.K, result.image1.size, np.eye(3, 4))
+    second = frustum(result.camera2.K, result.image2.size, pose)
+    return scene_of("12", np.stack([first, second]), result.points3d, result.colours, _MOST)
 
 
-def scene_camera(
-    label: str, K: np.ndarray, size: tuple[int, int], pose: np.ndarray
-) -> dict[str, Any]:
-    """A camera: its centre and, at a depth of 1, the corners of its view from the top left on."""
+def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarray:
+    """The centre of a camera and, at a depth of 1, the corners of its view from the top left on
+    (5, 3), world. K: (3, 3). size: (width, height). pose: cam_from_world (3, 4)."""
     width, height = size
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
     rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
-    corners = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
-    return {"label": label, "corners": corners}
+    corners: np.ndarray = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
+    return corners
+
+
+def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:
+    """The axes (3, 3) of the mean camera of cam_from_world poses (3, 4), in rows: of least sum of
+    |R_k - axes|^2."""
+    rows = np.stack(poses)[:, :, :3].transpose(0, 2, 1).reshape(-1, 3)
+    return aligning_rotation(np.tile(np.eye(3), (len(poses), 1)), rows)
 
 
 def scene_of(
-    cameras: Sequence[dict[str, Any]], points: np.ndarray, colours: np.ndarray, most: int
+    labels: Sequence[str], frusta: np.ndarray, points: np.ndarray, colours: np.ndarray, most: int
 ) -> dict[str, Any]:
-    """The cameras, as deep as their distances allow, and points in a random order."""
-    centres = np.stack([camera["corners"][0] for camera in cameras])
-    depth = float(np.median(nearest(centres, 2)[0][:, 1])) or 1.0
+    """Cameras of some frusta (N, 5, 3), as deep as their distances allow, and at most so many of
+    the points (M, 3), of colours (M, 3) uint8, in a random order."""
+    centres = frusta[:, :1]
+    depth = float(np.median(nearest(centres[:, 0], 2)[0][:, 1])) or 1.0
     away = np.linalg.norm(points - centres.mean(0), axis=1)
     chosen = np.flatnonzero(np.isfinite(away))
     if len(chosen):
@@ -49,8 +57,7 @@ def scene_of(
         chosen = chosen[away[chosen] <= np.quantile(away[chosen], _NEAR)]
     chosen = np.random.default_rng(0).permutation(chosen)[:most]
     digits = 4 - int(np.floor(np.log10(depth)))
-    for camera, centre in zip(cameras, centres, strict=True):
-        corners = centre + depth * (camera["corners"] - centre)
-        camera["corners"] = corners.round(digits).tolist()
+    corners = (centres + depth * (frusta - centres)).round(digits).tolist()
+    cameras = [{"label": label, "corners": c} for label, c in zip(labels, corners, strict=True)]
     xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
     return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}

@@ -1,41 +1,36 @@
 """Batches of rendered views with SIFT, for tests in which the network is not the point."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from itertools import count
-from pathlib import Path
-from typing import Any
 
 import cv2
 import h5py
 import numpy as np
 import pytest
-from multi_view import SIZE, K_text, View, render_views, write_views
+from multi_view import SIZE, K_text, render_views, write_views
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
-from dgc_pose.batch.result import Batch
-from dgc_pose.batch.rows import MatchedPair
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.batch.store import open_store
-from dgc_pose.batch.work import Job
-from dgc_pose.batch.workers import Run, local_workers
+from dgc_pose.batch.workers import local_workers
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 
-Workers = Callable[[Job, int], AbstractContextManager[Run]]
+VIEWS_K = K_text()
+SIFT, QUICK = MatcherOptions("sift"), EstimationOptions(runs=1, iterations=300)
 
 
-def view_folder(folder: Path, number: int = 4) -> list[View]:
+def view_folder(folder, number=4):
     """Rendered views in a folder."""
     views = render_views(number)
     write_views(folder, views)
     return views
 
 
-def write_masks(folder: Path, names: Sequence[str], share: float = 0.5) -> None:
+def write_masks(folder, names, share=0.5):
     """Masks of photographs of `multi_view.SIZE`, black in a share on the left."""
     for name in names:
         mask = np.full(SIZE[::-1], 255, np.uint8)
@@ -46,19 +41,19 @@ def write_masks(folder: Path, names: Sequence[str], share: float = 0.5) -> None:
 
 
 def run_sift(
-    source: Path,
-    out: Path,
+    source,
+    out,
     *,
-    root: Path | None = None,
-    masks: Path | None = None,
-    pairs: str | None = "exhaustive",
-    K: str | None = K_text(),  # noqa: B008, a constant
-    matcher: MatcherOptions = MatcherOptions("sift"),  # noqa: B008
-    estimation: EstimationOptions = EstimationOptions(runs=1, iterations=300),  # noqa: B008
-    workers: int = 1,
-    resume: bool = False,
-    start_workers: Workers = local_workers,
-) -> Batch:
+    pairs="exhaustive",
+    K=VIEWS_K,
+    root=None,
+    masks=None,
+    resume=False,
+    matcher=SIFT,
+    estimation=QUICK,
+    workers=1,
+    start_workers=local_workers,
+):
     """A batch, by default with SIFT and the K of the rendered views."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dgc_pose.batch.run.local_workers", start_workers)
@@ -77,15 +72,15 @@ class Killed(Exception):
     """What stands for a kill in this process."""
 
 
-def killed_after(tasks_done: int) -> Workers:
+def killed_after(tasks_done):
     """Workers that end after so many tasks, however often tasks are run."""
 
     @contextmanager
-    def start(job: Job, workers: int) -> Iterator[Run]:
+    def start(job, workers):
         numbers = count()
         with local_workers(job, workers) as run:
 
-            def some(*work: Any) -> Iterator[Any]:
+            def some(*work):
                 for outcome in run(*work):
                     if next(numbers) == tasks_done:
                         raise Killed
@@ -96,12 +91,12 @@ def killed_after(tasks_done: int) -> Workers:
     return start
 
 
-def result(out: Path) -> tuple[list[str], dict[str, np.ndarray]]:
+def result(out):
     """The rows, the cameras and all data sets of a finished batch."""
-    arrays: dict[str, np.ndarray] = {}
+    arrays = {}
     with h5py.File(out / "matches.h5") as file:
 
-        def add(name: str, item: object) -> None:
+        def add(name, item):
             if isinstance(item, h5py.Dataset):
                 arrays[name] = np.asarray(item)
 
@@ -110,7 +105,7 @@ def result(out: Path) -> tuple[list[str], dict[str, np.ndarray]]:
     return texts, arrays
 
 
-def assert_same_result(out1: Path, out2: Path) -> None:
+def assert_same_result(out1, out2):
     """The rows, cameras and matches of two batches are the same to the bit."""
     (rows1, arrays1), (rows2, arrays2) = result(out1), result(out2)
     assert rows1 == rows2
@@ -120,7 +115,7 @@ def assert_same_result(out1: Path, out2: Path) -> None:
         np.testing.assert_array_equal(array, arrays2[name])
 
 
-def change_result(out: Path, change: Callable[[MatchedPair], MatchedPair]) -> None:
+def change_result(out, change):
     """Put other pairs in the place of those of the result of a batch."""
     with open_store(out) as store, store.change():
         pairs = [change(pair) for pair in store.pairs("result")]

@@ -13,8 +13,8 @@ from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import SIZE
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.localization.correspondences import PairCorrespondences, WorldPose
-from dgc_pose.localization.model import PosedModel
 from dgc_pose.matches import Matches
+from dgc_pose.model import Model
 
 IMAGE = (1000, 800)
 CAMERA = Camera(np.array([[900.0, 0, 500], [0, 905, 390], [0, 0, 1]]), IMAGE)
@@ -44,13 +44,13 @@ class WorldScene:
     centre: np.ndarray
     references: tuple[tuple[np.ndarray, np.ndarray], ...]  # R and centre
 
-    def model(self) -> PosedModel:
+    def model(self) -> Model:
         """Without image files."""
         poses = {
             name: np.column_stack([R, -R @ centre])
             for name, (R, centre) in zip(self.names, self.references, strict=True)
         }
-        return PosedModel(Path("none"), dict.fromkeys(poses, CAMERA), poses)
+        return Model(Path("none"), dict.fromkeys(poses, CAMERA), poses)
 
     @property
     def names(self) -> list[str]:

@@ -20,7 +20,7 @@ from dgc_pose.geometry.pixels import same_shape
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import image_size, read_pixels
-from dgc_pose.localization.model import load_model
+from dgc_pose.model import load_model
 
 _NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths that a frame's reach is of
 _MARGIN = 1.25  # beyond these
@@ -96,9 +96,9 @@ def _read_model(root: Path) -> list[PosedFrame]:
     """Those of a COLMAP model that show points, whose depths bound the search."""
     model = load_model(root, root / "images")
     frames = []
-    for name in sorted(model.points):
+    for name in sorted(model.seen):
         pose = np.vstack([model.poses[name], (0, 0, 0, 1)])
-        depths = model.points[name][0] @ pose[2, :3] + pose[2, 3]
+        depths = model.points[model.seen[name][0]] @ pose[2, :3] + pose[2, 3]
         if not (depths > 0).any():
             continue
         nearest, farthest = np.quantile(depths[depths > 0], (_NEAREST, _FARTHEST))

@@ -1,4 +1,4 @@
-"""`dgc-pose bench-locate`: photographs of a model left out and placed in it."""
+"""`dgc-pose bench-locate`: images of a model left out and placed in it as queries."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -28,10 +28,10 @@ class LocateBenchOptions:
     images: Path | None = option(None, "Folder of the images; default: images/ in MODEL.")
     k: WithheldCameras | None = option(None, "Withhold K, as for locate without one.", flag="--K")
     every: int = option(
-        1, "Leave out every N-th photograph at once; 1: each in turn.", metavar="N", min=1, max=1000
+        1, "Leave out every N-th image at once; 1: each in turn.", metavar="N", min=1, max=1000
     )
     apart: int = option(
-        1, "Names between a photograph and its references, at least.", metavar="N", min=1, max=1000
+        1, "Names between a query and its database images, at least.", metavar="N", min=1, max=1000
     )
     count: int | None = option(
         None, "Place so many, evenly chosen; default: all.", metavar="N", min=1
@@ -40,7 +40,7 @@ class LocateBenchOptions:
         None, "Place the photographs of this folder, which show other places, instead."
     )
     json: str | None = option(
-        None, "Write the score of each photograph.", metavar="PATH", type=OutputFile()
+        None, "Write the score of each query.", metavar="PATH", type=OutputFile()
     )
 
 
@@ -52,7 +52,7 @@ class LocateBenchOptions:
 def bench_locate(
     path: Path, bench: LocateBenchOptions, matcher: MatcherOptions, estimation: EstimationOptions
 ) -> None:
-    """Leave photographs out of a model, place them in it, and compare with their poses.
+    """Leave images out of a model, place them in it as queries, and compare with their poses.
 
     MODEL is as for locate; a list of pairs in SuperGlue's format; or a folder of posed RGB-D
     images. A location is right with R within 5 degrees and the position within 5 % of the extent.

@@ -1,6 +1,6 @@
 """`dgc-pose bench-reconstruct`: reconstructions compared with true cameras."""
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -8,13 +8,14 @@ import click
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
-from dgc_pose.benchmarks.files import finite_data, split_names, table
+from dgc_pose.benchmarks.files import finite_data, split_names
 from dgc_pose.benchmarks.reconstructions import (
     COLMAP_SIFT,
     COLUMNS,
     run_method,
     views_of_list,
 )
+from dgc_pose.benchmarks.summary import summary_table
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.colmap.options import ReconstructionOptions
@@ -23,6 +24,8 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
+
+_SHARED = ("per_image", "mapper", "refine_intrinsics")  # with reconstruct
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,9 @@ class ReconstructBenchOptions:
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @dataclass_options(ReconstructBenchOptions, "bench")
-@dataclass_options(ReconstructionOptions, "reconstruction", only=("per_image", "mapping"))
+@dataclass_options(
+    ReconstructionOptions, "reconstruction", only=("per_image", "mapper", "refine_intrinsics")
+)
 @dataclass_options(BatchOptions, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(
@@ -76,14 +81,12 @@ def bench_reconstruct(
     views = views_of_list(truth, folder)
     if len(views.poses) < 3:
         raise InputError(f"{folder}: {len(views.poses)} images; a reconstruction needs 3")
-    mapping = replace(reconstruction.mapping, mapper_threads=work.worker_count)
-    reconstruction = replace(reconstruction, mapping=mapping)
     setting = parse_pair_choice(bench.pairs), reconstruction, estimation, work, bench.k
     out.mkdir(parents=True, exist_ok=True)
     scores = []
     for method in split_names(bench.methods):
         score = run_method(method, views, out / Path(method).stem, *setting)
         scores.append(score)
-        click.echo(f"{method}: {score.registered} of {score.images} images", err=True)
-    write_json(out / "summary.json", finite_data({"methods": [*map(asdict, scores)]}))
-    click.echo(table(COLUMNS, scores))
+        click.echo(f"{method}: {score['registered']} of {score['images']} images", err=True)
+    write_json(out / "summary.json", finite_data({"methods": scores}))
+    click.echo(summary_table(scores, COLUMNS))

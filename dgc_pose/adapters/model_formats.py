@@ -7,29 +7,17 @@ from pathlib import Path
 
 import cv2
 
-from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.colmap.points_file import write_model_points
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import require_room, save_text
 from dgc_pose.images.image import image_header, read_pixels, size_in_file
-from dgc_pose.localization.model import model_path
+from dgc_pose.model import Model, write_points
 from dgc_pose.system.colmap_library import pycolmap
 
 _PERSPECTIVE = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
 _FISHEYE = {"SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}
 _ORIENTATION = re.compile(rb"(\x12\x01\x03\x00\x01\x00{3})[\x02-\x08]")  # a tag of EXIF data
 _KEYS = {"f": "fl_x", "fx": "fl_x", "fy": "fl_y", "k": "k1"}  # nerfstudio's of COLMAP's parameters
-
-
-def read_model(source: Path) -> pycolmap.Reconstruction:
-    """The model of a folder. Raises InputError if there is none, or one without images."""
-    path = model_path(source)
-    if not read_file(path).poses:
-        raise InputError(ArgumentName("model"), f"{path} has no poses of images")
-    with read_as("a COLMAP model", path):
-        return pycolmap.Reconstruction(path)
 
 
 def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path) -> None:
@@ -52,7 +40,8 @@ def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path, a
         frame |= {"w": camera.width, "h": camera.height, "fl_y": camera.focal_length_y}
         values = zip(camera.params_info.split(", "), camera.params.tolist(), strict=True)
         frames.append(frame | {_KEYS.get(name, name): value for name, value in values})
-    write_model_points(out / "points.ply", model, "points.ply")
+    cloud = Model.of_colmap(model, Path())
+    write_points(out / "points.ply", cloud.points, cloud.colours, "points.ply")
     lens = "OPENCV" if lenses <= _PERSPECTIVE else "OPENCV_FISHEYE"
     data = {"camera_model": lens, "ply_file_path": "points.ply", "frames": frames}
     write_json(out / "transforms.json", data)

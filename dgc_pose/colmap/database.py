@@ -1,6 +1,6 @@
 """A COLMAP database of shared key points, matches and two-view geometries, through pycolmap."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +8,14 @@ import numpy as np
 from dgc_pose.batch.pooling import KNOWN_FOCAL_STD
 from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
-from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
-from dgc_pose.colmap.shared import Names, SharedMatches
-from dgc_pose.errors import DgcPoseError, InputError, reason
+from dgc_pose.colmap.shared import SharedMatches
+from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
+from dgc_pose.model import HALF_PIXEL, colmap_camera
 from dgc_pose.system.colmap_library import pycolmap
 
-# COLMAP's (0, 0) is the corner of the top-left pixel, ours its centre.
-HALF_PIXEL = 0.5
 # More than a database takes: empty, and for each key point and match, with SQLite's log.
 _EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32
 
@@ -28,12 +25,12 @@ def write_database(
     names: Sequence[str],
     cameras: Mapping[str, Camera],
     shared: SharedMatches,
-    rows: Mapping[Names, PairRow],
+    rows: Iterable[PairRow],
 ) -> None:
     """Write a database, whole or not at all, over what is there.
 
-    names: all images; those without a camera are left out. rows: by pair, of a status in
-    `CONFIGURATIONS`.
+    names: all images; those without a camera are left out. rows: those of the pairs of `shared`
+    among others.
 
     Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
     DgcPoseError if pycolmap fails.
@@ -49,10 +46,11 @@ def write_database(
                 ids = _write_images(database, names, cameras)
                 for name, points in shared.key_points.items():
                     database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))
+                by_pair = {row.names: row for row in rows}
                 for pair, index in shared.pairs.items():
                     id1, id2 = (ids[name] for name in pair)
                     database.write_matches(id1, id2, index)
-                    geometry = two_view_geometry(rows[pair], index)
+                    geometry = two_view_geometry(by_pair[pair], index)
                     database.write_two_view_geometry(id1, id2, geometry)
         except RuntimeError as error:
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
@@ -79,25 +77,6 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
         if pose.median_triangulation_angle_deg is not None:
             geometry.tri_angle = float(np.radians(pose.median_triangulation_angle_deg))
     return geometry
-
-
-def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
-    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
-    where the lens is not known.
-
-    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
-    """
-    assert camera.size is not None
-    lens = camera.distortion
-    if lens is None and camera.lens_std > 0:
-        lens = Distortion(RADIAL, (0.0, 0.0))
-    try:
-        model, parameters = colmap_parameters(camera.K, lens)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-    converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)
-    converted.params = parameters
-    return converted
 
 
 def _write_images(

@@ -1,8 +1,10 @@
-"""From a finished batch to a COLMAP database."""
+"""From a finished batch to key points that its pairs share, and a COLMAP database.
 
-from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+A batch is of upright images; COLMAP reads the pixels as stored, and the database is of these.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,24 +21,13 @@ from dgc_pose.images.image import image_header
 from dgc_pose.images.store import ImageStore
 
 
-@dataclass(frozen=True)
-class Exported:
-    """The counts of what was written."""
-
-    images: int  # with key points
-    key_points: int
-    pairs: int
-    matches: int
-    tracks_by_length: dict[int, int]  # tracks by number of views
-
-
 def share(
     batch: Batch,
     per_image: int,
     progress: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[SharedMatches, list[PairGeometry]]:
-    """The shared key points of a batch, in the pixels as stored, which other programs read; and the
-    pairs that they are of, of upright images. per_image: most corners of an image.
+) -> SharedMatches:
+    """The shared key points of a batch, of the pixels as stored. per_image: most corners of an
+    image.
 
     Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
     """
@@ -46,7 +37,7 @@ def share(
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
     key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
-    return SharedMatches(key_points, shared.pairs), pairs
+    return SharedMatches(key_points, shared.pairs)
 
 
 def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
@@ -70,23 +61,18 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
     return geometries
 
 
-def write_shared(
-    batch: Batch, shared: SharedMatches, pairs: Sequence[PairGeometry], database: Path
-) -> Exported:
-    """Write the database of shared key points, over what is there: of the pixels as stored, as
-    `shared` is."""
+def write_shared(batch: Batch, shared: SharedMatches, database: Path) -> None:
+    """Write the database of key points of `share`, over what is there. Raises as
+    `write_database`."""
     plan = batch.plan
     turns = {name: _to_stored(plan.root / name) for name in plan.final_cameras}
     cameras = {name: camera.turned(*turns[name]) for name, camera in plan.final_cameras.items()}
-    rows = {pair.names: _as_stored(pair.row, *(turns[n][0] for n in pair.names)) for pair in pairs}
+    rows = [
+        _as_stored(row, *(turns[name][0] for name in row.names))
+        for row in batch.rows
+        if row.names in shared.pairs
+    ]
     write_database(database, plan.names, cameras, shared, rows)
-    return Exported(
-        images=sum(len(points) > 0 for points in shared.key_points.values()),
-        key_points=sum(map(len, shared.key_points.values())),
-        pairs=len(shared.pairs),
-        matches=sum(map(len, shared.pairs.values())),
-        tracks_by_length=dict(sorted(Counter(shared.track_lengths().tolist()).items())),
-    )
 
 
 def _as_stored(row: PairRow, turn1: np.ndarray, turn2: np.ndarray) -> PairRow:

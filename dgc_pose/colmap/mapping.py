@@ -1,32 +1,31 @@
 """A reconstruction from a COLMAP database, by pycolmap's incremental or global mapper."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from dgc_pose.colmap.options import MappingOptions
+from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import DgcPoseError, reason
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.system.colmap_library import pycolmap
 
 MIN_IMAGES = 3  # of a model
 _SEED = 0
-_MAPPERS: Mapping[str, Callable[..., Any]] = {
-    "incremental": pycolmap.incremental_mapping,
-    "global": pycolmap.global_mapping,
-}
 
 
 class MappingError(DgcPoseError):
     """COLMAP made no model."""
 
 
-def map_database(database: Path, images: Path, options: MappingOptions) -> list[Any]:
-    """COLMAP's models, that with the most images first. Raises MappingError if there is none."""
+def map_database(database: Path, images: Path, options: ReconstructionOptions) -> list[Any]:
+    """COLMAP's models, that with the most images first. Raises MappingError if there is none.
+
+    One thread alone: with more, models differ in their last digits.
+    """
     pycolmap.set_random_seed(_SEED)
     with scratch_folder() as folder:
         try:
-            run = _MAPPERS[options.mapper]
+            run: Any = getattr(pycolmap, f"{options.mapper}_mapping")
             models = run(database, images, folder, _pipeline_options(options))
         except (RuntimeError, ValueError) as error:
             raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
@@ -37,7 +36,7 @@ def map_database(database: Path, images: Path, options: MappingOptions) -> list[
     return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
 
 
-def refine_centres(model: pycolmap.Reconstruction, names: Collection[str], threads: int) -> None:
+def refine_centres(model: pycolmap.Reconstruction, names: Collection[str]) -> None:
     """Bundle adjustment of a model, which also changes the principal points of these images'
     cameras, and keeps all other cameras."""
     images = [image for image in model.images.values() if image.has_pose]
@@ -51,27 +50,26 @@ def refine_centres(model: pycolmap.Reconstruction, names: Collection[str], threa
         config.set_constant_cam_intrinsics(camera)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     options = pycolmap.BundleAdjustmentOptions(refine_principal_point=True, print_summary=False)
-    options.ceres.solver_options.num_threads = threads
+    options.ceres.solver_options.num_threads = 1
     options.ceres.use_gpu = False
     pycolmap.create_default_bundle_adjuster(options, config, model).solve()
     model.update_point_3d_errors()
 
 
-def _pipeline_options(options: MappingOptions) -> Any:
+def _pipeline_options(options: ReconstructionOptions) -> Any:
     settings: Any
+    refine = options.refine_intrinsics
     if options.mapper == "incremental":
         settings = pycolmap.IncrementalPipelineOptions()
-        settings.ba_refine_focal_length = options.refine_intrinsics
-        settings.ba_refine_extra_params = options.refine_intrinsics
-        settings.mapper.abs_pose_refine_focal_length = options.refine_intrinsics
-        settings.mapper.abs_pose_refine_extra_params = options.refine_intrinsics
+        settings.ba_refine_focal_length = settings.ba_refine_extra_params = refine
+        settings.mapper.abs_pose_refine_focal_length = refine
+        settings.mapper.abs_pose_refine_extra_params = refine
     else:
         settings = pycolmap.GlobalPipelineOptions()
-        settings.mapper.bundle_adjustment.refine_focal_length = options.refine_intrinsics
-        settings.mapper.bundle_adjustment.refine_extra_params = options.refine_intrinsics
+        settings.mapper.bundle_adjustment.refine_focal_length = refine
+        settings.mapper.bundle_adjustment.refine_extra_params = refine
         settings.mapper.bundle_adjustment.ceres.use_gpu = False
         settings.mapper.global_positioning.use_gpu = False
-    settings.min_model_size = MIN_IMAGES
-    settings.num_threads = options.mapper_threads
+    settings.min_model_size, settings.num_threads = MIN_IMAGES, 1
     settings.random_seed = settings.mapper.random_seed = _SEED
     return settings

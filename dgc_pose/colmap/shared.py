@@ -44,36 +44,6 @@ class SharedMatches:
     # (M, 2) uint32, indices of key points, by pair; a pair that shares none is absent
     pairs: Mapping[Names, np.ndarray]
 
-    def track_lengths(self) -> np.ndarray:
-        """The number of images (T,) of each track: of key points connected by matches."""
-        counts = [len(points) for points in self.key_points.values()]
-        image = np.repeat(np.arange(len(counts)), counts)  # of each key point
-        first = dict(zip(self.key_points, np.cumsum([0, *counts]).tolist(), strict=False))
-        edges = [
-            index.astype(np.int64) + (first[name1], first[name2])
-            for (name1, name2), index in self.pairs.items()
-        ]
-        ends = np.concatenate([np.zeros((0, 2), np.int64), *edges])
-        track = _connected(len(image), ends)
-        images_of_tracks = np.unique(np.column_stack([track, image]), axis=0)
-        lengths = np.bincount(images_of_tracks[:, 0])
-        return lengths[lengths > 1]
-
-
-def _connected(count: int, ends: np.ndarray) -> np.ndarray:
-    """A number (count,) of each node of a graph with edges (E, 2): the least node that a path leads
-    to."""
-    label = np.arange(count)
-    while True:
-        least = label.copy()
-        least_of_edges = label[ends].min(1)
-        np.minimum.at(least, label[ends[:, 0]], least_of_edges)  # of the nodes that stand for both
-        np.minimum.at(least, label[ends[:, 1]], least_of_edges)
-        least = least[least[label]]
-        if np.array_equal(least, label):
-            return label
-        label = least
-
 
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
     """Matches among (M, 2) in which no key point occurs twice: the best scored ones, in their

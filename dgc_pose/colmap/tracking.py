@@ -7,7 +7,7 @@ merged, so no match is moved.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -50,15 +50,52 @@ def track_corners(
     load: an image by its name; it is called for neighbouring images again and again, and should
     cache the latest ones. per_image: most corners of an image, evenly spread.
     """
-    builder = _Builder(pairs)
+    by_names = {pair.names: pair for pair in pairs}
     pairs_of: defaultdict[str, list[PairGeometry]] = defaultdict(list)
     for pair in pairs:
         for name in pair.names:
             pairs_of[name].append(pair)
+    key_points: defaultdict[str, list[np.ndarray]] = defaultdict(list)
+    # By pair: indices of key points and scores.
+    matches: dict[Names, list[tuple[np.ndarray, np.ndarray]]] = {names: [] for names in by_names}
+
+    def numbered(name: str, points: np.ndarray) -> np.ndarray:
+        """The indices (N,) of new key points."""
+        first = sum(map(len, key_points[name]))
+        key_points[name].append(points)
+        return np.arange(first, first + len(points))
+
     for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
-        builder.add(name, *_tracks_of(name, its_pairs, load, per_image))
+        corners, tracks = _tracks_of(name, its_pairs, load, per_image)
+        seen = np.isin(np.arange(len(corners)), np.concatenate([t.corner for t in tracks.values()]))
+        key_point = np.full(len(corners), -1)
+        key_point[seen] = numbered(name, corners[seen])
+        indices = {other: numbered(other, track.points) for other, track in tracks.items()}
+        for other, track in tracks.items():
+            ends = key_point[track.corner], indices[other]
+            names = (name, other) if (name, other) in matches else (other, name)
+            ends = ends if names[0] == name else ends[::-1]
+            matches[names].append((np.column_stack(ends), track.zncc))
+        # Two images that share a corner of a third are matched there too, if they are a pair.
+        for names in permutations(tracks, 2):
+            if names in by_names:
+                track1, track2 = (tracks[name] for name in names)
+                _, in1, in2 = np.intersect1d(
+                    track1.corner, track2.corner, assume_unique=True, return_indices=True
+                )
+                pair, points = by_names[names], (track1.points[in1], track2.points[in2])
+                fits = epipolar_error_px(pair.row, pair.cameras, *points) <= _MAX_ERROR_PX
+                in1, in2 = in1[fits], in2[fits]
+                ends = indices[names[0]][in1], indices[names[1]][in2]
+                scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
+                matches[names].append((np.column_stack(ends), scores))
         progress(number, len(pairs_of))
-    return builder.result()
+    shared = {}
+    for names, parts in matches.items():
+        index, scores = map(np.concatenate, zip(*parts, strict=True))
+        if len(index):
+            shared[names] = one_to_one(index.astype(np.uint32), scores)
+    return SharedMatches({k: np.concatenate(v) for k, v in key_points.items()}, shared)
 
 
 def _tracks_of(
@@ -161,58 +198,3 @@ def _smoothed(grey: np.ndarray, scale: float) -> np.ndarray:
         return grey
     blurred: np.ndarray = cv2.GaussianBlur(grey, (0, 0), 0.5 * float(np.sqrt(scale**2 - 1)))
     return blurred
-
-
-class _Builder:
-    """Puts the tracks of all images together."""
-
-    def __init__(self, pairs: Sequence[PairGeometry]) -> None:
-        self._pairs = {pair.names: pair for pair in pairs}
-        self._points: defaultdict[str, list[np.ndarray]] = defaultdict(list)
-        # By pair: indices of key points and scores.
-        self._matches: dict[Names, list[tuple[np.ndarray, np.ndarray]]] = {
-            names: [] for names in self._pairs
-        }
-
-    def add(self, name: str, corners: np.ndarray, tracks: Mapping[str, Transferred]) -> None:
-        """The corners of an image: key points of it, and of each image that has them."""
-        used = np.concatenate([track.corner for track in tracks.values()])
-        seen = np.isin(np.arange(len(corners)), used)
-        key_point = np.full(len(corners), -1)
-        key_point[seen] = self._add_points(name, corners[seen])
-        indices = {other: self._add_points(other, track.points) for other, track in tracks.items()}
-        for other, track in tracks.items():
-            self._add_matches((name, other), key_point[track.corner], indices[other], track.zncc)
-        # Two images that share a corner of a third are matched there too, if they are a pair.
-        for names in permutations(tracks, 2):
-            if names in self._pairs:
-                track1, track2 = (tracks[name] for name in names)
-                _, in1, in2 = np.intersect1d(
-                    track1.corner, track2.corner, assume_unique=True, return_indices=True
-                )
-                pair, points = self._pairs[names], (track1.points[in1], track2.points[in2])
-                fits = epipolar_error_px(pair.row, pair.cameras, *points) <= _MAX_ERROR_PX
-                in1, in2 = in1[fits], in2[fits]
-                scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
-                self._add_matches(names, indices[names[0]][in1], indices[names[1]][in2], scores)
-
-    def result(self) -> SharedMatches:
-        pairs = {}
-        for names, parts in self._matches.items():
-            index, scores = map(np.concatenate, zip(*parts, strict=True))
-            if len(index):
-                pairs[names] = one_to_one(index.astype(np.uint32), scores)
-        return SharedMatches({k: np.concatenate(v) for k, v in self._points.items()}, pairs)
-
-    def _add_points(self, name: str, points: np.ndarray) -> np.ndarray:
-        """The indices (N,) of new key points."""
-        first = sum(map(len, self._points[name]))
-        self._points[name].append(points)
-        return np.arange(first, first + len(points))
-
-    def _add_matches(
-        self, names: Names, index1: np.ndarray, index2: np.ndarray, scores: np.ndarray
-    ) -> None:
-        if names not in self._matches:
-            names, index1, index2 = names[::-1], index2, index1
-        self._matches[names].append((np.column_stack([index1, index2]), scores))

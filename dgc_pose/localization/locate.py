@@ -1,4 +1,4 @@
-"""A photograph placed in a model: references, pairs, the pose of all pairs, the verdict."""
+"""A query placed in a model: database images, pairs, the pose of all pairs, the verdict."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.images.store import ImageStore
 from dgc_pose.localization.location import Location
-from dgc_pose.localization.model import PosedModel
-from dgc_pose.localization.search import ReferenceSearch
+from dgc_pose.localization.search import LocationSearch
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
+from dgc_pose.model import Model
 from dgc_pose.pose import solve_pair
 from dgc_pose.system.options import check_type
 
@@ -34,44 +34,45 @@ if TYPE_CHECKING:
 
 
 def locate(
-    photo: ImageSource,
-    model: PosedModel,
+    query: ImageSource,
+    model: Model,
     K: CameraSource = None,
     *,
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
 ) -> Location:
-    """The pose of a photograph in a model's frame and unit.
+    """The pose of a query, a photograph, in a model's frame and unit.
 
-    photo: as of `estimate_relative_pose`. model: of `load_model`. K: of the photograph, as of
-    `estimate_relative_pose`; None: not known. For many photographs a `Locator` computes what it
-    needs of the model once. Raises InputError and ImageError likewise.
+    query: as an image of `estimate_relative_pose`. model: of `load_model`. K: of the query, as of
+    `estimate_relative_pose`; None: not known. For many queries a `Locator` computes what it needs
+    of the model once. Raises InputError and ImageError likewise.
     """
-    return Locator(model, matcher, options).locate(photo, K)
+    return Locator(model, matcher, options).locate(query, K)
 
 
 class Locator:
-    """A model whose images are described once, for many photographs.
+    """A model whose images are described once, for many queries.
 
     matcher: a network's; by default `load_matcher()`. masks: folder of the masks of the model's
-    images and of the photographs, NAME.jpg.png of NAME.jpg (`mask_file`).
+    images and of the queries, NAME.jpg.png of NAME.jpg (`mask_file`).
     """
 
     def __init__(
         self,
-        model: PosedModel,
+        model: Model,
         matcher: Matcher | None = None,
         options: EstimationOptions | None = None,
         masks: Path | None = None,
     ) -> None:
-        check_type(model, PosedModel, "model")
+        check_type(model, Model, "model")
         self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
         self._images = ImageStore(model.root, masks, dropped=self.matcher.forget)
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
-        """Compute the coarsest features of the model's images, which choose references."""
+        """Compute the coarsest features of the model's images, by which those to be matched are
+        chosen."""
         for done, name in enumerate(self.model.poses, start=1):
             if name not in self._features:
                 self._features[name] = self.matcher.coarse_features(self._images.get(name))
@@ -79,18 +80,18 @@ class Locator:
 
     def locate(
         self,
-        photo: ImageSource,
+        query: ImageSource,
         K: CameraSource = None,
         details: KDetails | None = None,
         *,
         left_out: Sequence[str] = (),
     ) -> Location:
-        """As `locate`. details: of K. left_out: names of images of the model that are no
-        references; that of the photograph itself is none."""
+        """As `locate`. details: of K. left_out: names of images of the model that are not matched;
+        the query itself is not."""
         start, seconds = time.perf_counter(), dict[str, float]()
-        image = load_image(photo, "photo")
+        image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
-        names, warnings = self._references(image, left_out)
+        names, warnings = self._candidates(image, left_out)
         camera = image_camera(K, image, "K", details or KDetails())
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
@@ -99,11 +100,10 @@ class Locator:
         scores = {name: similarity(features, self._features[name]) for name in names}
         seconds["describe"] = time.perf_counter() - start
 
-        search = ReferenceSearch(
-            self.model, camera, self.options, sorted(names, key=lambda n: -scores[n])
-        )
+        names.sort(key=lambda name: -scores[name])
+        search = LocationSearch(self.model, camera, self.options, names)
         seconds |= {"match": 0.0, "estimate": 0.0}
-        while (name := search.next_reference()) is not None:
+        while (name := search.next_image()) is not None:
             start = time.perf_counter()
             cameras = self.model.cameras[name], search.pair_camera
             # The pose of a further pair is hardly in doubt where the location is known.
@@ -121,28 +121,29 @@ class Locator:
             location, warnings=(*warnings, *camera.warnings, *location.warnings), seconds=seconds
         )
 
-    def _references(
+    def _candidates(
         self, image: Image, left_out: Sequence[str]
     ) -> tuple[list[str], tuple[str, ...]]:
-        """The images of the model that may be references, and a warning of others."""
+        """The images of the model that may be matched, and a warning of others."""
         root = self.model.root
         same = [n for n in self.model.poses if _same_file(root / n, Path(image.name))]
         names = [n for n in self.model.poses if n not in {*left_out, *same}]
         if not names:
-            raise InputError("the model has no other image than the photograph")
+            raise InputError("the model has no other image than the query")
         if same and same[0] not in left_out:
-            return names, (f"{image.name} is in the model as {same[0]}, and is no reference",)
+            return names, (f"{image.name} is in the model as {same[0]}, which is not matched",)
         return names, ()
 
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the model (N, 3) that a reference shows, and where the photograph does."""
-        if name not in self.model.points or not pose.success:
+        """Points of the model (N, 3) that a database image shows, and where the query does."""
+        if name not in self.model.seen or not pose.success:
             return np.zeros((0, 3)), np.zeros((0, 2))
-        points, pixels = self.model.points[name]
-        which, seen = points_in(image, self._images.get(name), matches.subset(pose.inliers), pixels)
-        return points[which], seen
+        which, pixels = self.model.seen[name]
+        shown = self._images.get(name)
+        kept, seen = points_in(image, shown, matches.subset(pose.inliers), pixels)
+        return self.model.points[which[kept]], seen
 
 
 def _same_file(first: Path, second: Path) -> bool:

@@ -14,16 +14,16 @@ from dgc_pose.estimation.result import plain
 from dgc_pose.estimation.status import short_text
 from dgc_pose.matches import Matches
 
-# no_scale: R is known, and of the centre the direction from a reference alone.
+# no_scale: R is known, and of the centre the direction from a database image alone.
 LocationStatus = Literal["located", "no_scale", "nowhere"]
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
-    """A photograph of the model that was matched with the one to be located."""
+class DatabaseImage:
+    """An image of the model that was matched with the query."""
 
     name: str
-    matches: Matches  # points1 in the reference; points2 in the photograph as its camera has it
+    matches: Matches  # points1 in the database image, points2 in the query
     inliers: np.ndarray  # (N,) bool, the matches that agree with the location
     probability: float | None  # that the pose of the pair is right; None: not known
     agrees: bool  # whether the location rests on it
@@ -31,24 +31,24 @@ class Reference:
 
 @dataclass(frozen=True, eq=False)
 class Location:
-    """The pose of a photograph in a model's frame and unit.
+    """The pose of a query in a model's frame and unit.
 
     Attributes:
         status: "located"; "no_scale", with a rotation and a direction; or "nowhere".
-        reason: Why the photograph is not located; empty if it is.
-        references: The photographs of the model that were matched, in this order.
+        reason: Why the query is not located; empty if it is.
+        database_images: The images of the model that were matched, in this order.
         R: Rotation (3, 3) of cam_from_world, x = R X + t; None if it is nowhere.
         centre: Position (3,) of the camera, world, in the model's unit; None unless located.
-        direction: With "no_scale" the unit direction (3,), world, from a reference to the
-            photograph; else None.
-        direction_from: The name of that reference.
+        direction: With "no_scale" the unit direction (3,), world, from a database image to the
+            query; else None.
+        direction_from: The name of that database image.
         covariance: Covariance (6, 6) of a rotation vector w, radians, in the camera's axes, the
             true R being exp([w]x) R, and of the centre, world, in the model's unit. Scaled so that
             the expected errors of right locations hold nine times in ten. None unless located.
         probability: Probability that R is within 5 degrees and the centre within 5 % of the
             largest distance of two cameras of the model; 0 unless located, None if those of the
             pairs are not known.
-        camera: The photograph's camera; if it is located, with the focal length that the matches
+        camera: The query's camera; if it is located, with the focal length that the matches
             determine, if it had a deviation.
         warnings: Sentences for people.
         seconds: Time by what was done: "load", "describe", "match", "estimate".
@@ -56,7 +56,7 @@ class Location:
 
     status: LocationStatus
     reason: str
-    references: tuple[Reference, ...]
+    database_images: tuple[DatabaseImage, ...]
     R: np.ndarray | None = None
     centre: np.ndarray | None = None
     direction: np.ndarray | None = None
@@ -108,13 +108,13 @@ class Location:
             **{name: plain(getattr(self, name)) for name in names},
             "references": [
                 {
-                    "name": reference.name,
-                    "agrees": reference.agrees,
-                    "num_matches": len(reference.matches),
-                    "num_inliers": int(reference.inliers.sum()),
-                    "probability": reference.probability,
+                    "name": image.name,
+                    "agrees": image.agrees,
+                    "num_matches": len(image.matches),
+                    "num_inliers": int(image.inliers.sum()),
+                    "probability": image.probability,
                 }
-                for reference in self.references
+                for image in self.database_images
             ],
             "warnings": ([] if self.success else [self.reason]) + list(self.warnings),
             "seconds": {step: round(value, 4) for step, value in self.seconds.items()},

@@ -1,4 +1,5 @@
-"""The references of a photograph, one after another, and the pose that they suggest together."""
+"""The database images matched with a query, one after another, and the pose that they suggest
+together."""
 
 from __future__ import annotations
 
@@ -23,35 +24,35 @@ from dgc_pose.localization.correspondences import (
     WorldPose,
 )
 from dgc_pose.localization.fit import fitted, located, world_covariance
-from dgc_pose.localization.location import Location, Reference
-from dgc_pose.localization.model import PosedModel
+from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.matches import Matches
+from dgc_pose.model import Model
 
-MAX_REFERENCES = 8
-_HOPELESS = 5  # references without a likely pose, after which no more are matched
-_MIN_POINTS = 12  # of the model, of a reference that determines a distance by itself
+MAX_IMAGES = 8  # of the database, that are matched
+_HOPELESS = 5  # database images without a likely pose, after which no more are matched
+_MIN_POINTS = 12  # of the model, of a database image that determines a distance by itself
 _KNOWN_FOCAL_STD = 0.01  # of ln f, below which further pairs take the camera for exact
 _LIKELY = 0.1  # probability of a pair's pose
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of the extent
-_MIN_AGREEING = 3  # references of an expected error that suffices
-_CANDIDATES = 12  # most similar references that the next is chosen from
+_MIN_AGREEING = 3  # database images of an expected error that suffices
+_CANDIDATES = 12  # most similar database images that the next is chosen from
 _PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice of the next
 # Of a picture that may be cut or squeezed: of its centre, over the longer side; of ln fy / fx.
 _EDITED_CENTRE_STD, _EDITED_ASPECT_STD = 0.1, 0.3
 _CHANCE = 0.1  # that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # of a pair
-_MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the references
+_MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the database images
 _ERROR_FACTOR = 1.75  # of expected errors, over the jackknife's: docs/experiments.md
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A reference that was matched."""
+    """A database image that was matched."""
 
     name: str
-    pose: RelativePose  # camera 1 is the reference
+    pose: RelativePose  # camera 1 is that of the database image
     matches: Matches
-    points: np.ndarray  # (N, 3) of the model, that the photograph shows
+    points: np.ndarray  # (N, 3) of the model, that the query shows
     seen: np.ndarray  # (N, 2) where, pixels
 
     @property
@@ -61,20 +62,22 @@ class Pair:
         return 0.5 * self.pose.success if known is None else known
 
 
-class ReferenceSearch:
-    """The search for the pose of one photograph.
+class LocationSearch:
+    """The search for the pose of one query.
 
-    names: of the images of the model that may be references, the most similar first. camera: of the
-    photograph.
+    names: of the images of the model that may be matched, the most similar first. camera: of the
+    query.
     """
 
     def __init__(
-        self, model: PosedModel, camera: Camera, options: EstimationOptions, names: Sequence[str]
+        self, model: Model, camera: Camera, options: EstimationOptions, names: Sequence[str]
     ) -> None:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting = camera, list(names)
         self.pairs: list[Pair] = []
-        self.sights: dict[str, PairCorrespondences] = {}  # of the pairs that have hypotheses
+        self.correspondences: dict[
+            str, PairCorrespondences
+        ] = {}  # of the pairs that have hypotheses
         self.agreeing: dict[str, PairCorrespondences] = {}  # with the pose of all
         self.pose: WorldPose | None = None
         self.fitted = camera
@@ -83,30 +86,33 @@ class ReferenceSearch:
     def add(
         self, name: str, pose: RelativePose, matches: Matches, points: np.ndarray, seen: np.ndarray
     ) -> None:
-        """Add a pair of the reference `name`, and estimate the pose of all. points: (N, 3) of the
-        model, that the photograph shows at the pixels `seen` (N, 2)."""
+        """Add a pair of the database image `name`, and estimate the pose of all. points: (N, 3) of
+        the model, that the query shows at the pixels `seen` (N, 2)."""
         self.waiting.remove(name)
         self.pairs.append(Pair(name, pose, matches, points, seen))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
         if len(useful) + sum(len(pair.points) >= _MIN_POINTS for pair in useful) < 2:
             return
-        if not self.sights:
+        if not self.correspondences:
             self.camera = self._start_camera(useful)
-        self.sights |= {p.name: self._sight(p) for p in useful if p.name not in self.sights}
-        sights = list(self.sights.values())
+        self.correspondences |= {
+            p.name: self._correspondences(p) for p in useful if p.name not in self.correspondences
+        }
+        pairs = list(self.correspondences.values())
         shown = [self._points(pair) for pair in useful if len(pair.points)]
         prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = located(sights, shown, prior, self.options, before)
+        self.pose = located(pairs, shown, prior, self.options, before)
         if self.pose is None:
             return
         if is_edited(self.stated) and not self.camera.aspect_std:
             centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
             prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
-            self.pose = fitted([*sights, *shown], self.pose, prior)
-        self.agreeing = {n: sight for n, sight in self.sights.items() if sight.supports(self.pose)}
-        self.covariance = world_covariance([*sights, *shown], self.pose, prior)
+            self.pose = fitted([*pairs, *shown], self.pose, prior)
+        found = self.pose
+        self.agreeing = {n: c for n, c in self.correspondences.items() if c.supports(found)}
+        self.covariance = world_covariance([*pairs, *shown], self.pose, prior)
         if self.covariance is None:
             return
         self.covariance *= _ERROR_FACTOR**2
@@ -131,7 +137,7 @@ class ReferenceSearch:
     @property
     def pair_camera(self) -> Camera:
         """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
-        if 2 * len(self.agreeing) < len(self.sights):
+        if 2 * len(self.agreeing) < len(self.correspondences):
             return self.stated
         is_known = 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD
         return self.fitted.as_exact() if is_known else self.fitted
@@ -151,20 +157,20 @@ class ReferenceSearch:
             aspect_std=self.camera.aspect_std,
         )
 
-    def _sight(self, pair: Pair) -> PairCorrespondences:
-        pose, of_reference = self.model.poses[pair.name], self.model.cameras[pair.name]
-        problem = TwoViewProblem.of(pair.matches, of_reference, self.camera, self.options)
+    def _correspondences(self, pair: Pair) -> PairCorrespondences:
+        pose, camera = self.model.poses[pair.name], self.model.cameras[pair.name]
+        problem = TwoViewProblem.of(pair.matches, camera, self.camera, self.options)
         hypotheses = [Hypothesis.of_pose(problem, h.R, h.t) for h in pair.pose.hypotheses]
         return PairCorrespondences(pose[:, :3], self.model.centre(pair.name), problem, hypotheses)
 
     def _points(self, pair: Pair) -> PointCorrespondences:
-        camera, threshold = self.camera, self.sights[pair.name].threshold
-        places = camera.normalise(pair.seen)
-        return PointCorrespondences(pair.points, places, camera.distortion, threshold)
+        camera, threshold = self.camera, self.correspondences[pair.name].threshold
+        seen = camera.normalise(pair.seen)
+        return PointCorrespondences(pair.points, seen, camera.distortion, threshold)
 
-    def next_reference(self) -> str | None:
-        """The reference to match next; None if no more is needed, or hoped for."""
-        if not self.waiting or len(self.pairs) >= MAX_REFERENCES or self._accurate():
+    def next_image(self) -> str | None:
+        """The database image to match next; None if no more is needed, or hoped for."""
+        if not self.waiting or len(self.pairs) >= MAX_IMAGES or self._accurate():
             return None
         if len(self.pairs) >= _HOPELESS and max(p.probability for p in self.pairs) <= _LIKELY:
             return None
@@ -175,7 +181,7 @@ class ReferenceSearch:
         return self.waiting[int(np.argmin(left))]
 
     def _variance_with(self, pose: WorldPose, information: np.ndarray, name: str) -> float:
-        """The variance of the centre that a further reference would leave: it adds information
+        """The variance of the centre that a further database image would leave: it adds information
         across its line of sight, the more, the nearer it is and the more it faces the same way."""
         sight = self.model.centre(name) - pose.centre
         distance = max(float(np.linalg.norm(sight)), 1e-12)
@@ -193,14 +199,14 @@ class ReferenceSearch:
         return rotation < _ACCURATE_DEG and position < _ACCURATE_SHARE * self.model.extent
 
     def location(self) -> Location:
-        """The result of the references that were matched."""
-        references, pose = tuple(map(self._reference, self.pairs)), self.pose
+        """The result of the database images that were matched."""
+        matched, pose = tuple(map(self._matched, self.pairs)), self.pose
         if pose is not None and self.covariance is not None and self._is_located():
             is_known = all(pair.pose.any_probability is not None for pair in self.pairs)
             return Location(
                 "located",
                 "",
-                references,
+                matched,
                 pose.R,
                 pose.centre,
                 covariance=self.covariance[:6, :6],
@@ -208,24 +214,24 @@ class ReferenceSearch:
                 camera=self.fitted,
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
-        # R of the photograph, cam_from_world, by each pair that has a pose.
+        # R of the query, cam_from_world, by each pair that has a pose.
         rotations = {
             pair.name: pair.pose.hypotheses[0].R @ self.model.poses[pair.name][:, :3]
             for pair in likely
         }
         if reason := self._why_nowhere([*rotations.values()]):
-            none_agree = tuple(replace(reference, agrees=False) for reference in references)
+            none_agree = tuple(replace(image, agrees=False) for image in matched)
             return Location("nowhere", reason, none_agree, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
         R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
         why = f"{best.name} alone has a pose"
         if pose is not None and len(likely) > 1:
-            R, t, camera = pose.R, self.sights[best.name].pair_pose(pose)[1], self.fitted
+            R, t, camera = pose.R, self.correspondences[best.name].pair_pose(pose)[1], self.fitted
             why = "they lie on one line of sight"
         return Location(
             "no_scale",
-            f"the references do not determine the distance from {best.name}: {why}",
-            references,
+            f"the database images do not determine the distance from {best.name}: {why}",
+            matched,
             R,
             direction=-R.T @ t,
             direction_from=best.name,
@@ -233,26 +239,26 @@ class ReferenceSearch:
         )
 
     def _why_nowhere(self, rotations: Sequence[np.ndarray]) -> str:
-        """Why the photograph has no rotation; empty if it has. rotations: (3, 3), of the pairs."""
+        """Why the query has no rotation; empty if it has. rotations: (3, 3), of the pairs."""
         mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
         if mirrored and mirrored >= len(rotations):
-            return f"the mirror image of the photograph has a pose with {mirrored} references"
+            return f"the mirror image of the query has a pose with {mirrored} database images"
         if not rotations:
-            return f"none of {len(self.pairs)} references has a pose that is likely"
+            return f"none of {len(self.pairs)} database images has a pose that is likely"
         if len(rotations) == 1 or (self.pose is not None and self._is_claimed()):
             return ""
         angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(rotations, 2)]
         return (
-            f"the poses of {len(rotations)} references do not agree: the rotations between them, "
-            "by their pairs with the photograph, differ from those of the model by "
+            f"the poses of {len(rotations)} database images do not agree: the rotations between "
+            "them, by their pairs with the query, differ from those of the model by "
             f"{np.median(angles):.0f} degrees"
         )
 
     def _is_located(self) -> bool:
-        """Whether the location is probable, and its distance from the references determined."""
+        """Whether the location is probable, and its distance from the images determined."""
         if self.pose is None or self.covariance is None or not self.agreeing:
             return False
-        centres = np.stack([sight.centre for sight in self.agreeing.values()])
+        centres = np.stack([c.centre for c in self.agreeing.values()])
         distance = float(np.median(np.linalg.norm(centres - self.pose.centre, axis=1)))
         std = math.sqrt(float(np.linalg.eigvalsh(self.covariance[3:6, 3:6])[-1]))
         return self._is_claimed() and std <= _MAX_RELATIVE_STD * distance
@@ -270,10 +276,10 @@ class ReferenceSearch:
             log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)
         return 1 / (1 + math.exp(-log_odds))
 
-    def _reference(self, pair: Pair) -> Reference:
-        sight, inliers = self.agreeing.get(pair.name), pair.pose.inliers
-        if sight is not None and self.pose is not None:
+    def _matched(self, pair: Pair) -> DatabaseImage:
+        agreeing, inliers = self.agreeing.get(pair.name), pair.pose.inliers
+        if agreeing is not None and self.pose is not None:
             inliers = np.zeros(len(pair.matches), dtype=bool)
-            inliers[sight.problem.index] = sight.hypothesis(self.pose).inliers_in_front
+            inliers[agreeing.problem.index] = agreeing.hypothesis(self.pose).inliers_in_front
         likely = pair.pose.any_probability
-        return Reference(pair.name, pair.matches, inliers, likely, sight is not None)
+        return DatabaseImage(pair.name, pair.matches, inliers, likely, agreeing is not None)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -23,8 +22,6 @@ GAP = 0.1  # inches, between the panels of a row
 _MARGIN = 0.08  # inches, around the figure
 _LINE = 0.19  # inches, of a line of text
 _CHARACTER = 0.078  # inches, the mean width in a title
-_BAR = 2.4  # inches that a colour bar and its label take beside a title
-_BAR_LINE = 0.24  # inches, of a colour bar below a title
 _MAX_PANEL = 20.0  # inches; the height of a row at most
 
 
@@ -58,69 +55,45 @@ def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
         figure.savefig(path, format=picture_format(path), dpi=dpi)
 
 
-@dataclass(frozen=True)
-class Panel:
-    """The space that a panel needs."""
-
-    aspect: float  # width over height of what is drawn
-    title: str
-    bar: bool = False  # whether a colour bar stands beside its title, or below a long one
-
-
-def row_height(row: Sequence[Panel], width: float) -> float:
-    """Height in inches of panels side by side in a row of this width."""
-    inside = width - 2 * _MARGIN - GAP * (len(row) - 1)
-    return min(inside / sum(panel.aspect for panel in row), _MAX_PANEL)
+def row_height(aspects: Sequence[float], width: float) -> float:
+    """Height in inches of panels side by side in a row of this width. aspects: width over height of
+    each."""
+    return min((width - 2 * _MARGIN - GAP * (len(aspects) - 1)) / sum(aspects), _MAX_PANEL)
 
 
 def panel_rows(
-    rows: Sequence[Sequence[Panel]], headline: str = "", *, width: float = WIDTH
-) -> tuple[Figure, list[list[Axes]]]:
-    """A figure and its axes, a list a row. The panels of a row have one height and fill the width.
+    rows: Sequence[Sequence[tuple[float, str]]], headline: str = ""
+) -> tuple[Figure, list[Axes]]:
+    """A figure `WIDTH` wide and the axes of its panels, of which each is given by its aspect and
+    its title. The panels of a row have one height and fill the width.
 
-    Titles are set, broken where their panel is narrow; the headline stands above all.
+    Titles are broken where their panel is narrow; the headline stands above all.
     """
-    head = _wrapped(headline, width - 2 * _MARGIN)
-    heights = [row_height(row, width) for row in rows]
-    strips = [*map(_strip, rows, heights)]
+    head = _wrapped(headline, WIDTH - 2 * _MARGIN)
+    heights = [row_height([aspect for aspect, _ in row], WIDTH) for row in rows]
+    titles = [
+        [_wrapped(title, aspect * height) for aspect, title in row]
+        for row, height in zip(rows, heights, strict=True)
+    ]
+    strips = [0.14 + _LINE * max(map(len, of_row)) for of_row in titles]
     top = _MARGIN + _LINE * len(head)
     total = top + sum(heights) + sum(strips) + _MARGIN
-    figure = new_figure(width, total)
+    figure = new_figure(WIDTH, total)
     figure.set_layout_engine("none")
-    corner = _MARGIN / width, 1 - _MARGIN / total
+    corner = _MARGIN / WIDTH, 1 - _MARGIN / total
     figure.text(*corner, "\n".join(head), va="top", fontsize=10, parse_math=False)
-    axes_of_rows: list[list[Axes]] = []
-    for row, height, strip in zip(rows, heights, strips, strict=True):
+    panels = []
+    for row, of_row, height, strip in zip(rows, titles, heights, strips, strict=True):
         top += strip + height
-        sizes = [panel.aspect * height for panel in row]
-        left = (width - sum(sizes) - GAP * (len(row) - 1)) / 2
-        axes_of_rows.append([])
-        for panel, size in zip(row, sizes, strict=True):
-            place = (left / width, 1 - top / total, size / width, height / total)
-            axes = figure.add_axes(place)
-            axes.set_title(
-                "\n".join(_wrapped(panel.title, size)),
-                fontsize=10,
-                loc="left",
-                parse_math=False,  # of a file's name
-                y=1.0,  # or matplotlib would lift it above the colour bar
-                pad=72 * (0.05 + _bar_below(panel, size)),
-            )
-            axes_of_rows[-1].append(axes)
+        sizes = [aspect * height for aspect, _ in row]
+        left = (WIDTH - sum(sizes) - GAP * (len(row) - 1)) / 2
+        for size, title in zip(sizes, of_row, strict=True):
+            box = (left / WIDTH, 1 - top / total, size / WIDTH, height / total)
+            panels.append(figure.add_axes(box))
+            # Without mathematics: the name of a file may be what would be a formula.
+            panels[-1].set_title("\n".join(title), fontsize=10, loc="left", parse_math=False, pad=4)
             left += size + GAP
-    return figure, axes_of_rows
-
-
-def _bar_below(panel: Panel, width: float) -> float:
-    """Height in inches of a colour bar that has no room beside the title."""
-    room = width - len(panel.title) * _CHARACTER
-    return _BAR_LINE if panel.bar and room < _BAR else 0.0
-
-
-def _strip(row: Sequence[Panel], height: float) -> float:
-    """Height in inches of the titles of a row of this height, and of the colour bars below them."""
-    sizes = [(panel, panel.aspect * height) for panel in row]
-    return 0.14 + max(_LINE * len(_wrapped(p.title, w)) + _bar_below(p, w) for p, w in sizes)
+    return figure, panels
 
 
 def _wrapped(text: str, width: float) -> list[str]:

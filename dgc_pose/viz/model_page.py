@@ -3,6 +3,7 @@
 import html
 import json
 import re
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,10 @@ import numpy as np
 
 from dgc_pose.errors import printable
 from dgc_pose.images.image import Image, load_image, picture_url, resize_by
-from dgc_pose.localization.model import PosedModel
+from dgc_pose.model import Model
 from dgc_pose.pair_result import PairResult
-from dgc_pose.scene import pose_scene, scene_camera, scene_of
+from dgc_pose.scene import frustum, mean_axes, pose_scene, scene_of
 from dgc_pose.system.threads import in_threads
-from dgc_pose.viz.reconstruction import mean_axes
 
 _FILES = resources.files("dgc_pose")
 _PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here
@@ -24,44 +24,47 @@ _SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and 
 _MOST = 20_000  # points: more would slow a page down
 
 
-def model_page(model: PosedModel, points: np.ndarray, colours: np.ndarray, unit: str = "") -> str:
+def model_page(model: Model, unit: str = "") -> str:
     """A page of HTML, which loads nothing from elsewhere: a model's cameras as pyramids with their
-    photographs, and its points, in the mean camera's axes.
+    photographs, and its points, at most 20,000, in the mean camera's axes.
 
-    points: (N, 3), world; at most 20,000 are shown. colours: (N, 3) uint8, RGB. unit: of length, if
-    it is known. Raises ImageError if a photograph cannot be read.
+    unit: of length, if it is known. Raises ImageError if a photograph cannot be read.
     """
-    axes = mean_axes([*model.poses.values()])
+    names, axes = sorted(model.poses), mean_axes([*model.poses.values()])
 
-    def shown(name: str) -> dict[str, Any]:
+    def shown(name: str) -> tuple[np.ndarray, str]:
         pose, camera = model.poses[name], model.cameras[name]
         image = load_image(model.root / name)
         turned = np.column_stack([pose[:, :3] @ axes.T, pose[:, 3]])
-        return _pictured(scene_camera(Path(name).stem, camera.K, image.size, turned), image)
+        return frustum(camera.K, image.size, turned), _thumbnail(image)
 
-    scene = scene_of(in_threads(shown, sorted(model.poses)), points @ axes.T, colours, _MOST)
-    facts = f"{len(model.poses)} cameras, {len(points)} points"
+    frusta, photographs = zip(*in_threads(shown, names), strict=True)
+    labels = [Path(name).stem for name in names]
+    scene = scene_of(labels, np.stack(frusta), model.points @ axes.T, model.colours, _MOST)
+    facts = f"{len(model.poses)} cameras, {len(model.points)} points"
     apart = f"; cameras up to {model.extent:.3g} {unit} apart" if unit else ""
-    return _page(model.root.resolve().name, facts + apart, scene)
+    return _page(model.root.resolve().name, facts + apart, scene, photographs)
 
 
 def pose_page(result: PairResult) -> str:
     """The same of a pair: both cameras, and the inliers in camera 1's axes. Raises InputError
     without R and t."""
     scene, images = pose_scene(result), (result.image1, result.image2)
-    scene["cameras"] = [*map(_pictured, scene["cameras"], images)]
     names = " and ".join(Path(image.name).name for image in images)
-    return _page(names, f"{result.pose.num_inliers} inliers", scene)
+    return _page(names, f"{result.pose.num_inliers} inliers", scene, [*map(_thumbnail, images)])
 
 
-def _pictured(camera: dict[str, Any], image: Image) -> dict[str, Any]:
-    """A camera of a scene with its photograph."""
+def _thumbnail(image: Image) -> str:
+    """A small copy of a photograph, as a URL."""
     small = resize_by(image.pixels, min(1.0, _SIDE / max(image.size)))
-    return camera | {"photograph": picture_url(small, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _QUALITY)}
+    return picture_url(small, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _QUALITY)
 
 
-def _page(title: str, facts: str, scene: dict[str, Any]) -> str:
-    """The page with all that it is made of: text, style sheet, scripts and the scene."""
+def _page(title: str, facts: str, scene: dict[str, Any], photographs: Sequence[str]) -> str:
+    """The page with all that it is made of: text, style sheet, scripts and the scene, whose cameras
+    have these photographs."""
+    for camera, photograph in zip(scene["cameras"], photographs, strict=True):
+        camera["photograph"] = photograph
     parts = {"title": html.escape(printable(title)), "facts": html.escape(facts)}
     for name in _PARTS:
         text = (_FILES / "serve" / "static" / name).read_text(encoding="utf-8")

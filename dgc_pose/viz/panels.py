@@ -5,7 +5,6 @@ a figure can show. What is drawn later, such as points on an image, does not mov
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import cv2
 import numpy as np
@@ -25,8 +24,6 @@ RESIDUAL_COLOURS = "cool"  # cyan to magenta: both stand out from a photograph, 
 CONFIDENCE_COLOURS = "cool_r"
 _HALO = [withStroke(linewidth=1.6, foreground="black", alpha=0.5)]  # of lines, for bright images
 LINE_COLOURS = "hsv"
-_BAR = (1.1, 0.12)  # width and height of a colour bar, inches; the bar is shorter in a narrow panel
-_CHARACTER = 0.07  # inches, the mean width in a label
 
 
 def draw_image(axes: Axes, pixels: np.ndarray) -> None:
@@ -121,23 +118,6 @@ def draw_warp(
     weight = np.clip(cv2.resize(matchability.astype(np.float32), warped.shape[1::-1]), 0, 1)
     paled = 255 - (0.15 + 0.85 * weight[..., None]) * (255 - warped.astype(np.float32))
     _show(axes, paled.astype(np.uint8), size2)
-
-
-def draw_colour_bar(axes: Axes, colours: ScalarMappable, label: str) -> None:
-    """Draw a colour bar above the axes, at their right end, between its least and largest value.
-    The axes must have their place in the figure."""
-    figure, box = axes.figure, axes.get_window_extent()
-    width, height = box.width / figure.dpi, box.height / figure.dpi
-    right, above = 1 - 0.35 / width, 1 + 0.07 / height
-    room = width - 0.7 - _CHARACTER * len(label)
-    long, thick = max(0.2, min(_BAR[0], room)) / width, _BAR[1] / height
-    bar = axes.inset_axes((right - long, above, long, thick))
-    figure.colorbar(colours, cax=bar, orientation="horizontal", ticks=[])
-    low, high = colours.get_clim()
-    text: dict[str, Any] = {"transform": axes.transAxes, "va": "center", "fontsize": 9}
-    middle, space = above + thick / 2, 0.05 / width
-    axes.text(right - long - space, middle, f"{label}  {low:.3g}", ha="right", **text)
-    axes.text(right + space, middle, f"{high:.2g}", ha="left", **text)
 
 
 def _show(axes: Axes, picture: np.ndarray, end: Pair, start: Pair = (0.0, 0.0)) -> None:

@@ -1,10 +1,8 @@
 """One figure that shows what a pose was estimated from."""
 
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.cameras.camera import Camera
@@ -15,9 +13,8 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matching.align import spread
 from dgc_pose.pair_result import PairResult
-from dgc_pose.viz.figure import WIDTH, Panel, panel_rows, row_height
+from dgc_pose.viz.figure import WIDTH, panel_rows, row_height
 from dgc_pose.viz.panels import (
-    draw_colour_bar,
     draw_curves,
     draw_image,
     draw_matchability,
@@ -37,32 +34,48 @@ _MAX_HEIGHT = 1.4  # of all rows, as a share of the width
 _NAME = 28  # characters of a file's name
 
 
-def plot_pose(result: PairResult, width: float = WIDTH) -> Figure:
+def plot_pose(result: PairResult) -> Figure:
     """Draw the inlier matches coloured by their residual, some epipolar lines and, if the matcher
     gives a map, the matchability and image 1 warped onto image 2.
 
     The residual is the symmetric epipolar distance in pixels. Only an even subsample of the matches
     is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
-    lens with distortion an epipolar line is a curve. width: of the figure, inches.
+    lens with distortion an epipolar line is a curve.
     """
-    pose = result.pose
+    pose, image1, image2, dense = (
+        result.pose,
+        result.image1,
+        result.image2,
+        result.correspondence_map,
+    )
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(result.matches))
-    drawn = _spread(result, chosen, DRAWN_MATCHES)
-    panels = _panels(result, f"{len(drawn)} of {len(chosen)}")
+    shown = _spread(result, chosen, DRAWN_MATCHES)
+    matches, values, colours = result.matches.subset(shown), result.matches.confidence[shown], None
+    legend = "magenta to cyan: confidence 0 to 1"
+    if pose.E is not None:
+        values = result.residuals_px[shown]
+        colours = residual_colours(values)
+        legend = f"cyan to magenta: residuals of 0 to {colours.get_clim()[1]:.2g} px"
+    panels = _panels(result, f"{len(shown)} of {len(chosen)}", legend)
     for ends in _ARRANGEMENTS:
         rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
-        if sum(row_height(row, width) for row in rows) <= _MAX_HEIGHT * width:
+        heights = [row_height([aspect for aspect, _ in row], WIDTH) for row in rows]
+        if sum(heights) <= _MAX_HEIGHT * WIDTH:
             break
-    figure, axes = panel_rows(rows, _headline(pose), width=width)
-    matches, points, lines, *map_axes = chain(*axes)
-    _draw_matches(matches, result, drawn)
-    _draw_epipolar(points, lines, result, _spread(result, chosen, DRAWN_LINES))
-    if result.correspondence_map is not None:
-        left, right = map_axes
-        places, matchability = result.correspondence_map.map, result.correspondence_map.matchability
-        colours = draw_matchability(left, result.image2.pixels, matchability)
-        draw_colour_bar(left, colours, "")
-        draw_warp(right, result.image1.pixels, places, matchability, result.image2.size)
+    figure, (lines_axes, left, right, *map_axes) = panel_rows(rows, _headline(pose))
+    points = matches.points1, matches.points2
+    draw_matches(lines_axes, image1.pixels, image2.pixels, *points, values, colours=colours)
+    matches = result.matches.subset(_spread(result, chosen, DRAWN_LINES))
+    draw_image(left, image1.pixels)
+    draw_image(right, image2.pixels)
+    if pose.E is not None:
+        lines = homogeneous(result.camera1.normalise(matches.points1)) @ pose.E.T
+        draw_curves(right, [_through_lens(line, result.camera2) for line in lines])
+    draw_points(left, matches.points1)
+    draw_points(right, matches.points2)
+    if dense is not None:
+        draw_matchability(map_axes[0], image2.pixels, dense.matchability)
+        draw_warp(map_axes[1], image1.pixels, dense.map, dense.matchability, image2.size)
     return figure
 
 
@@ -79,9 +92,11 @@ def _headline(pose: RelativePose) -> str:
     )
 
 
-def _panels(result: PairResult, counts: str) -> list[Panel]:
-    sizes = result.image1.size, result.image2.size
-    aspect1, aspect2 = (width / height for width, height in sizes)
+def _panels(result: PairResult, counts: str, legend: str) -> list[tuple[float, str]]:
+    """The aspects and titles of the panels."""
+    aspect1, aspect2 = (
+        width / height for width, height in (result.image1.size, result.image2.size)
+    )
     *_, width, height, _ = second_place(result.image1.pixels, result.image2.pixels)
     paths = Path(result.image1.name), Path(result.image2.name)
     same = paths[0].name == paths[1].name
@@ -89,36 +104,13 @@ def _panels(result: PairResult, counts: str) -> list[Panel]:
     kind = "inlier matches" if result.pose.inliers.any() else "matches, no inliers"
     lines = "no epipolar lines without a pose" if result.pose.E is None else "their epipolar lines"
     panels = [
-        Panel(width / height, f"{name1} and {name2}: {counts} {kind}", bar=True),
-        Panel(aspect1, f"{name1}: points"),
-        Panel(aspect2, f"{name2}: the same, and {lines}"),
-        Panel(aspect2, f"{name2}: matchability", bar=True),
-        Panel(aspect2, f"{name1} warped onto {name2}, pale if not matchable"),
+        (width / height, f"{name1} and {name2}: {counts} {kind}; {legend}"),
+        (aspect1, f"{name1}: points"),
+        (aspect2, f"{name2}: the same, and {lines}"),
+        (aspect2, f"{name2}: matchability, dark 0 to yellow 1"),
+        (aspect2, f"{name1} warped onto {name2}, pale if not matchable"),
     ]
     return panels[: 3 if result.correspondence_map is None else 5]
-
-
-def _draw_matches(axes: Axes, result: PairResult, drawn: np.ndarray) -> None:
-    matches = result.matches.subset(drawn)
-    drawn_points = matches.points1, matches.points2
-    values, colours, label = matches.confidence, None, "confidence"
-    if result.pose.E is not None:
-        values = result.residuals_px[drawn]
-        colours, label = residual_colours(values), "residual (px)"
-    pixels = result.image1.pixels, result.image2.pixels
-    colours = draw_matches(axes, *pixels, *drawn_points, values, colours=colours)
-    draw_colour_bar(axes, colours, label)
-
-
-def _draw_epipolar(left: Axes, right: Axes, result: PairResult, drawn: np.ndarray) -> None:
-    matches = result.matches.subset(drawn)
-    draw_image(left, result.image1.pixels)
-    draw_image(right, result.image2.pixels)
-    if result.pose.E is not None:
-        lines = homogeneous(result.camera1.normalise(matches.points1)) @ result.pose.E.T
-        draw_curves(right, [_through_lens(line, result.camera2) for line in lines])
-    draw_points(left, matches.points1)
-    draw_points(right, matches.points2)
 
 
 def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from world_scene import IMAGE, WorldScene, world_scene, write_colmap
 
 from dgc_pose.cameras.calibration import read_calibration
-from dgc_pose.localization.model import load_model
+from dgc_pose.model import load_model
 
 SCENE = world_scene(count=20)
 LENSES = {

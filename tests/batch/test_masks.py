@@ -60,7 +60,7 @@ def test_pixels_of_alpha_0_are_not_matched(photos, tmp_path):
             least[name] = min(least[name], points[:, 0].min())
     assert least[NAMES[0]] >= MIDDLE
     assert all(0.3 * SIZE[0] - 1 < least[name] < MIDDLE for name in NAMES[1:])
-    points = share(batch, 1000)[0].key_points.values()
+    points = share(batch, 1000).key_points.values()
     assert len(points) == 3 and min(p[:, 0].min() for p in points) >= 0.3 * SIZE[0] - 1
 
 

@@ -20,10 +20,9 @@ from dgc_pose.benchmarks.reconstructions import (
 )
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
-from dgc_pose.colmap.reconstruction import ModelCamera, SparseModel
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
-from dgc_pose.localization.model import PosedModel
+from dgc_pose.model import Model
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +65,7 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
         views_of_list(path, folder / "other")
 
 
-def _model(views: PosedModel, error: float) -> SparseModel:
+def _model(views: Model, error: float) -> Model:
     """The true model in other axes and units, with one camera moved by `error` true units."""
     turn = Rotation.from_rotvec([0.3, 0.2, -1]).as_matrix()
     poses = {}
@@ -74,14 +73,10 @@ def _model(views: PosedModel, error: float) -> SparseModel:
         centre = 0.2 * turn @ (views.centre(name) + np.array([0, error if i == 1 else 0, 0])) + 5
         R = pose[:, :3] @ turn.T
         poses[name] = np.column_stack([R, -R @ centre])
-    # Three images of a camera that is exact, and one of a camera that is 2 % off
-    names = sorted(views.poses)
-    cameras = tuple(
-        ModelCamera("PINHOLE", *SIZE, (), focal * (K[0, 0] + K[1, 1]) / 2, images, name)
-        for focal, images, name in ((1, 3, names[0]), (0.98, 1, names[3]))
-    )
-    points = np.zeros((7, 3)), np.zeros((7, 3), np.uint8)
-    return SparseModel(poses, *points, 4.0, 0.5, cameras, shapes={})
+    cameras = dict(views.cameras)  # one is 2 % off
+    *_, last = cameras
+    cameras[last] = cameras[last].with_focal(0.98 * cameras[last].focal)
+    return Model(views.root, cameras, poses, np.zeros((7, 3)), np.zeros((7, 3), np.uint8))
 
 
 def test_figures_do_not_depend_on_axes_and_units(scene: tuple[Path, Path, list[View]]) -> None:

@@ -76,7 +76,7 @@ def test_failed_pairs_are_told(
     def fail(*arguments: object) -> None:
         raise np.linalg.LinAlgError("singular")
 
-    monkeypatch.setattr(SiftMatcher, "search", fail)
+    monkeypatch.setattr(SiftMatcher, "_match", fail)
     options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
     done = run("batch", photos, *options)
     assert done.exit_code == 3 and "0 poses of 3 pairs (failed 3)" in done.stdout

@@ -74,20 +74,20 @@ def test_a_location_is_written_though_no_model_of_COLMAP_holds_its_camera(
     assert data["status"] == "located" and not (tmp_path / "model").exists()
 
 
-def test_a_photograph_of_the_model_is_told_and_one_of_another_place_is_nowhere(
+def test_an_image_of_the_model_is_not_matched_and_another_place_is_nowhere(
     scene: tuple[Path, list[View]],
 ) -> None:
     folder = scene[0]
     result = locate(folder, "--K", K_text(), "--json", "-", photo="images/view2.png")
     (data,) = json.loads(result.stdout).values()
-    assert "is in the model as view2.png, and is no reference" in data["warnings"][0]
+    assert "is in the model as view2.png, which is not matched" in data["warnings"][0]
     assert "view2.png" not in {reference["name"] for reference in data["references"]}
     noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
     other = cv2.resize(noise, (240, 180), interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(folder / "other.png"), other)
     result = locate(folder, "--K", K_text(), photo="other.png")
     assert result.exit_code == 3
-    assert "nowhere, none of 5 references has a pose that is likely" in result.stdout
+    assert "nowhere, none of 5 database images has a pose that is likely" in result.stdout
 
 
 def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
@@ -113,5 +113,5 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
     copy.unlink()
     copy.parent.rmdir()
     several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
-    assert_refused(several, "--plot", "draws a single photograph, not 2")
+    assert_refused(several, "--plot", "draws a single query, not 2")
     assert contents(tmp_path) == {} and contents(folder) == before

@@ -6,15 +6,16 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from colmap_scene import camera, true_row
+from results import camera, true_row
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.colmap.database import colmap_camera, two_view_geometry, write_database
+from dgc_pose.colmap.database import two_view_geometry, write_database
 from dgc_pose.colmap.shared import SharedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
+from dgc_pose.model import colmap_camera
 
 NAMES = ("b.png", "a.png")
 INDEX = np.array([[0, 1], [2, 0]], np.uint32)
@@ -29,7 +30,7 @@ def _write(path: Path) -> tuple[np.ndarray, np.ndarray]:
     cameras = {name: camera() for name in NAMES}
     cameras["c.png"] = replace(camera(), focal_std=0.4)
     names = ("a.png", "b.png", "c.png", "bad.png")
-    write_database(path, names, cameras, shared, {NAMES: row})
+    write_database(path, names, cameras, shared, [row])
     return R, t
 
 
@@ -59,7 +60,7 @@ def test_images_of_one_camera_share_it(
     K = np.array([[110.0, 0, 49.5], [0, 110, 39.5], [0, 0, 1]])
     one = Camera(K, (100, 80), focal_std=std, lens_std=std, identity=identity)
     cameras, path = dict.fromkeys(NAMES, one), tmp_path / "database.db"
-    write_database(path, NAMES, cameras, SharedMatches({}, {}), {})
+    write_database(path, NAMES, cameras, SharedMatches({}, {}), ())
     with pycolmap.Database.open(path) as database:
         stored = database.read_all_cameras()
     assert len(stored) == count and all(camera.has_prior_focal_length for camera in stored)
@@ -121,6 +122,6 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     before = path.read_bytes()
     skewed = Camera(camera().K + np.eye(3, k=1) * (0, 1, 0), camera().size)
     with pytest.raises(InputError, match="skew"):
-        write_database(path, ["a"], {"a": skewed}, SharedMatches({}, {}), {})
+        write_database(path, ["a"], {"a": skewed}, SharedMatches({}, {}), ())
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]

@@ -8,7 +8,7 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import pytest
-from camera_scene import camera_scene, pinhole
+from scenes import camera_scene, pinhole
 
 from dgc_pose.batch.plan import Plan
 from dgc_pose.batch.poses import epipolar_error_px
@@ -80,10 +80,9 @@ def test_a_database_is_of_the_pixels_as_stored(
     monkeypatch.setattr("dgc_pose.colmap.export.pair_geometries", lambda batch: [pair])
     upright = SharedMatches(dict(zip(names, seen, strict=True)), {names: matches})
     monkeypatch.setattr("dgc_pose.colmap.export.track_corners", lambda *_: upright)
-    batch: Any = SimpleNamespace(
-        plan=SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path, settings={})
-    )
-    write_shared(batch, *share(batch, 100), tmp_path / "d.db")
+    plan = SimpleNamespace(names=names, final_cameras=cameras, root=tmp_path, settings={})
+    batch: Any = SimpleNamespace(plan=plan, rows=[row])
+    write_shared(batch, share(batch, 100), tmp_path / "d.db")
     with pycolmap.Database.open(tmp_path / "d.db") as database:
         image = database.read_image_with_name("b.jpg")
         camera = database.read_camera(image.camera_id)

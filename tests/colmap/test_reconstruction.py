@@ -8,7 +8,6 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -19,17 +18,12 @@ from multi_view import K, K_text, View, render_views, write_views
 from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.batch.rows import MatchedPair, row_of
 from dgc_pose.colmap.mapping import MappingError
-from dgc_pose.colmap.options import MapperName, MappingOptions, ReconstructionOptions
-from dgc_pose.colmap.reconstruction import (
-    SparseModel,
-    reconstruct,
-    require_model_folder,
-    sparse_model,
-)
+from dgc_pose.colmap.options import MapperName, ReconstructionOptions
+from dgc_pose.colmap.reconstruction import reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
-from dgc_pose.localization.model import load_model
 from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.model import Model, load_model, require_model_folder
 
 COUNT = 5
 SIFT = ["--weights", "sift", "--runs", "1", "--iterations", "300"]
@@ -47,7 +41,7 @@ def batch(views: tuple[Path, list[View]]) -> Batch:
     return run_sift(views[0], views[0].parent / "batch")
 
 
-def _assert_true(model: SparseModel, views: list[View], max_deg: float, max_share: float) -> None:
+def _assert_true(model: Model, views: list[View], max_deg: float, max_share: float) -> None:
     """All cameras, after a similarity, are where they were rendered; max_share of the extent."""
     names = sorted(model.poses)
     assert names == [f"view{i}.png" for i in range(COUNT)]
@@ -66,12 +60,13 @@ def _assert_true(model: SparseModel, views: list[View], max_deg: float, max_shar
 def test_cameras_are_those_that_rendered_the_views(
     views: tuple[Path, list[View]], batch: Batch, tmp_path: Path, mapper: MapperName
 ) -> None:
-    options = ReconstructionOptions(mapping=MappingOptions(mapper))
-    model, exported = reconstruct(batch, tmp_path, options)
+    (model,), _, _ = reconstruct(batch, tmp_path, ReconstructionOptions(mapper=mapper))
     _assert_true(model, views[1], 0.05, 0.01)
-    assert model.reprojection_error_px < 0.3
-    assert model.mean_track_length > 3
-    assert sum(n for length, n in exported.tracks_by_length.items() if length > 2) > 200
+    assert model.colmap is not None
+    assert model.colmap.compute_mean_reprojection_error() < 0.3
+    assert model.colmap.compute_mean_track_length() > 3
+    lengths = [point.track.length() for point in model.colmap.points3D.values()]
+    assert sum(length > 2 for length in lengths) > 200
     assert pycolmap.Reconstruction(tmp_path / "sparse").num_reg_images() == COUNT
     assert (tmp_path / "points.ply").read_bytes().startswith(b"ply")
 
@@ -83,7 +78,7 @@ def test_the_command_from_folder_to_model(
     arguments = ("reconstruct", views[0], "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
     result = run(*arguments)
     assert result.exit_code == 0
-    for name in ("sparse", "points.ply", "picture.png", "model.html"):
+    for name in ("sparse", "points.ply", "model.html"):
         assert f"{out / name}: " in result.stdout
     assert (
         f"camera 1 ({COUNT} images): PINHOLE, f = {K.diagonal()[:2].mean():.1f} px\n"
@@ -94,7 +89,7 @@ def test_the_command_from_folder_to_model(
     assert summary["pairs"] == 10
     assert summary["mean_track_length"] > 3
     assert set(summary["seconds"]) == {"match", "map"}
-    files = {"database.db", "points.ply", "picture.png", "model.html", "summary.json"}
+    files = {"database.db", "points.ply", "model.html", "summary.json"}
     assert {path.name for path in out.iterdir()} == {"batch", "sparse", *files}
     assert_refused(run(*arguments), "is there already")
     opened: list[str] = []
@@ -117,7 +112,7 @@ def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -
         == pytest.approx(K.diagonal()[:2].mean(), rel=0.02)
     )
     assert f"RADIAL, f = {camera['focal_px']:.1f} px after bundle" in result.output
-    model = sparse_model(pycolmap.Reconstruction(out / "sparse"))
+    model = Model.of_colmap(pycolmap.Reconstruction(out / "sparse"), views[0])
     _assert_true(model, views[1], 0.3, 0.02)
 
 
@@ -172,46 +167,14 @@ def test_a_background_that_stands_still_is_named(status: str, tmp_path: Path) ->
 
 
 def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
-    """To COLMAP, and to hloc's files: what hloc's triangulation puts into a database from these is
-    what was exported there.
-
-    It reads `keypoints` and adds half a pixel; it looks for a pair as `name0/name1` or the other
-    way round, and takes the `matches0` that are not -1.
-    """
-    path, hloc = tmp_path / "database.db", tmp_path / "hloc"
+    path = tmp_path / "database.db"
     arguments = ("export-colmap", batch.folder, "--database", path)
-    assert run(*arguments, "--hloc", hloc).exit_code == 0
+    assert run(*arguments).exit_code == 0
     assert_refused(run(*arguments), "--overwrite")
-    assert run(*arguments, "--overwrite").exit_code == 0
-    assert_refused(run(*arguments[:2]), "give --database, or --hloc")
-    with (
-        pycolmap.Database.open(path) as exported,
-        h5py.File(hloc / "features.h5") as features,
-        h5py.File(hloc / "matches.h5") as matches,
-    ):
+    assert f"{COUNT} images" in run(*arguments, "--overwrite").stdout
+    with pycolmap.Database.open(path) as exported:
         assert exported.num_images() == COUNT
         assert exported.num_verified_image_pairs() == 10
-        ids = {image.name: image.image_id for image in exported.read_all_images()}
-        for name, number in ids.items():
-            points = np.asarray(features[name]["keypoints"])
-            stored = exported.read_keypoints(number)[:, :2]
-            # hloc adds in single precision: a last digit.
-            np.testing.assert_allclose(points + 0.5, stored, rtol=0, atol=5e-5)
-            assert len(features[name]["scores"]) == len(points)
-        lines = (hloc / "pairs.txt").read_text().splitlines()
-        assert len(lines) == 10
-        for line in lines:
-            for name0, name1 in (line.split(), line.split()[::-1]):
-                reverse = f"{name0}/{name1}" not in matches
-                group = matches[f"{name1}/{name0}" if reverse else f"{name0}/{name1}"]
-                matches0 = np.asarray(group["matches0"])
-                assert matches0.dtype == np.int32
-                assert group["matching_scores0"].dtype == np.float16
-                index = np.flatnonzero(matches0 != -1)
-                matched = np.stack([index, matches0[index]], -1)[:, :: -1 if reverse else 1]
-                stored = exported.read_matches(ids[name0], ids[name1])
-                assert len(matched) > 50
-                assert {*map(tuple, matched.tolist())} == {*map(tuple, stored.tolist())}
 
 
 def _without_pose(pair: MatchedPair) -> MatchedPair:
@@ -249,14 +212,14 @@ def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(batch: Batch, tmp_p
         return replace(pair, row=replace(pair.row, pose=pose))
 
     change_result(folder, changed)
-    model, exported = reconstruct(read_batch(folder), tmp_path)
-    assert len(model.poses) == COUNT and exported.pairs == COUNT - 1
+    (model,), shared, _ = reconstruct(read_batch(folder), tmp_path)
+    assert len(model.poses) == COUNT and len(shared.pairs) == COUNT - 1
     with pycolmap.Database.open(tmp_path / "database.db") as database:
-        assert database.num_verified_image_pairs() == exported.pairs
+        assert database.num_verified_image_pairs() == len(shared.pairs)
 
 
 def test_the_same_photographs_give_the_same_model_to_the_bit(batch: Batch, tmp_path: Path) -> None:
-    first, second = (reconstruct(batch, tmp_path / name)[0] for name in "ab")
+    first, second = (reconstruct(batch, tmp_path / name)[0][0] for name in "ab")
     assert first.poses.keys() == second.poses.keys()
     for name, pose in first.poses.items():
         np.testing.assert_array_equal(pose, second.poses[name])

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import K1, SIZE1, two_view_scene
 
 from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
@@ -12,7 +13,6 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.problem import TwoViewProblem, odd_extent
 from dgc_pose.matches import Matches
-from two_view import K1, SIZE1, two_view_scene
 
 
 def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_length():

@@ -1,5 +1,6 @@
-"""The choice of references, and the verdict."""
+"""The choice of database images, and the verdict."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -12,26 +13,46 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, Distortion
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.localization.location import Location
-from dgc_pose.localization.search import MAX_REFERENCES, ReferenceSearch
+from dgc_pose.localization.search import MAX_IMAGES, LocationSearch
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from dgc_pose.model import Model
 
 NO_POINTS = np.zeros((0, 3)), np.zeros((0, 2))
 NO_POSE = RelativePose("too_few_matches", "few", np.zeros(0, bool), 0)
 MIRRORED = RelativePose("mirrored", "the mirror image has a pose", np.zeros(300, bool), 300)
+AROUND = np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]])
+BESIDE = np.array([[1.2, 0, 0], [-1.2, 0.4, 0], [0.5, 0.2, 0.1], [-0.6, 0, 0.2]])
 
 
 def _searched(scene: WorldScene, **pair: float | None) -> tuple[Location, list[str]]:
-    """The location, and the references in the order in which they were asked for."""
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
+    """The location, and the images in the order in which they were asked for."""
+    search = LocationSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
     asked = []
-    while (name := search.next_reference()) is not None:
+    while (name := search.next_image()) is not None:
         number = scene.names.index(name)
         search.add(name, scene.pair_pose(number, **pair), scene.matches(number), *NO_POINTS)
         asked.append(name)
     return search.location(), asked
 
 
-def test_references_that_agree_give_the_pose() -> None:
+def _search_of(
+    scene: WorldScene,
+    poses: Sequence[RelativePose],
+    camera: Camera = PHOTO_CAMERA,
+    model: Model | None = None,
+) -> LocationSearch:
+    """A search with these poses of the first pairs."""
+    search = LocationSearch(model or scene.model(), camera, OPTIONS, scene.names)
+    for number, pose in enumerate(poses):
+        search.add(scene.names[number], pose, scene.matches(number), *NO_POINTS)
+    return search
+
+
+def _poses(scene: WorldScene) -> list[RelativePose]:
+    return [scene.pair_pose(number) for number in range(len(scene.names))]
+
+
+def test_database_images_that_agree_give_the_pose() -> None:
     scene = world_scene()
     location, asked = _searched(scene)
     assert location.success and location.R is not None and location.centre is not None
@@ -39,17 +60,17 @@ def test_references_that_agree_give_the_pose() -> None:
     assert rotation_error_deg(location.R, scene.R) < 0.1
     assert np.linalg.norm(location.centre - scene.centre) < 0.02
     assert location.probability > 0.99
-    assert [r.name for r in location.references if r.agrees] == asked
-    for reference in location.references:
-        inliers = reference.inliers
-        assert len(inliers) == len(reference.matches) and 0.7 < inliers.mean() < 0.9
+    assert [r.name for r in location.database_images if r.agrees] == asked
+    for matched in location.database_images:
+        inliers = matched.inliers
+        assert len(inliers) == len(matched.matches) and 0.7 < inliers.mean() < 0.9
     np.testing.assert_allclose(location.cam_from_world[:, 3], -location.R @ location.centre)
     data = location.to_dict()
     assert data["status"] == "located" and data["references"][0]["agrees"]
     assert data["position_error_90"] == pytest.approx(location.position_error_90)
 
 
-def test_the_next_reference_is_spread_around_the_photograph() -> None:
+def test_the_next_image_is_spread_around_the_query() -> None:
     """After two on the right, one of the left is worth more than further ones of the right."""
     centres = np.array([[1.2, 0, 0], [1.5, 0, 0], [1.8, 0.1, 0], [2.0, 0, 0], [-1.2, 1.0, 0]])
     _, asked = _searched(world_scene(centres))
@@ -67,11 +88,11 @@ def test_one_line_of_sight_has_no_scale() -> None:
     assert translation_error_deg(location.direction, -away / np.linalg.norm(away)) < 3
 
 
-def test_one_reference_has_no_scale_and_points_have() -> None:
+def test_one_database_image_has_no_scale_and_points_have() -> None:
     scene = world_scene(np.array([[1.0, 0, 0]]))
     location, _ = _searched(scene)
     assert location.status == "no_scale" and "r0.jpg alone" in location.reason
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
+    search = LocationSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
     seen = scene.pixels(PHOTO_CAMERA, scene.R, scene.centre)
     points = scene.points[:60], seen[:60]
     search.add("r0.jpg", scene.pair_pose(0), scene.matches(0), *points)
@@ -80,63 +101,55 @@ def test_one_reference_has_no_scale_and_points_have() -> None:
     assert np.linalg.norm(location.centre - scene.centre) < 0.02
 
 
-def test_unrelated_references_end_the_search_early() -> None:
+def test_unrelated_images_end_the_search_early() -> None:
     centres = np.column_stack([np.linspace(-2, 2, 12), np.zeros(12), np.zeros(12)])
     scene = world_scene(centres, count=30)
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
-    count = 0
-    while (name := search.next_reference()) is not None:
-        search.add(name, NO_POSE, scene.matches(0).subset(np.zeros(30, bool)), *NO_POINTS)
-        count += 1
+    assert _search_of(scene, [NO_POSE] * 4).next_image() is not None
+    search = _search_of(scene, [NO_POSE] * 5)
     location = search.location()
-    assert count == 5 < MAX_REFERENCES
+    assert search.next_image() is None and MAX_IMAGES > 5
     assert location.status == "nowhere" and location.probability == 0
-    assert location.reason == "none of 5 references has a pose that is likely"
+    assert location.reason == "none of 5 database images has a pose that is likely"
 
 
 def test_pairs_that_contradict_each_other_are_nowhere() -> None:
-    scene = world_scene(np.array([[1.2, 0, 0], [-1.2, 0.4, 0]]))
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
-    search.add("r0.jpg", scene.pair_pose(0), scene.matches(0), *NO_POINTS)
+    scene = world_scene(BESIDE[:2])
     other = world_scene(np.array([[0.5, 3, 4.0], [-3, 0.4, 2.0]]), seed=7)
-    pose = other.pair_pose(1)
-    search.add("r1.jpg", pose, other.matches(1), *NO_POINTS)
+    search = _search_of(scene, [scene.pair_pose(0)])
+    search.add("r1.jpg", other.pair_pose(1), other.matches(1), *NO_POINTS)
     assert search.location().status == "nowhere"
 
 
-def test_poses_whose_probability_is_not_known_place_a_photograph_if_they_agree() -> None:
+def test_poses_whose_probability_is_not_known_place_a_query_if_they_agree() -> None:
     scene = world_scene()
     location, _ = _searched(scene, probability=None)
-    assert location.success and location.R is not None and location.centre is not None
+    assert location.success and location.R is not None
     assert rotation_error_deg(location.R, scene.R) < 0.1
     assert location.probability is None and location.to_dict()["probability"] is None
-    assert {reference.probability for reference in location.references} == {None}
+    assert {image.probability for image in location.database_images} == {None}
 
 
 @pytest.mark.parametrize(("probability", "status"), [(0.05, "nowhere"), (0.9, "located")])
 def test_improbable_pairs_place_nothing(probability: float, status: str) -> None:
-    scene = world_scene(np.array([[1.2, 0, 0], [-1.2, 0.4, 0]]))
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
-    for number, name in enumerate(scene.names):
-        pose = scene.pair_pose(number, probability=probability)
-        if status == "nowhere":
-            pose = replace(pose, status="improbable")
-        search.add(name, pose, scene.matches(number), *NO_POINTS)
-    assert search.location().status == status
-    agreeing = [reference.agrees for reference in search.location().references]
-    assert agreeing == [status == "located"] * 2
+    scene = world_scene(BESIDE[:2])
+    poses = [scene.pair_pose(number, probability=probability) for number in (0, 1)]
+    if status == "nowhere":
+        poses = [replace(pose, status="improbable") for pose in poses]
+    location = _search_of(scene, poses).location()
+    assert location.status == status
+    assert [image.agrees for image in location.database_images] == [status == "located"] * 2
 
 
 @pytest.mark.parametrize(("width", "height"), [(1.0, 1.0), (1.25, 1.0)])
 def test_the_camera_of_a_part_of_a_picture_is_fitted(width: float, height: float) -> None:
     """The principal point of a picture without EXIF data may be far from its middle, and its pixels
-    need not be square: references of known cameras determine both."""
+    need not be square: database images of known cameras determine both."""
     scene = world_scene()
     f, x, y = PHOTO_CAMERA.focal, *PHOTO_CAMERA.K[:2, 2]
     middle = np.array([[f * width, 0, x + 110], [0, f * height, y - 80], [0, 0, 1]])
     stds = {"focal_std": 0.45, "centre_std": 5.0, "lens_std": 0.1}
     assumed = Camera(middle, IMAGE, focal_source="size", **stds).with_focal(1.1 * f)
-    search = ReferenceSearch(scene.model(), assumed, OPTIONS, scene.names)
+    search = LocationSearch(scene.model(), assumed, OPTIONS, scene.names)
     for number, name in enumerate(scene.names):
         matches = scene.matches(number)
         pose = estimate_pose(matches, CAMERA, search.pair_camera, OPTIONS)
@@ -151,40 +164,28 @@ def test_the_camera_of_a_part_of_a_picture_is_fitted(width: float, height: float
 @pytest.mark.parametrize(("right", "status"), [(0, "nowhere"), (1, "nowhere"), (5, "located")])
 def test_mirror_images_that_have_a_pose_are_against_the_location(right: int, status: str) -> None:
     scene = world_scene()
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
-    for number, name in enumerate(scene.names):
-        pose = scene.pair_pose(number) if number < right else MIRRORED
-        search.add(name, pose, scene.matches(number), *NO_POINTS)
-    location = search.location()
+    location = _search_of(scene, _poses(scene)[:right] + [MIRRORED] * (5 - right)).location()
     assert location.status == status
     if status == "nowhere":
-        count = 5 - right
-        assert location.reason == (
-            f"the mirror image of the photograph has a pose with {count} references"
-        )
+        mirrored = f"the mirror image of the query has a pose with {5 - right} database images"
+        assert location.reason == mirrored
 
 
 def test_as_many_mirror_images_as_poses_place_nothing() -> None:
-    scene = world_scene(np.array([[1.2, 0, 0], [-1.2, 0.4, 0], [0.5, 0.2, 0.1], [-0.6, 0, 0.2]]))
-    search = ReferenceSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
-    for number, name in enumerate(scene.names):
-        pose = MIRRORED if number > 1 else scene.pair_pose(number, probability=0.7)
-        search.add(name, pose, scene.matches(number), *NO_POINTS)
-    location = search.location()
+    scene = world_scene(BESIDE)
+    poses = [scene.pair_pose(number, probability=0.7) for number in (0, 1)]
+    location = _search_of(scene, [*poses, MIRRORED, MIRRORED]).location()
     assert location.status == "nowhere" and "mirror image" in location.reason
 
 
 def test_a_model_that_contradicts_its_images_is_told() -> None:
-    """With world_from_cam in place of cam_from_world, the angles between the references are as
-    observed here by SciPy."""
-    scene = world_scene(np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]]))
+    """With world_from_cam in place of cam_from_world, the angles between the images are as observed
+    here by SciPy; and the camera of the next pair is the one that was stated."""
+    scene = world_scene(AROUND)
     model = scene.model()
     inverse = {name: np.column_stack([p[:, :3].T, p[:, 3]]) for name, p in model.poses.items()}
     wrong = replace(model, poses=inverse)
-    search = ReferenceSearch(wrong, PHOTO_CAMERA, OPTIONS, scene.names)
-    for number, name in enumerate(scene.names):
-        search.add(name, scene.pair_pose(number), scene.matches(number), *NO_POINTS)
-    location = search.location()
+    location = _search_of(scene, _poses(scene), model=wrong).location()
     turned = [
         Rotation.from_matrix(scene.R @ model.poses[name][:, :3].T @ inverse[name][:, :3])
         for name in scene.names
@@ -192,30 +193,19 @@ def test_a_model_that_contradicts_its_images_is_told() -> None:
     angles = [(a * b.inv()).magnitude() for a, b in combinations(turned, 2)]
     assert location.status == "nowhere" and np.median(angles) > np.radians(20)
     assert location.reason == (
-        "the poses of 4 references do not agree: the rotations between them, by their pairs with "
-        "the photograph, differ from those of the model by "
+        "the poses of 4 database images do not agree: the rotations between them, by their pairs "
+        "with the query, differ from those of the model by "
         f"{np.degrees(np.median(angles)):.0f} degrees"
     )
-
-
-def test_a_camera_that_contradicts_most_pairs_is_not_that_of_the_next() -> None:
-    scene = world_scene(np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]]))
-    model = scene.model()
-    inverse = {name: np.column_stack([p[:, :3].T, p[:, 3]]) for name, p in model.poses.items()}
     unknown = replace(PHOTO_CAMERA, focal_std=0.4, focal_source="size")
-    for poses, is_stated in ((inverse, True), (model.poses, False)):
-        search = ReferenceSearch(replace(model, poses=poses), unknown, OPTIONS, scene.names)
-        for number, name in enumerate(scene.names):
-            search.add(name, scene.pair_pose(number), scene.matches(number), *NO_POINTS)
-        assert (search.pair_camera is unknown) == is_stated
+    assert _search_of(scene, _poses(scene), unknown, wrong).pair_camera is unknown
+    assert _search_of(scene, _poses(scene), unknown).pair_camera is not unknown
 
 
 def test_a_pair_may_have_a_lens_without_coefficients() -> None:
     scene = world_scene()
     unknown = replace(PHOTO_CAMERA, focal_std=0.4, lens_std=0.1, focal_source="size")
-    search = ReferenceSearch(scene.model(), unknown, OPTIONS, scene.names)
     fitted = replace(PHOTO_CAMERA, distortion=Distortion(CYLINDER), focal_std=0.02)
-    for number, name in enumerate(scene.names[:2]):
-        pose = replace(scene.pair_pose(number), camera2=fitted)
-        search.add(name, pose, scene.matches(number), *NO_POINTS)
+    poses = [replace(pose, camera2=fitted) for pose in _poses(scene)[:2]]
+    search = _search_of(scene, poses, unknown)
     assert search.camera.distortion == fitted.distortion and search.camera.focal_std == 0.4

@@ -39,7 +39,7 @@ def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path: Pa
     assert [row["status"] for row in rows] == ["ok"] * 3
     run("reconstruct", photos, *K, "--out", model, "--workers", 1)
     assert json.loads((model / "summary.json").read_text())["registered"] == 4
-    assert (model / "points.ply").is_file() and (model / "picture.png").is_file()
+    assert (model / "points.ply").is_file() and (model / "model.html").is_file()
 
 
 def test_the_page_estimates_without_torch_colmap_and_figures(tmp_path: Path) -> None:

@@ -12,15 +12,15 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
 from PIL import Image
+from results import ambiguous_pose
 from world_scene import CAMERA, IMAGE, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
-from dgc_pose.localization.model import PosedModel
+from dgc_pose.model import Model
 from dgc_pose.pose import solve_pair
 from dgc_pose.viz import model_page, pose_page
 
@@ -40,7 +40,7 @@ PLACE = """((colour) => {
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory) -> PosedModel:
+def model(tmp_path_factory) -> Model:
     """Five cameras, each with a photograph of four colours."""
     root = tmp_path_factory.mktemp("<photos>")
     red, green, blue, yellow = QUARTERS.values()
@@ -50,9 +50,10 @@ def model(tmp_path_factory) -> PosedModel:
     return replace(world_scene().model(), root=root)
 
 
-def page_of(model: PosedModel, unit: str = "") -> str:
+def page_of(model: Model, unit: str = "") -> str:
     points = world_scene().points
-    return model_page(model, points, np.full(points.shape, 128, np.uint8), unit)
+    colours = np.full(points.shape, 128, np.uint8)
+    return model_page(replace(model, points=points, colours=colours), unit)
 
 
 def content_of(page: str) -> dict:
@@ -95,10 +96,10 @@ def test_names_of_any_bytes_are_text(model, tmp_path):
     root.mkdir()
     poses = dict(zip(names, model.poses.values(), strict=False))
     with pytest.raises(ImageError, match="<script>"):
-        page_of(PosedModel(root, dict.fromkeys(poses, CAMERA), poses))
+        page_of(Model(root, dict.fromkeys(poses, CAMERA), poses))
     for name in names:
         shutil.copy(model.root / "r0.jpg", root / name)
-    page = page_of(PosedModel(root, dict.fromkeys(poses, CAMERA), poses))
+    page = page_of(Model(root, dict.fromkeys(poses, CAMERA), poses))
     (tmp_path / "model.html").write_text(page, encoding="utf-8")
     parts = Parts(page)
     assert parts.tags.count("script") == 1 and "b" not in parts.tags
@@ -178,10 +179,11 @@ def test_a_browser_shows_the_photographs_upright_and_turns_the_model(opened):
     opened.wait(f"{at['red']}[1] + 5 < {at['yellow']}[1]")
     opened.click("#photographs")
     assert opened.evaluate(at["red"])[2] == 0
-    before = opened.drawn("canvas")
+    drawn = "document.querySelector('canvas').toDataURL()"
+    before = opened.evaluate(drawn)
     opened.evaluate("document.querySelector('canvas').focus()")
     opened.press("+")
-    opened.redrawn("canvas", before)
+    opened.wait(f"{drawn} !== {before!r}")
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
+from results import ambiguous_pose
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -36,7 +36,9 @@ def test_all_panels_are_there():
     segments = matches.collections[0].get_segments()
     assert 75 < len(segments) <= 150
     counts = f"{len(segments)} of {pose.num_inliers} inlier matches"
-    assert title(matches) == f"image1 and image2: {counts}"
+    assert title(matches).startswith(
+        f"image1 and image2: {counts}; cyan to magenta: residuals of 0"
+    )
     assert 6 < len(lines.lines) == len(points.collections[0].get_offsets()) <= 12
     assert "matchability" in title(matchability)
     assert "warped" in title(warp)
@@ -65,12 +67,6 @@ def test_panels_have_the_names_of_the_files(paths, names, tmp_path):
     assert title(points) == f"{names[0]}: points"
     assert " ".join(title(lines).split()) == f"{names[1]}: the same, and their epipolar lines"
     assert not points._left_title.get_parse_math()
-
-
-def test_a_figure_has_the_resolution_asked_for(tmp_path):
-    figure = plot_pose(result_of(dense_scene.true_map()), 7)
-    save_figure(figure, tmp_path / "p.png", 80)
-    assert cv2.imread(str(tmp_path / "p.png")).shape[1] == 560
 
 
 @pytest.mark.parametrize(
@@ -113,7 +109,7 @@ def test_of_an_ambiguous_pair_neither_pose_is_drawn():
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     matches, _, lines, *_ = figure.axes
     assert not lines.lines and title(lines).endswith("no epipolar lines without a pose")
-    assert any("confidence" in text.get_text() for text in matches.texts)  # not the residual
+    assert "confidence" in title(matches)  # not the residual
 
 
 def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
@@ -148,7 +144,6 @@ def test_the_colour_of_a_match_is_its_distance_from_the_epipolar_lines():
     order = np.argsort(distances)
     assert (np.diff(green[order]) <= 1e-6).all()
     assert green[order[0]] > 0.8 and green[order[-1]] == 0
-    assert any("residual" in text.get_text() for text in figure.axes[0].texts)
 
 
 def with_sizes(result, size1, size2):
@@ -160,20 +155,17 @@ def with_sizes(result, size1, size2):
     ("size1", "size2"),
     [
         ((320, 240), (320, 240)),
-        ((400, 300), (300, 300)),
         ((320, 1500), (320, 1500)),
         ((3000, 100), (3000, 100)),
-        ((1200, 1600), (1200, 1600)),
         ((1600, 1200), (1200, 1600)),
         ((1600, 500), (1600, 500)),
     ],
 )
-@pytest.mark.parametrize("wide", [6, 10])
-def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2, wide):
+def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2):
     result = with_sizes(result_of(dense_scene.true_map()), size1, size2)
-    figure = plot_pose(result, wide)
+    figure = plot_pose(result)
     width, height = figure.get_size_inches()
-    assert width == wide and 1 < height < 2 * wide
+    assert width == 10 and 1 < height < 20
     figure.canvas.draw()
     renderer = figure.canvas.get_renderer()
     rows = {}
@@ -192,8 +184,7 @@ def test_panels_fill_the_width_and_those_of_a_row_have_one_height(size1, size2, 
     # No text lies on a panel, on another text or outside the figure.
     texts = [text for text in figure.texts if text.get_text()]
     for axes in figure.axes:
-        titles = [axes._left_title, *axes.texts]
-        texts += [text for text in titles if text.get_text()]
+        texts.append(axes._left_title)
     boxes = [text.get_window_extent(renderer) for text in texts]
     panels = [axes.get_window_extent(renderer) for axes in figure.axes]
     for number, box in enumerate(boxes):

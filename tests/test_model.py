@@ -14,9 +14,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.rotation import quaternion_wxyz
-from dgc_pose.localization.adding import extensible, write_model_with
+from dgc_pose.localization.adding import require_addable, write_model_with
 from dgc_pose.localization.location import Location
-from dgc_pose.localization.model import load_model
+from dgc_pose.model import load_model
 
 SCENE = world_scene(count=20)
 
@@ -74,8 +74,9 @@ def test_models_have_the_poses_of_their_files(kind: str, images: Path, tmp_path:
     furthest = max(np.linalg.norm(a - b) for a in centres for b in centres)
     assert model.extent == pytest.approx(furthest)
     if kind in ("binary", "text", "results"):
-        assert sorted(model.points) == SCENE.names[:2]
-        xyz, pixels = model.points[SCENE.names[1]]
+        assert sorted(model.seen) == SCENE.names[:2] and len(model.points) == len(SCENE.points)
+        which, pixels = model.seen[SCENE.names[1]]
+        xyz = model.points[which]
         order = [int(np.abs(SCENE.points - p).sum(1).argmin()) for p in xyz]
         expected = SCENE.pixels(CAMERA, *SCENE.references[1])[order]
         np.testing.assert_allclose(pixels, expected, atol=1e-6)
@@ -136,7 +137,8 @@ def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) 
     )
     model = load_model(source, images)
     out = tmp_path / "out"
-    write_model_with(out, extensible(out, model, [str(photo)]), {str(photo): location})
+    require_addable(out, model, [str(photo)])
+    write_model_with(out, model, {str(photo): location})
     written = pycolmap.Reconstruction(tmp_path / "out")
     added = written.find_image_with_name("new.png")
     assert added is not None and written.num_images() == 6
@@ -146,7 +148,7 @@ def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) 
     again = load_model(tmp_path / "out", images)
     assert sorted(again.poses) == SCENE.names  # the photograph is in another folder
     with pytest.raises(InputError, match="add has an image r0.jpg already"):
-        extensible(tmp_path / "other", model, [str(images / "r0.jpg")])
+        require_addable(tmp_path / "other", model, [str(images / "r0.jpg")])
     assert not (tmp_path / "other").exists()
 
 
@@ -167,8 +169,8 @@ def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
     camera = Camera(matrix, upright.shape[::-1], lens)
     location = Location("located", "", (), SCENE.R, SCENE.centre, camera=camera)
     source = load_model(write_colmap(SCENE, tmp_path / "m"), images)
-    extended = extensible(tmp_path / "out", source, [str(photo)])
-    write_model_with(tmp_path / "out", extended, {str(photo): location})
+    require_addable(tmp_path / "out", source, [str(photo)])
+    write_model_with(tmp_path / "out", source, {str(photo): location})
     model = pycolmap.Reconstruction(tmp_path / "out")
     added = model.find_image_with_name("new.jpg")
     assert added is not None
@@ -210,5 +212,5 @@ def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path)
         ([tmp_path / "mirrored.jpg"], "by EXIF orientation 5 its pixels are a mirror image"),
     ):
         with pytest.raises(InputError, match=words):
-            extensible(tmp_path / "out", model, list(map(str, paths)))
-    assert extensible(tmp_path / "out", model, [str(first)]).num_images() == 5
+            require_addable(tmp_path / "out", model, list(map(str, paths)))
+    require_addable(tmp_path / "out", model, [str(first)])

@@ -1,0 +1,269 @@
+"""A model: images with cameras and poses, and points if there are any; COLMAP's, NeRF's, a table's.
+
+COLMAP has (0.5, 0.5) at the centre of the top-left pixel, a `Model` (0, 0).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from dgc_pose.cameras.by_image import Calibration, orientation_of
+from dgc_pose.cameras.camera import Camera, matrix_camera
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
+from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
+from dgc_pose.cameras.formats.recognise import read_file
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
+from dgc_pose.files.inputs import read_as
+from dgc_pose.files.outputs import replaced_folder
+from dgc_pose.geometry.pixels import exif_turn, turn_points
+from dgc_pose.geometry.rotation import is_rotation
+from dgc_pose.images.image import image_header, size_in_file
+from dgc_pose.system.colmap_library import pycolmap
+
+HALF_PIXEL = 0.5  # that COLMAP's pixels are more
+_POINT_BYTES = 15  # of a PLY: three floats and three colours
+_MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
+_NO_POINTS = np.zeros((0, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """Upright images of one folder with their cameras and poses, all in one frame and unit.
+
+    Attributes:
+        root: Folder of the image names.
+        cameras: By image name, with the size of the image.
+        poses: cam_from_world (3, 4), [R | t] with x = R X + t, by image name.
+        points: Points (N, 3) float64, world; none without points.
+        colours: Their colours (N, 3) uint8, RGB.
+        seen: By image name which points the image shows, indices (M,), and where, (M, 2) pixels;
+            absent for an image that shows none.
+        warnings: Sentences about what is missing, for people.
+        colmap: COLMAP's own form, of the pixels as stored, with the tracks and all images; None of
+            another kind or without points.
+    """
+
+    root: Path
+    cameras: Mapping[str, Camera]
+    poses: Mapping[str, np.ndarray]
+    points: np.ndarray = field(default_factory=_NO_POINTS.copy)
+    colours: np.ndarray = field(default_factory=lambda: _NO_POINTS.astype(np.uint8))
+    seen: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    colmap: pycolmap.Reconstruction | None = None
+
+    @classmethod
+    def of_colmap(cls, colmap: pycolmap.Reconstruction, root: Path) -> Model:
+        """COLMAP's model of images of a folder, all without an EXIF orientation: the files are not
+        read. Raises InputError for a camera without a focal length."""
+        points = [*colmap.points3D.values()]
+        index = {key: number for number, key in enumerate(colmap.points3D)}
+        images = [image for image in colmap.images.values() if image.has_pose]
+        seen = {}
+        for image in images:
+            if observed := [point for point in image.points2D if point.has_point3D()]:
+                which = np.array([index[point.point3D_id] for point in observed])
+                seen[image.name] = which, np.stack([p.xy for p in observed]) - HALF_PIXEL
+        return cls(
+            root,
+            {image.name: matrix_camera(image.camera) for image in images},
+            {image.name: np.array(image.cam_from_world().matrix()) for image in images},
+            np.array([point.xyz for point in points]).reshape(-1, 3),
+            np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+            seen,
+            colmap=colmap,
+        )
+
+    def centre(self, name: str) -> np.ndarray:
+        """Position (3,) of a camera, world."""
+        pose = self.poses[name]
+        centre: np.ndarray = -pose[:, :3].T @ pose[:, 3]
+        return centre
+
+    @property
+    def extent(self) -> float:
+        """The largest distance of two cameras, in the model's unit."""
+        centres = np.stack([self.centre(name) for name in self.poses])
+        return float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
+
+    @property
+    def names(self) -> set[str]:
+        """The names of all images that the model has, also of those that are not in the folder."""
+        return {*self.poses} | {
+            i.name for i in (self.colmap.images.values() if self.colmap else ())
+        }
+
+    def write(self, folder: Path, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> None:
+        """Write COLMAP's binary files, of the pixels as stored, over what is there: with all that
+        COLMAP's own form has, or else the cameras and poses; and with further upright images by
+        their files, each with a camera of its own, its cam_from_world (3, 4) and no points.
+
+        Raises InputError if COLMAP cannot hold a camera; OSError.
+        """
+        images = [(path.name, path, *view) for path, view in added.items()]
+        if self.colmap is not None:
+            written = pycolmap.Reconstruction(self.colmap)
+        else:
+            written, poses = pycolmap.Reconstruction(), self.poses
+            images = [(n, self.root / n, self.cameras[n], poses[n]) for n in poses] + images
+        for name, path, camera, pose in images:
+            header = image_header(path)
+            turn = exif_turn(header.exif.orientation).T
+            pose = np.concatenate([turn @ pose[:2], pose[2:]])
+            theirs = colmap_camera(camera.turned(turn, header.size), name)
+            theirs.camera_id = max(written.cameras, default=0) + 1
+            written.add_camera_with_trivial_rig(theirs)
+            image = pycolmap.Image(name=name, camera_id=theirs.camera_id)
+            image.image_id = max(written.images, default=0) + 1
+            cam_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:, :3]), pose[:, 3])
+            written.add_image_with_trivial_frame(image, cam_from_world)
+        with replaced_folder(folder) as new:
+            written.write_binary(new)
+
+
+def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -> Model:
+    """The model of a file or folder, with its images in the folder `images`.
+
+    source: the folder of a COLMAP model or of `dgc-pose reconstruct`; NeRF's transforms.json; or a
+    .csv with name, qw, qx, qy, qz, tx, ty, tz of cam_from_world and fx, fy, cx, cy. Images that are
+    missing are left out with a warning.
+
+    Raises InputError if there are no poses, several models, a pose that is none, no two images, or
+    a camera that does not fit its image; ImageError for a broken image; OSError.
+    """
+    path, root = model_path(Path(source)), Path(images)
+    if not root.is_dir():
+        raise InputError(ArgumentName("images"), f"{root}: no such folder")
+    file = read_file(path)
+    if not file.poses:
+        raise InputError(ArgumentName("model"), f"{path} has no poses of images")
+    calibration = Calibration(str(path), parts=file.parts, common=file.common)
+    names = {name: _image_name(root, name, path.parent) for name in file.poses}
+    if len(names) < 2:
+        raise InputError(ArgumentName("model"), f"{path} has the pose of one image, two are needed")
+    missing = sorted(name for name, there in names.items() if there is None)
+    count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
+    if len(names) - len(missing) < 2:
+        raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
+    with read_as("a COLMAP model", path):
+        has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
+        whole = Model.of_colmap(pycolmap.Reconstruction(path), root) if has_points else None
+    cameras, poses, seen = {}, {}, {}
+    for stated, name in names.items():
+        pose = file.poses[stated]
+        if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
+            raise InputError(ArgumentName("model"), f"{path}: {stated} has a pose that is none")
+        if name is not None:
+            header = image_header(root / name)
+            stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
+            of_image = replace(calibration, by_name=stated_camera)
+            camera = of_image.camera(root, name, header)
+            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses are of these
+            # A model of the pixels as stored is turned with them.
+            K = of_image.stated(root, name)
+            turn = exif_turn(1 if K is None else orientation_of(K, header))
+            if np.linalg.det(turn) < 0:
+                raise InputError(f"{root / name}: its pixels as stored are a mirror image, by EXIF")
+            poses[name] = np.concatenate([turn @ pose[:2], pose[2:]])
+            if whole is not None and stated in whole.seen:
+                which, pixels = whole.seen[stated]
+                seen[name] = which, turn_points(pixels, turn, size_in_file(header))
+    warnings = (f"{root} lacks {count} of {path}",) if missing else ()
+    model = whole or Model(root, cameras, poses)
+    return replace(model, cameras=cameras, poses=poses, seen=seen, warnings=warnings)
+
+
+def read_colmap(source: Path) -> pycolmap.Reconstruction:
+    """COLMAP's model in a folder. Raises InputError if there is none, or one without images."""
+    path = model_path(source)
+    # First by our reader: pycolmap's never ends in an images.bin that is cut within a name.
+    if not read_file(path).poses:
+        raise InputError(ArgumentName("model"), f"{path} has no poses of images")
+    with read_as("a COLMAP model", path):
+        return pycolmap.Reconstruction(path)
+
+
+def model_path(path: Path) -> Path:
+    """The file or the folder of COLMAP's files that a source stands for."""
+    if not path.is_dir():
+        if not path.exists():
+            raise InputError(ArgumentName("model"), f"{path}: no such file or folder")
+        return path
+    for folders in ("", "*/", "sparse/*/"):  # the last of results
+        files = [f for ending in ("bin", "txt") for f in path.glob(f"{folders}cameras.{ending}")]
+        models = sorted({file.parent for file in files})
+        if len(models) > 1:
+            listed = ", ".join(folder.name for folder in models)
+            raise InputError(ArgumentName("model"), f"{models[0].parent} has the models {listed}")
+        if models:
+            return models[0]
+    raise InputError(ArgumentName("model"), f"{path} holds no model of COLMAP")
+
+
+def _image_name(root: Path, name: str, folder: Path) -> str | None:
+    """The name, relative to the root, of the image that a model in a folder has under a name: that
+    path, from either, or its last part; NeRF's names may lack their ending. None if there is none.
+    """
+    stated = os.path.normpath(os.path.join(os.path.realpath(folder), name))
+    relative = os.path.relpath(stated, os.path.realpath(root))
+    for candidate in dict.fromkeys((os.path.normpath(name), relative, Path(name).name)):
+        if candidate.startswith(os.pardir + os.sep):  # of another folder
+            continue
+        if os.path.isfile(root / candidate):
+            return candidate
+        if not Path(candidate).suffix and (root / candidate).parent.is_dir():
+            same = sorted((root / candidate).parent.glob(f"{Path(candidate).name}.*"))
+            if len(same) == 1:
+                return same[0].relative_to(root).as_posix()
+    return None
+
+
+def require_model_folder(folder: Path, *, several: bool = False) -> None:
+    """Raise InputError unless this is a folder of nothing but a model's files, or not there.
+
+    several: whether it may have the folders 1, 2, ... of further models.
+    """
+    inside = [*folder.rglob("*")]
+    models = {folder / str(number) for number in range(1, several * len(inside))}
+    own = (path in models if path.is_dir() else path.stem in _MODEL_FILES for path in inside)
+    if not all(own) or (folder.exists() and not folder.is_dir()):
+        raise InputError(f"{folder}: holds other files than those of a model, and is kept")
+
+
+def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
+    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
+    where the lens is not known.
+
+    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
+    """
+    assert camera.size is not None
+    lens = camera.distortion
+    if lens is None and camera.lens_std > 0:
+        lens = Distortion(RADIAL, (0.0, 0.0))
+    try:
+        model, parameters = colmap_parameters(camera.K, lens)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)
+    converted.params = parameters
+    return converted
+
+
+def write_points(file: Path, points: np.ndarray, colours: np.ndarray, name: str | Path) -> None:
+    """Write points (N, 3) and their colours (N, 3) uint8 RGB as PLY, as COLMAP does.
+
+    Raises DgcPoseError, with the output's name, if the file is not whole: COLMAP raises nothing for
+    a full disk.
+    """
+    model = pycolmap.Reconstruction()
+    for point, colour in zip(points, colours, strict=True):
+        model.add_point3D(point, pycolmap.Track(), colour)
+    model.export_PLY(file)
+    size, least = file.stat().st_size, _POINT_BYTES * len(points)
+    if size < least:
+        raise DgcPoseError(f"{name}: {size} of {least} bytes were written")
