@@ -67,24 +67,10 @@ def select_matches(
     keep &= (points1 >= -0.5).all(-1) & (points1 <= (width - 0.5, height - 0.5)).all(-1)
     if keep.mean() < min_share:
         keep = np.zeros_like(keep)
-    keep = even_subsample(keep, correspondence_map.matchability, options.max_matches)
-    return Matches(
-        points1[keep],
-        correspondence_map.grid[keep],
-        correspondence_map.matchability[keep],
-        error_px=correspondence_map.error_px,
-    )
-
-
-def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.ndarray:
-    """At most `most` of the True cells of `keep` (H, W), evenly spread, as a mask (H, W).
-
-    The grid is divided into square blocks, as small as `most` allows, and the most confident cell
-    of each block is kept. An even spread keeps the essential matrix well conditioned when the
-    confident cells concentrate on one object.
-    """
-    cells, side = np.argwhere(keep)[:, ::-1], math.sqrt(keep.sum() / most)
-    rows = spread(cells, confidence[keep], keep.shape[::-1], most, max(side, 1.0), 1.05)
-    chosen = np.zeros_like(keep)
-    chosen[tuple(cells[rows].T[::-1])] = True
-    return chosen
+    # Evenly spread, the matches condition the essential matrix well where the confident cells
+    # concentrate on one object.
+    cells, confidence = np.argwhere(keep)[:, ::-1], correspondence_map.matchability[keep]
+    side = max(1.0, math.sqrt(len(cells) / options.max_matches))
+    rows = spread(cells, confidence, keep.shape[::-1], options.max_matches, side, 1.05)
+    grid, error_px = correspondence_map.grid, correspondence_map.error_px
+    return Matches(points1[keep][rows], grid[keep][rows], confidence[rows], error_px=error_px)
