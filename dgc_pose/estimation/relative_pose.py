@@ -161,28 +161,27 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
     """The evidence for and against the likeliest candidate."""
     best, *others = found.hypotheses
     evidence = measured(found.problem, best, found.map_problem)
-    rotation, still_ratio = evidence.rotation, 0.0
-    if found.still is not None:
-        still_ratio, R = found.still
-        rotation = R if still_ratio > evidence.strict_rotation_share else rotation
-    if found.second is not None:
+    rotation, second, covariance = evidence.rotation, found.second, known.covariance
+    still_ratio, turned = found.still or (0.0, rotation)
+    if still_ratio > evidence.strict_rotation_share:
+        rotation = turned
+    if second is not None:
         evidence = replace(
             evidence,
-            num_second_inliers=int(found.second.inliers_in_front[~best.inliers].sum()),
-            second_rotation_deg=rotation_error_deg(found.second.R, rotation),
+            num_second_inliers=int(second.inliers_in_front[~best.inliers].sum()),
+            second_rotation_deg=rotation_error_deg(second.R, rotation),
         )
-    if known.covariance is not None:
-        evidence = replace(
-            evidence,
-            raw_rotation_90_deg=error_radius_deg(known.covariance[:3, :3]),
-            raw_translation_90_deg=error_radius_deg(known.covariance[3:, 3:]),
-        )
+    errors: tuple[float | None, float | None] = (None, None)
+    if covariance is not None:
+        errors = error_radius_deg(covariance[:3, :3]), error_radius_deg(covariance[3:, 3:])
     most_of_others = max((other.num_in_front for other in others), default=0)
     return replace(
         evidence,
         rotation=rotation,
         still_ratio=still_ratio,
         homography_ratio=found.homography_ratio,
+        raw_rotation_90_deg=errors[0],
+        raw_translation_90_deg=errors[1],
         raw_focal_90_percent=known.focal_90_percent,
         focal_check=known.check,
         other_ratio=most_of_others / max(best.num_in_front, 1),
