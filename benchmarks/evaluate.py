@@ -15,7 +15,7 @@ from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
 from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.probability import is_contradicted
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
@@ -30,7 +30,7 @@ def evaluate(
 ) -> Iterator[list[PairScore]]:
     """For each pair from number `first` on, in order, a record a method.
 
-    matchers: of each method. The same whatever `first`: the seed of a pair depends on nothing else.
+    matchers: of each method.
 
     Raises what reading a pair raises.
     """
@@ -60,14 +60,10 @@ def score(pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
 
     Raises InputError if it asks for every pixel of a matcher that makes no map.
     """
-    truth, options = pair.truth, method.estimation
+    truth = pair.truth
     assert truth.R is not None and truth.t is not None
-    if truth.seed:
-        # The same whatever is estimated before it
-        words = np.random.SeedSequence([options.seed, *truth.seed]).generate_state(1)
-        options = replace(options, seed=int(words[0]))
     cameras = method.cameras.cameras(pair)
-    pose, matches, dense, match_seconds = _solved(pair, cameras, method, matcher, options)
+    pose, matches, dense, match_seconds = _solved(pair, cameras, method, matcher)
     everywhere_px = (np.nan, np.nan)
     if dense is not None:
         everywhere_px = epipolar_errors(truth, dense.map, dense.grid)
@@ -118,11 +114,10 @@ def _solved(
     cameras: tuple[Camera, Camera],
     method: Method,
     matcher: Matcher,
-    options: EstimationOptions,
 ) -> tuple[RelativePose, Matches, CorrespondenceMap | None, float]:
     """The pose of a pair, its matches and the dense map, and the seconds of the matching."""
     if not method.everywhere:
-        found = solve_pair(pair.image1, pair.image2, cameras, matcher, options)
+        found = solve_pair(pair.image1, pair.image2, cameras, matcher, method.estimation)
         seconds = sum(s for step, s in found.pose.seconds.items() if step != "estimate")
         return found.pose, found.matches, found.correspondence_map, seconds
     start = time.perf_counter()
@@ -132,7 +127,7 @@ def _solved(
     selection = replace(method.matcher.matching, matchability=0.0)
     every = select_matches(dense, selection, min_share=0.0)
     matched = time.perf_counter()
-    pose = estimate_pose(every, *cameras, options)
+    pose = estimate_pose(every, *cameras, method.estimation)
     pose = replace(pose, seconds={"estimate": time.perf_counter() - matched})
     return pose, every, dense, matched - start
 

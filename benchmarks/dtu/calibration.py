@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_text
+from dgc_pose.files.inputs import read_as, read_text
 
 _BYTES = 2**16  # of a file with a few matrices
 
@@ -21,29 +20,16 @@ class DtuView:
 
 
 def read_projection(path: Path) -> DtuView:
-    """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel.
+    """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel, of any scale but zero.
 
-    Raises InputError, with the path, unless the file holds 12 finite numbers that are a camera;
-    OSError if it cannot be read.
+    P ~ K [R | t] is split by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1. Raises InputError,
+    with the path, unless the file holds 12 finite numbers that are a camera; OSError if it cannot
+    be read.
     """
-    text = read_text(path, "a calibration", _BYTES)
-    try:
-        P = np.array(text.split(), np.float64).reshape(3, 4)
-    except ValueError:
-        raise InputError(f"{path}: expected 3 rows of 4 numbers") from None
-    return decompose(P, str(path))
-
-
-def decompose(P: np.ndarray, name: str) -> DtuView:
-    """Split P ~ K [R | t] by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1.
-
-    P (3, 4) may carry any scale but zero, its sign included. Raises InputError, naming `name`,
-    if its numbers are not finite or its left 3x3 is singular.
-    """
-    if not np.isfinite(P).all():
-        raise InputError(f"{name}: the numbers must be finite")
-    if not np.linalg.cond(P[:, :3]) < 1e12:
-        raise InputError(f"{name}: the matrix is no camera: its left 3x3 is singular")
+    with read_as("a calibration", path):
+        P = np.array(read_text(path, "a calibration", _BYTES).split(), np.float64).reshape(3, 4)
+        if not (np.isfinite(P).all() and np.linalg.cond(P[:, :3]) < 1e12):
+            raise ValueError("the left 3x3 of a camera has finite numbers and an inverse")
     if np.linalg.det(P[:, :3]) < 0:
         P = -P
     # Of the rows and the columns in reverse order RQ is QR.
