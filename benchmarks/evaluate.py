@@ -41,7 +41,7 @@ def evaluate(
 def settings(
     pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], device: str
 ) -> dict[str, Any]:
-    """All that the records depend on, for `RunStore`."""
+    """All that the records depend on, for `open_run`."""
     ids = json.dumps([dict(pair_ids) for pair_ids in pairs.ids])
     return {
         "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],

@@ -14,7 +14,7 @@ from dgc_pose.benchmarks.evaluate import evaluate, settings
 from dgc_pose.benchmarks.files import finite_data, split_names
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
-from dgc_pose.benchmarks.store import RESULTS, SETTINGS, RunStore
+from dgc_pose.benchmarks.store import RESULTS, SETTINGS, open_run
 from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
 from dgc_pose.benchmarks.summary import (
     CAMERA_COLUMNS,
@@ -126,14 +126,14 @@ def bench_pairs(
     matchers = load_matchers(methods, device=options.device, runtime=options.runtime, stored=stored)
     known = settings(pairs, methods, matchers, device_type(options.device))
     known["protocol"] = options.protocol
-    store = RunStore(out, len(methods), known, resume=options.resume, overwrite=overwrites())
-    if store.done:
-        click.echo(f"{store.done} of {len(listed)} pairs are done already")
-    rows = evaluate(pairs, methods, matchers, store.done)
-    with store:
-        for scores in tqdm(rows, total=len(listed), initial=store.done, unit="pair", disable=None):
-            store.add(scores)
-    figures = columns(store.scores)
+    resume = {"resume": options.resume, "overwrite": overwrites()}
+    with open_run(out, len(methods), known, **resume) as (records, add):
+        if done := len(records) // len(methods):
+            click.echo(f"{done} of {len(listed)} pairs are done already")
+        rows = evaluate(pairs, methods, matchers, done)
+        for scores in tqdm(rows, total=len(listed), initial=done, unit="pair", disable=None):
+            add(scores)
+    figures = columns(records)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:
         from dgc_pose.benchmarks.curves import plot_errors
