@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import (
     essential_from_pose,
     fundamental_from_essential,
@@ -29,14 +28,10 @@ def pose_auc(errors: ArrayLike, thresholds: Sequence[float] = (5, 10, 20)) -> tu
     errors in ascending order, and constant from the last error below the threshold on. The area
     under it is exact. Failures are infinite errors and count among the N.
 
-    errors: (N,), in the unit of the thresholds, for a pair max(rotation, folded translation).
-    Raises InputError if errors is empty, or has NaN or negative numbers.
+    errors: (N,), N > 0, in the unit of the thresholds, for a pair max(rotation, folded
+    translation), never NaN.
     """
     values = np.sort(np.asarray(errors, dtype=np.float64))
-    if values.ndim != 1 or len(values) == 0:
-        raise InputError(f"errors must have shape (N,) with N > 0, not {values.shape}")
-    if not (values >= 0).all():
-        raise InputError("errors must not be negative or NaN: a failure is infinite")
     recalls = np.arange(1, len(values) + 1) / len(values)
     return tuple(_auc_percent(values, recalls, threshold) for threshold in thresholds)
 

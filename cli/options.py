@@ -13,7 +13,6 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
-from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
 
 
@@ -31,11 +30,6 @@ def output_folder(
     """A field of an output folder, a Path; required by default. results: as of `OutputFolder`."""
     kind = OutputFolder(*results, path_type=Path)
     return option(default, help, flag=flag, metavar="DIR", type=kind)
-
-
-def device_option() -> Any:
-    """The field of --device."""
-    return option("auto", DEVICE_HELP, metavar="NAME")
 
 
 _camera = partial(option, None, metavar="K|FILE|auto", section="cameras")

@@ -28,7 +28,6 @@ def test_every_bin_counts_its_own_matches(matches) -> None:
     np.testing.assert_allclose(found.share_correct, np.divide(correct, counts))
     gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
     assert found.calibration_error == pytest.approx(sum(gaps) / sum(counts))
-    assert found.edges.tolist() == pytest.approx([b / 7 for b in range(8)])
 
 
 def test_parts_add_up_to_the_whole(matches) -> None:
