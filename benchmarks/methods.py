@@ -11,10 +11,11 @@ that has it; `refine` is `MatchingOptions.aligned`, `refine_pose` is `Estimation
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.stored_matches import FileMatcher
+from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import NAMES, MatcherOptions
@@ -87,11 +88,11 @@ def load_matchers(
     *,
     device: str,
     runtime: RuntimeName = "auto",
-    stored: Mapping[str, FileMatcher] | None = None,
+    stored: Mapping[str, Mapping[Names, Path]] | None = None,
 ) -> list[Matcher]:
     """Load what each method matches with; a network is read once.
 
-    stored: matchers of stored matches by name. Methods share nothing that is computed of an image,
+    stored: files of stored matches by name. Methods share nothing that is computed of an image,
     so that the seconds of each are its own.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
@@ -100,7 +101,8 @@ def load_matchers(
     matchers: list[Matcher] = []
     for options in (method.matcher for method in methods):
         if stored and options.weights in stored:
-            matchers.append(stored[options.weights].selecting(options.matching))
+            files = stored[options.weights]
+            matchers.append(FileMatcher(options.weights, files, options.matching))
             continue
         used = replace(options, device=device, runtime=runtime)
         matcher = used.load(engine=engines.get(options.weights))

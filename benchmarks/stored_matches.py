@@ -49,16 +49,8 @@ def pair_files(folder: Path, pairs: Sequence[Pair]) -> dict[Names, Path]:
 class FileMatcher(Matcher):
     """The files of a program, see `pair_files`."""
 
-    def __init__(
-        self, name: str, files: Mapping[Names, Path], options: MatchingOptions | None = None
-    ) -> None:
-        self.name = name
-        self.files = files
-        self.options = options or MatchingOptions()
-
-    def selecting(self, options: MatchingOptions) -> "FileMatcher":
-        """The same files with other options of selection."""
-        return FileMatcher(self.name, self.files, options)
+    def __init__(self, name: str, files: Mapping[Names, Path], options: MatchingOptions) -> None:
+        self.name, self.files, self.options = name, files, options
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The stored map with the matches selected from it, or the stored points without a map; in

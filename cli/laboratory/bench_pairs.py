@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +14,7 @@ from dgc_pose.benchmarks.files import finite_data, split_names
 from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
 from dgc_pose.benchmarks.store import RESULTS, SETTINGS, open_run
-from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
+from dgc_pose.benchmarks.stored_matches import pair_files
 from dgc_pose.benchmarks.summary import (
     CAMERA_COLUMNS,
     CAMERA_HEADING,
@@ -110,8 +109,6 @@ def bench_pairs(
     out, paper = options.out, options.protocol == "paper"
     if out is None and options.resume:
         raise InputError("--resume needs the --out of the run to continue")
-    if out is not None:
-        import_module("dgc_pose.viz")  # it may be missing, which is better known before the work
     if paper:
         matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
         matcher = replace(matcher, matching=matching)
@@ -121,7 +118,7 @@ def bench_pairs(
     methods = parse_methods(names, matcher, estimation, [*folders], cameras)
     listed = read_pairs(pair_list, options.root)[:: options.every][: options.limit]
     require_images(listed)
-    stored = {name: FileMatcher(name, pair_files(path, listed)) for name, path in folders.items()}
+    stored = {name: pair_files(path, listed) for name, path in folders.items()}
     pairs = ListedPairs(listed, size=PAPER_SIZE if paper else None)
     matchers = load_matchers(methods, device=options.device, runtime=options.runtime, stored=stored)
     known = settings(pairs, methods, matchers, device_type(options.device))

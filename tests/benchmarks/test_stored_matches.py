@@ -14,7 +14,7 @@ from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
-from dgc_pose.matching import CorrespondenceMap
+from dgc_pose.matching import CorrespondenceMap, MatchingOptions
 
 STORED = (80, 60)  # width, height of both views as stored
 SHOWN = (40, 20)  # and as shown to the methods
@@ -29,7 +29,9 @@ def _images(size: tuple[int, int] = SHOWN) -> tuple[Image, Image]:
 
 
 def _matcher(folder: Path) -> FileMatcher:
-    return FileMatcher("mine", {("3.png", "7.png"): next(folder.glob(f"{STEM}.*"))})
+    return FileMatcher(
+        "mine", {("3.png", "7.png"): next(folder.glob(f"{STEM}.*"))}, MatchingOptions()
+    )
 
 
 def _map(folder: Path, size: tuple[int, int] = SHOWN) -> CorrespondenceMap:
