@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.benchmarks.methods import Method
-from dgc_pose.benchmarks.metrics import folded, median_and_mean, true_fundamental
+from dgc_pose.benchmarks.metrics import folded, median_and_mean
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
-from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.probability import is_contradicted
+from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
 from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
@@ -151,9 +152,10 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:
-    """Median and mean D_e of matches (..., 2), in pixels."""
+    """Median and mean of the distances D_e of matches (..., 2) from the true lines, pixels."""
     assert truth.R is not None and truth.t is not None
-    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+    E = essential_from_pose(truth.R, truth.t / np.linalg.norm(truth.t))
+    F = fundamental_from_essential(E, truth.camera1.K, truth.camera2.K)
     ideal1, ideal2 = ideal_pixels(points1, truth.camera1), ideal_pixels(points2, truth.camera2)
     return median_and_mean(ideal1, ideal2, F)
 

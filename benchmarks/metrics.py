@@ -5,12 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.geometry.epipolar import (
-    essential_from_pose,
-    fundamental_from_essential,
-    symmetric_epipolar_distance,
-)
+from dgc_pose.geometry.epipolar import symmetric_epipolar_distance
 
 
 def folded(error_deg: float) -> float:
@@ -42,12 +37,6 @@ def _auc_percent(errors: np.ndarray, recalls: np.ndarray, threshold: float) -> f
     y = np.concatenate(([0.0], recalls[:below]))
     y = np.append(y, y[-1])
     return float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold)
-
-
-def true_fundamental(camera1: Camera, camera2: Camera, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """F (3, 3) of the pose x2 = R x1 + t, for pixels of the cameras: x2^T F x1 = 0."""
-    E = essential_from_pose(R, t / np.linalg.norm(t))
-    return fundamental_from_essential(E, camera1.K, camera2.K)
 
 
 def median_and_mean(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> tuple[float, float]:

@@ -8,7 +8,7 @@ import numpy as np
 from dgc_pose.benchmarks.files import decimals
 from dgc_pose.benchmarks.metrics import pose_auc
 from dgc_pose.benchmarks.reliability import Reliability
-from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView
+from dgc_pose.benchmarks.dtu.dataset import DtuView
 from dgc_pose.cameras.camera import Camera
 
 SIZE = (160, 120)

@@ -8,7 +8,7 @@ import numpy as np
 from dgc_pose.benchmarks.evaluate import evaluate
 from dgc_pose.benchmarks.methods import Method, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs
-from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
-from dgc_pose.benchmarks.dtu.dataset import DtuScene
+from dgc_pose.benchmarks.dtu.dataset import DtuScene, DtuView, relative_pose
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError

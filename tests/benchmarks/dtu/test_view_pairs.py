@@ -5,8 +5,7 @@ import pytest
 from dtu_layout import SIZE, arc, write_scan
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView
-from dgc_pose.benchmarks.dtu.dataset import DtuScene, open_dataset
+from dgc_pose.benchmarks.dtu.dataset import DtuScene, DtuView, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import (
     ViewPairOptions,
     draw,
