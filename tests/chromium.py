@@ -18,6 +18,14 @@ from typing import Any
 
 _OWN = ("data:", "file:", "about:", "blob:")
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",  # which a container without user namespaces cannot have
+    "--disable-gpu",
+    "--disable-dev-shm-usage",
+    "--no-first-run",
+    "--remote-debugging-pipe",
+)
 
 
 def find_chromium() -> str | None:
@@ -53,24 +61,11 @@ class Page:
         self.errors.clear()
         self.own = (*_OWN, url.split("?")[0])
         self._call("Page.navigate", url=url)
-        self.evaluate(
-            "new Promise((done) => document.readyState === 'complete' ? done()"
-            " : addEventListener('load', done))"
-        )
+        self.wait("document.readyState === 'complete'")
 
     def text(self, selector: str) -> str:
         """What an element says."""
         return self.evaluate(f"document.querySelector({json.dumps(selector)}).innerText")
-
-    def drawn(self, selector: str) -> str:
-        """What a canvas shows, as the address of a picture."""
-        return self.evaluate(f"document.querySelector({json.dumps(selector)}).toDataURL()")
-
-    def redrawn(self, selector: str, before: str) -> None:
-        """Wait until a canvas shows something else."""
-        deadline = time.monotonic() + 60
-        while self.drawn(selector) == before:
-            assert time.monotonic() < deadline, f"{selector} is as it was"
 
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression, awaited where it is a promise."""
@@ -122,10 +117,9 @@ class Page:
             time.sleep(0.05)
 
     def press(self, key: str) -> None:
-        """A key of those that are named, such as ArrowDown or Enter."""
+        """A key of those that are named, such as ArrowDown."""
         for kind in ("keyDown", "keyUp"):
-            text = "\r" if key == "Enter" and kind == "keyDown" else ""  # which presses a button
-            self._call("Input.dispatchKeyEvent", type=kind, key=key, text=text)
+            self._call("Input.dispatchKeyEvent", type=kind, key=key)
 
     def _place(self, selector: str, at: tuple[float, float]) -> tuple[float, float]:
         """A place of an element in the window, scrolled to where it is seen."""
@@ -144,14 +138,17 @@ class Page:
         self._commands.write(json.dumps(message).encode() + b"\0")
         self._commands.flush()
         while True:
-            answer = self._read()
+            received = bytearray()
+            while (byte := self._answers.read(1)) != b"\0":
+                assert byte, "Chromium ended"
+                received += byte
+            answer = json.loads(received)
             if answer.get("id") == self._number:
                 assert "error" not in answer, (method, answer["error"])
                 return answer["result"]
-            self._note(answer)
+            self._note(answer.get("method"), answer.get("params"))
 
-    def _note(self, event: dict[str, Any]) -> None:
-        method, parameters = event.get("method"), event.get("params", {})
+    def _note(self, method: str, parameters: dict[str, Any]) -> None:
         if method == "Runtime.exceptionThrown":
             self.errors.append(json.dumps(parameters["exceptionDetails"]))
         elif method == "Log.entryAdded" and parameters["entry"]["level"] == "error":
@@ -160,13 +157,6 @@ class Page:
             url = parameters["request"]["url"]
             if not url.startswith(self.own):
                 self.errors.append(f"a request for {url}")
-
-    def _read(self) -> dict[str, Any]:
-        received = bytearray()
-        while (byte := self._answers.read(1)) != b"\0":
-            assert byte, "Chromium ended"
-            received += byte
-        return json.loads(received)
 
 
 @contextmanager
@@ -183,17 +173,7 @@ def chromium_page(executable: str) -> Iterator[Page]:
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         process = subprocess.Popen(
-            [
-                executable,
-                "--headless=new",
-                "--no-sandbox",  # which a container without user namespaces cannot have
-                "--disable-gpu",
-                "--disable-dev-shm-usage",
-                "--no-first-run",
-                f"--user-data-dir={profile}",
-                "--remote-debugging-pipe",
-                "about:blank",
-            ],
+            [executable, *FLAGS, f"--user-data-dir={profile}", "about:blank"],
             preexec_fn=as_3_and_4,
             close_fds=False,
             stdout=subprocess.DEVNULL,

@@ -7,16 +7,15 @@ intended, and the change is reported.
 """
 
 import csv
-from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scene_pair import RenderedPair, render_scene_pair
+from rendered import RenderedPair, render_scene_pair
 
-from dgc_pose import EstimationOptions, Matcher, RelativePose, estimate_relative_pose, load_matcher
+from dgc_pose import EstimationOptions, Matcher, estimate_relative_pose, load_matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 RECORDED = Path(__file__).with_suffix(".csv")
@@ -29,7 +28,13 @@ GROUPS = {
     "rotation_only": (6, "rotation_only", 15.0),
     "unrelated": (6, "general", 15.0),
 }
-WAYS = ("auto", "fast", "thorough", "sift", "K=auto")
+# All pairs are estimated with "auto", and every third in each other way.
+CASES = [
+    (group, number, way)
+    for way in ("auto", "fast", "thorough", "sift", "K=auto")
+    for group, (count, _, _) in GROUPS.items()
+    for number in range(0, count, 1 if way == "auto" else 3)
+]
 
 
 class Answer(NamedTuple):
@@ -44,7 +49,7 @@ class Answer(NamedTuple):
     translation_error_deg: float | None  # None without t
 
 
-@cache
+@lru_cache(maxsize=1)
 def rendered(group: str, number: int) -> RenderedPair:
     _, kind, angle = GROUPS[group]
     seed = 1000 * list(GROUPS).index(group) + number
@@ -60,10 +65,12 @@ def matcher(name: str) -> Matcher:
     return load_matcher(name)
 
 
-def estimate(pair: RenderedPair, way: str) -> RelativePose:
+def answer(group: str, number: int, way: str) -> Answer:
+    """Estimate a pair in one way."""
+    pair = rendered(group, number)
     effort = way if way in ("fast", "thorough") else "auto"
     K1, K2 = ("auto", "auto") if way == "K=auto" else (pair.K1, pair.K2)
-    return estimate_relative_pose(
+    pose = estimate_relative_pose(
         pair.image1,
         pair.image2,
         K1,
@@ -71,19 +78,11 @@ def estimate(pair: RenderedPair, way: str) -> RelativePose:
         matcher=matcher("sift" if way == "sift" else "dgcm-lite0"),
         options=EstimationOptions(effort=effort),
     )
-
-
-def answers(way: str) -> Iterator[Answer]:
-    """Estimate the pairs of all groups in one way: all with "auto", every third otherwise."""
-    for group, (count, _, _) in GROUPS.items():
-        for number in range(0, count, 1 if way == "auto" else 3):
-            pair = rendered(group, number)
-            pose = estimate(pair, way)
-            R = None if pose.R is None else rotation_error_deg(pose.R, pair.R)
-            t = None
-            if pose.t is not None and np.linalg.norm(pair.t) > 0:
-                t = translation_error_deg(pose.t, pair.t / np.linalg.norm(pair.t))
-            yield Answer(group, number, way, pose.status, pose.probability, R, t)
+    R = None if pose.R is None else rotation_error_deg(pose.R, pair.R)
+    t = None
+    if pose.t is not None and np.linalg.norm(pair.t) > 0:
+        t = translation_error_deg(pose.t, pair.t / np.linalg.norm(pair.t))
+    return Answer(group, number, way, pose.status, pose.probability, R, t)
 
 
 def recorded() -> list[Answer]:
@@ -106,10 +105,10 @@ def main() -> None:
     with RECORDED.open("w", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(Answer._fields)
-        for way in WAYS:
-            for answer in answers(way):
-                numbers = ["" if value is None else f"{value:.4f}" for value in answer[4:]]
-                writer.writerow([*answer[:4], *numbers])
+        for case in CASES:
+            found = answer(*case)
+            numbers = ["" if value is None else f"{value:.4f}" for value in found[4:]]
+            writer.writerow([*found[:4], *numbers])
 
 
 if __name__ == "__main__":

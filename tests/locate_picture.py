@@ -8,8 +8,8 @@ import numpy as np
 import torch
 from chromium import chromium_page, find_chromium
 from command_line import run
-from photos import drawn_photos
 from PIL import Image
+from textures import drawn_photos
 
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.training.draw import Draw

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pycolmap
 import pytest
-from ambiguous_pose import ambiguous_pose
+from results import ambiguous_pose
+from scenes import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -14,7 +15,6 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.pair_result import PairResult
 from dgc_pose.scene import pose_scene
-from two_view import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 LENS = Distortion("OPENCV", (-0.12, 0.03, 0.001, -0.001))
 

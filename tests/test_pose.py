@@ -12,7 +12,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
-from scene_pair import RenderedPair, render_scene_pair
+from rendered import RenderedPair, render_scene_pair
 
 from dgc_pose import (
     Camera,

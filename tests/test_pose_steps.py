@@ -9,7 +9,7 @@ from typing import Any
 import dense_scene
 import numpy as np
 import pytest
-from good_evidence import GOOD_EVIDENCE
+from results import GOOD_EVIDENCE
 
 from dgc_pose import (
     Camera,

@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from camera_scene import camera_scene, pinhole
+from scenes import camera_scene, pinhole
 
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.plan import Plan

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from ambiguous_pose import INLIERS, PROBABILITIES, ambiguous_pose
+from results import INLIERS, PROBABILITIES, ambiguous_pose
 
 from dgc_pose.batch.rows import BAD_INPUT, PairRow, parse_row, row_of
 from dgc_pose.errors import InputError

@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pycolmap
 import pytest
-from ambiguous_pose import ambiguous_pose
 from batch_runs import run_sift, view_folder
 from multi_view import K, K_text, render_views
+from results import ambiguous_pose
 
 from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.result import read_batch

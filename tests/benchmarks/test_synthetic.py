@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from photos import drawn_photos
+from textures import drawn_photos
 
 from dgc_pose.benchmarks.map_run import MapCase
 from dgc_pose.benchmarks.synthetic import SETS, synthetic_cases

@@ -5,8 +5,8 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
 from command_line import assert_refused, run
+from results import ambiguous_pose
 
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ambiguous_pose import INLIERS, ambiguous_pose
+from results import INLIERS, ambiguous_pose
+from scenes import two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.output import pose_text
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.status import probability_text
-from two_view import two_view_scene
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 import pytest
-from colmap_scene import camera, true_row
+from results import camera, true_row
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera

@@ -8,7 +8,7 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import pytest
-from camera_scene import camera_scene, pinhole
+from scenes import camera_scene, pinhole
 
 from dgc_pose.batch.plan import Plan
 from dgc_pose.batch.poses import epipolar_error_px

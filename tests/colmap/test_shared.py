@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from colmap_scene import cloud_pairs, true_row
 from multi_view import render_views
+from results import cloud_pairs, true_row
 
 from dgc_pose.batch.poses import epipolar_error_px
 from dgc_pose.colmap.shared import one_to_one

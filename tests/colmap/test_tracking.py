@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 
 import numpy as np
-from colmap_scene import cloud_pairs, project
-from multi_view import SIZE, render_views
+from multi_view import SIZE, K, render_views
+from results import cloud_pairs
+from scenes import project
 from scipy.spatial import cKDTree
 
 from dgc_pose.batch.poses import epipolar_error_px
@@ -34,7 +35,7 @@ def _shared(
         view1, view2 = (views[names.index(name)] for name in pair.names)
         wall = rng.uniform((-1.2, -1.4), (1.5, -0.5), (300, 2))
         points = np.column_stack([wall, np.full(300, 6.0)])
-        points1, points2 = project(points, view1.R, view1.t), project(points, view2.R, view2.t)
+        points1, points2 = (project(points, K, v.R, v.t) for v in (view1, view2))
         points1 += noise_px * rng.standard_normal(points1.shape)
         points2[:wrong] += 30
         made.append(type(pair)(pair.row, pair.cameras, points1, points2, np.ones(300)))

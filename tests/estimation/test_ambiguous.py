@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scenes import SCENE_KINDS, TwoViewScene, poster_scene, two_view_scene
 
 from dgc_pose.estimation import EstimationOptions, RelativePose, candidates, estimate_pose
 from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from two_view import SCENE_KINDS, TwoViewScene, poster_scene, two_view_scene
 
 WEIGHTS = "net"  # fingerprint of a network whose matches the models are of
 SEEDS = (2, 3)  # all points in front of the cameras in both poses

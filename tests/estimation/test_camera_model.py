@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_scene import NO_EXIF, CameraScene, camera_scene, pinhole
+from scenes import NO_EXIF, TwoViewScene, camera_scene, pinhole
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -60,16 +60,16 @@ SAID = {
 }
 
 
-def _scene(name: str, seed: int) -> CameraScene:
+def _scene(name: str, seed: int) -> TwoViewScene:
     cameras, _, changes = CASES[name]
     return camera_scene(*cameras, seed=seed, **changes)
 
 
-def _estimated(scene: CameraScene, name: str, seed: int = 0) -> RelativePose:
+def _estimated(scene: TwoViewScene, name: str, seed: int = 0) -> RelativePose:
     return scene.estimate(*scene.auto(OF_30_MM if name == "zoomed" else NO_EXIF), seed=seed)
 
 
-def _assert_as_stated(pose: RelativePose, scene: CameraScene, times: float = 2.0) -> None:
+def _assert_as_stated(pose: RelativePose, scene: TwoViewScene, times: float = 2.0) -> None:
     errors = scene.errors_deg(pose)
     stated = pose.rotation_error_90_deg, pose.translation_error_90_deg
     assert (np.array(errors) <= times * np.array(stated)).all(), (errors, stated)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scenes import poster_scene, two_view_scene
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
@@ -21,7 +22,6 @@ from dgc_pose.estimation.competition import (
 )
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from two_view import poster_scene, two_view_scene
 
 # Of two poses that explain a plane equally well none has a probability above one half.
 OPTIONS = EstimationOptions(runs=3, iterations=300, min_probability=None)

@@ -2,6 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import normalised_problem, two_view_scene
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -12,7 +13,6 @@ from dgc_pose.estimation.intrinsics_prior import FOCALS, IntrinsicsPrior
 from dgc_pose.estimation.least_squares import CORRELATED
 from dgc_pose.estimation.robust_fit import least_squares_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from two_view import normalised_problem, two_view_scene
 
 SCALE = 2e-3
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scenes import CELLS, normalised_problem, two_view_scene
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.estimation.evidence import (
@@ -16,7 +17,6 @@ from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.metrics import rotation_error_deg
-from two_view import CELLS, normalised_problem, two_view_scene
 
 THRESHOLD = 2e-3
 LEAST = 0.5  # probability of a success

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import K1, SIZE1, two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.estimation.extent import odd_extent
-from two_view import K1, SIZE1, two_view_scene
 
 POINTS = two_view_scene(count=300).points1  # of 1600 x 1200 pixels
 ODD = {  # as another program hands them out, or as real ones may be

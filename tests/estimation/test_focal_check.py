@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from camera_scene import CameraScene, camera_scene, pinhole
+from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, two_view_scene
 
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.probability import shipped_models
-from two_view import SceneKind, two_view_scene
 
 SIZE = (1536, 1024)
 CAMERA = pinhole(1300, SIZE)
@@ -58,7 +57,7 @@ def test_a_right_K_is_never_contradicted(kind: SceneKind) -> None:
     for seed in range(20):
         scene = two_view_scene(kind, seed=seed, count=400, outliers=0.3)
         matches = replace(scene.matches, weights=NETWORK)
-        pose = CameraScene(matches, scene.cameras, scene.R, scene.t, scene.true).estimate(
+        pose = TwoViewScene(matches, scene.cameras, scene.R, scene.t, scene.true).estimate(
             *scene.cameras, seed=seed
         )
         assert not _of_K(pose), (seed, pose.warnings)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import normalised_problem, two_view_scene
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -20,7 +21,6 @@ from dgc_pose.estimation.intrinsics_prior import (
 )
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
-from two_view import normalised_problem, two_view_scene
 
 BASIS = np.random.default_rng(3).standard_normal((2 * SIZE, 4)) * 0.02
 OF_LENSES = [3, 4, SIZE + 3, SIZE + 4]

@@ -3,7 +3,7 @@ the same picture."""
 
 import numpy as np
 import pytest
-from camera_scene import CameraScene, camera_scene, joined, pinhole
+from scenes import TwoViewScene, camera_scene, joined, pinhole
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -32,7 +32,7 @@ def _staying(
     return points1, points2 + off * np.array(size2) / SIZE
 
 
-def _with(scene: CameraScene, share: float, place: tuple[float, ...]) -> CameraScene:
+def _with(scene: TwoViewScene, share: float, place: tuple[float, ...]) -> TwoViewScene:
     """The scene with so many staying matches, as a share of all."""
     count = round(share / (1 - share) * len(scene.matches))
     return joined(scene, *_staying(count, place, scene.cameras[1].size))
@@ -42,7 +42,7 @@ def _told(pose: RelativePose) -> list[str]:
     return [warning for warning in pose.warnings if LEFT_OUT in warning]
 
 
-def _assert_right(pose: RelativePose, scene: CameraScene, most_deg: float = 2.5) -> None:
+def _assert_right(pose: RelativePose, scene: TwoViewScene, most_deg: float = 2.5) -> None:
     """Within twice what is stated, which is at most so much."""
     assert pose.success, pose
     rotation, translation = scene.errors_deg(pose)
@@ -112,7 +112,7 @@ def test_the_same_picture_has_no_pose_and_no_rotation(
     wrong = [rng.random((outliers, 2)) * camera.size for camera in (CAMERA, second)]
     rows = [np.vstack(pair) for pair in ((points1, wrong[0]), (points2, wrong[1]))]
     matches = Matches(*rows, np.ones(len(rows[0])), 0.5)
-    scene = CameraScene(matches, (CAMERA, second), np.eye(3), np.zeros(3), np.zeros(len(matches)))
+    scene = TwoViewScene(matches, (CAMERA, second), np.eye(3), np.zeros(3), np.zeros(len(matches)))
     pose = scene.estimate(*(() if auto else scene.cameras))
     assert pose.status == "same_picture" and not pose.success and pose.probability == 0
     assert pose.R is None and pose.t is None and pose.camera1 is None
@@ -138,7 +138,7 @@ def test_of_a_turntable_both_motions_are_told(seed: int, auto: bool) -> None:
     ]
     matches = Matches(*seen, np.ones(400), 0.5)
     true, direction = np.ones(400, dtype=bool), t / np.linalg.norm(t)
-    scene = CameraScene(matches, (CAMERA, CAMERA), R, direction, true)
+    scene = TwoViewScene(matches, (CAMERA, CAMERA), R, direction, true)
     scene = joined(scene, *_staying(750, ANYWHERE, seed=seed))
     pose = scene.estimate(*(() if auto else scene.cameras))
     assert pose.status == "ambiguous" and pose.R is None and pose.probability == 0

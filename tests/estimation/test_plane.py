@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scenes import two_view_scene
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
@@ -11,7 +12,6 @@ from dgc_pose.estimation.plane import best_planar, fit_plane, still_camera
 from dgc_pose.geometry.homography import fit_homography
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
-from two_view import two_view_scene
 
 SIZE = (1600, 1200)
 K = np.array([[1500.0, 0, 799.5], [0, 1500, 599.5], [0, 0, 1]])

@@ -7,9 +7,9 @@ import re
 
 import numpy as np
 import pytest
-from good_evidence import GOOD_EVIDENCE
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from results import GOOD_EVIDENCE
 from scipy.stats import norm
 
 from dgc_pose import load_matcher

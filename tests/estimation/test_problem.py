@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
+from scenes import two_view_scene
 
 from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
-from two_view import two_view_scene
 
 
 def as_matches(points1, points2):

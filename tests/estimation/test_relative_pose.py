@@ -3,6 +3,7 @@
 import numpy as np
 import pycolmap
 import pytest
+from scenes import SIZE1, SIZE2, two_view_scene
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -12,7 +13,6 @@ from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from two_view import SIZE1, SIZE2, two_view_scene
 
 
 def estimate(scene, matches=None, **options):

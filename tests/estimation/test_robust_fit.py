@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from ransac_oracles import ORACLES
+from scenes import normalised_problem, two_view_scene
 
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.robust_fit import essential_matrix, refine, refit, sample
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.metrics import translation_error_deg
-from two_view import normalised_problem, two_view_scene
 
 THRESHOLD = 2e-3  # of the scenes
 OPTIONS = EstimationOptions(iterations=200)

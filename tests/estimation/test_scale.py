@@ -6,11 +6,11 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
+from scenes import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 from dgc_pose import InputError, RelativePose, ScaleSource, estimate_pose
 from dgc_pose.estimation.scale import with_length
 from dgc_pose.images.depth import read_depth
-from two_view import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 LENGTH = 1.7  # metres, of t
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from two_view import two_view_scene
 
 
 def _unknown(camera: Camera, identity: str | None = None, factor: float = 1.3) -> Camera:

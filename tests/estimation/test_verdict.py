@@ -2,7 +2,7 @@ import dataclasses
 from typing import get_args
 
 import pytest
-from good_evidence import GOOD_EVIDENCE
+from results import GOOD_EVIDENCE
 
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.verdict import judge

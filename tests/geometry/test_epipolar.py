@@ -6,6 +6,7 @@ import pycolmap
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import assert_among, two_view_scene
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.geometry.epipolar import (
@@ -15,7 +16,6 @@ from dgc_pose.geometry.epipolar import (
     sampson_distance,
     symmetric_epipolar_distance,
 )
-from two_view import assert_among, two_view_scene
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scenes import assert_among
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.geometry.homography import fit_homography, homography_poses, transfer_error
-from two_view import assert_among
 
 H = np.array([[1.1, 0.1, 0.02], [-0.08, 0.95, -0.1], [0.1, -0.05, 1.0]])
 

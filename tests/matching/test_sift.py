@@ -1,7 +1,7 @@
 """SIFT as a matcher, on a rendered pair whose true map is known."""
 
 import numpy as np
-from scene_pair import render_scene_pair
+from rendered import render_scene_pair
 
 from dgc_pose.images.image import Image
 from dgc_pose.matching.sift import RATIO, SiftMatcher

@@ -8,9 +8,8 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
+from results import ambiguous_pose
 
-from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matchers import load_matcher
 
@@ -189,36 +188,3 @@ def test_a_folder_gives_a_table_of_its_pairs(open_page, tmp_path):
             ".filter((part) => part.offsetParent).map((part) => part.id)"
         )
         assert page.evaluate(shown) == ["view"]
-
-
-def test_what_is_drawn_is_where_the_geometry_says(open_page, map_matcher):
-    """Both lines of a pixel are of one epipolar plane, and the scene is seen from behind camera 1,
-    with the eye far off."""
-    E = essential_from_pose(dense_scene.R, dense_scene.T)
-    F = fundamental_from_essential(E, dense_scene.K, dense_scene.K)
-    with open_page(map_matcher) as page:
-        for image, pixel in ((0, [40.0, 70.0, 1.0]), (1, [200.0, 30.0, 1.0])):
-            known = {
-                "pointer": [image, *pixel[:2]],
-                "result": {"F": (F / np.abs(F).max()).tolist()},
-            }
-            asked = (
-                "import('/static/view.js').then(({ View }) => View.prototype.epipolarLines.call("
-            )
-            lines = page.evaluate(f"{asked}{json.dumps(known)}))")
-            own, other = map(np.array, lines)
-            matrix = F if image == 0 else F.T
-            expected = matrix @ pixel
-            np.testing.assert_allclose(other / other[1], expected / expected[1])
-            # Through the pixel and the epipole, which the matrix takes to 0.
-            line = np.cross(pixel, np.linalg.svd(matrix)[2][2])
-            np.testing.assert_allclose(own / own[1], line / line[1], rtol=1e-6)
-        places = page.evaluate(
-            "import('/static/scene.js').then(({ Scene }) => {"
-            " const scene = new Scene(document.createElement('canvas'));"
-            " Object.assign(scene, { middle: [1, 2, 3], radius: 2, azimuth: 0, elevation: 0 });"
-            " const seen = scene.projection(100, 50, 10);"
-            " return [[1, 2, 3], [2, 2, 3], [1, 3, 3], [2, 2, 5]].map(seen); })"
-        )
-    expected = [[100, 50, 5.2], [100 + 10 / 5.2, 50, 5.2], [100, 50 + 10 / 5.2, 5.2]]
-    np.testing.assert_allclose(places, [*expected, [100 + 10 / 7.2, 50, 7.2]])

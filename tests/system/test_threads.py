@@ -8,11 +8,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scenes import two_view_scene
 
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
-from two_view import two_view_scene
 
 
 @pytest.fixture(autouse=True)

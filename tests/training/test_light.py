@@ -1,7 +1,7 @@
 """Changes of light: blur that moves nothing, noise, and every view for itself."""
 
 import torch
-from procedural import procedural_textures
+from textures import procedural_textures
 
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.light import _kernels, other_light

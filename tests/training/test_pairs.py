@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from depth_folder import rendered, write_rgbd
-from photos import drawn_photos, write_photos
+from rendered import rendered, write_rgbd
+from textures import drawn_photos, write_photos
 
 from dgc_pose.errors import InputError
 from dgc_pose.training import pairs as pairs_module

@@ -7,8 +7,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from depth_folder import poses, rendered, write_rgbd
-from scene_pair import RenderedPair
+from rendered import RenderedPair, poses, rendered, write_rgbd
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.training.posed_frames import read_rgbd, read_scene, read_scenes

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from depth_folder import rendered, write_rgbd
-from photos import coordinates
-from scene_pair import RenderedPair
+from rendered import RenderedPair, rendered, write_rgbd
+from textures import coordinates
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion

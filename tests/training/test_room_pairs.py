@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from photos import drawn_photos
+from textures import drawn_photos
 
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.photos import Photos

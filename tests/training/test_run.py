@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from photos import drawn_photos
+from textures import drawn_photos
 from torch import nn
 
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError

@@ -3,7 +3,7 @@
 import pytest
 import torch
 from map_nets import SMALL
-from photos import drawn_photos
+from textures import drawn_photos
 from torch import nn
 
 from dgc_pose.network.config import preset

@@ -3,7 +3,7 @@
 import pytest
 import torch
 import torch.nn.functional as F
-from photos import coordinates
+from textures import coordinates
 
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs

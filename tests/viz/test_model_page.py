@@ -12,8 +12,8 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
 from PIL import Image
+from results import ambiguous_pose
 from world_scene import CAMERA, IMAGE, world_scene
 
 from dgc_pose.cameras.camera import Camera
@@ -179,10 +179,11 @@ def test_a_browser_shows_the_photographs_upright_and_turns_the_model(opened):
     opened.wait(f"{at['red']}[1] + 5 < {at['yellow']}[1]")
     opened.click("#photographs")
     assert opened.evaluate(at["red"])[2] == 0
-    before = opened.drawn("canvas")
+    drawn = "document.querySelector('canvas').toDataURL()"
+    before = opened.evaluate(drawn)
     opened.evaluate("document.querySelector('canvas').focus()")
     opened.press("+")
-    opened.redrawn("canvas", before)
+    opened.wait(f"{drawn} !== {before!r}")
 
 
 @pytest.mark.slow

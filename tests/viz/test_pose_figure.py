@@ -4,7 +4,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
-from ambiguous_pose import ambiguous_pose
+from results import ambiguous_pose
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from scenes import two_view_scene
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.altered import ALTERATIONS, Alteration, altered
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.images.image import Image
-from two_view import two_view_scene
 
 SCENE = two_view_scene("skew", count=5, outliers=0.0, sigma_px=0.0)
 

@@ -9,8 +9,9 @@ import dense_scene
 import numpy as np
 import pytest
 from command_line import assert_refused, run
-from good_evidence import GOOD_EVIDENCE
-from photos import write_photos
+from results import GOOD_EVIDENCE
+from scenes import two_view_scene
+from textures import write_photos
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.collection import (
@@ -31,7 +32,6 @@ from dgc_pose.estimation.probability import FEATURES, parse_models
 from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.sift import SiftMatcher
-from two_view import two_view_scene
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from photos import drawn_photos
+from textures import drawn_photos
 
 from dgc_pose.benchmarks.probability.planes import RELIEFS, plane_pair
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg

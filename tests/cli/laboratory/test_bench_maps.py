@@ -9,7 +9,7 @@ import pytest
 import torch
 from command_line import assert_refused, run
 from map_nets import MapNet, half_sure, shifted
-from procedural import procedural_textures
+from textures import procedural_textures
 
 from dgc_pose.benchmarks.homographies import true_map
 from dgc_pose.errors import WeightsError

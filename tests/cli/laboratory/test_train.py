@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from depth_folder import rendered, write_rgbd
-from photos import write_photos
+from rendered import rendered, write_rgbd
+from textures import write_photos
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network

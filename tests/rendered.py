@@ -1,19 +1,21 @@
-"""One pair of views of a seeded scene with procedural textures, as NumPy arrays."""
+"""Two views of a seeded scene with procedural textures, as NumPy arrays with the truth about them,
+and as posed RGB-D folders."""
 
 import math
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Literal
 
+import cv2
 import numpy as np
 import torch
-from photos import drawn_photos
+from textures import drawn_photos
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import image_arrays
-from dgc_pose.training.photos import Photos
 from dgc_pose.training.room_pairs import (
     FACES,
     RoomOptions,
@@ -25,13 +27,12 @@ from dgc_pose.training.room_pairs import (
 )
 from dgc_pose.training.views import Cameras, pixel_grid
 
-PairKind = Literal["general", "planar", "rotation_only"]
-
 _OPTIONS = RoomOptions(boxes=12, ellipsoids=4, spans=((1.0, 2.0), (0.5, 1.0)))
 _TRIES = 12  # scenes drawn, of which the one whose views share enough is taken
 _ENOUGH = 0.5
 _DISTANCE = 2.0  # of a camera from what it looks at
 _PLANE_SPAN = 2.2  # that the texture of the plane covers: not periodic, it looks alike nowhere
+_photos = lru_cache(maxsize=1)(lambda: drawn_photos(18, 384))
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ def render_scene_pair(
     size1: tuple[int, int] = (320, 240),
     size2: tuple[int, int] = (320, 240),
     rotation_deg: float = 15.0,
-    kind: PairKind = "general",
+    kind: Literal["general", "planar", "rotation_only"] = "general",
 ) -> RenderedPair:
     """A pair whose cameras differ by a rotation of exactly `rotation_deg`; images of one size are
     of one camera.
@@ -65,8 +66,8 @@ def render_scene_pair(
     motion before a single plane; "rotation_only", the room from one centre. The same seed gives the
     same pair.
     """
-    draw, photos = Draw("cpu", seed, kind), _photos()
-    rooms, look = random_rooms(_TRIES, photos, draw, _OPTIONS)
+    draw = Draw("cpu", seed, kind)
+    rooms, look = random_rooms(_TRIES, _photos(), draw, _OPTIONS)
     azimuth = draw.uniform(_TRIES, high=2 * math.pi)
     height = torch.deg2rad(draw.uniform(_TRIES, low=5, high=30))
     level = height.cos()
@@ -84,33 +85,26 @@ def render_scene_pair(
         distance2 = _DISTANCE * draw.uniform(_TRIES, 1, low=0.9, high=1.1)
         centre2 = look - distance2 * rotation2[:, 2]
     second = Cameras.at(_K(seed, size2), rotation2, centre2)
-    shape1, shape2 = size1[::-1], size2[::-1]
-    shared = overlap(rooms, first, second, shape2).clamp(max=_ENOUGH)
+    shared = overlap(rooms, first, second, size2[::-1]).clamp(max=_ENOUGH)
     for camera in (first, second):
         place = torch.einsum("bji,bj->bi", rooms.axes[:, 0], camera.centre)
         shared -= (place.abs() > 0.97 * rooms.half[:, 0]).any(1).float()
     best = shared.argmax()[None]
-    pair = _rendered(rooms.chosen(best), first[best], second[best], shape1, shape2, photos)
+    pair = _rendered(rooms.chosen(best), first[best], second[best], size1[::-1], size2[::-1])
     return replace(pair, t=0 * pair.t) if kind == "rotation_only" else pair
 
 
-def _rendered(
-    rooms: Rooms,
-    first: Cameras,
-    second: Cameras,
-    shape1: tuple[int, int],
-    shape2: tuple[int, int],
-    photos: Photos,
-) -> RenderedPair:
-    image1, depth1 = render(rooms, first, shape1, photos.bank)
-    image2, depth2 = render(rooms, second, shape2, photos.bank)
+def _rendered(rooms, first, second, shape1, shape2) -> RenderedPair:
+    image1, depth1 = render(rooms, first, shape1, _photos().bank)
+    image2, depth2 = render(rooms, second, shape2, _photos().bank)
     pixels = pixel_grid(shape2, depth2.device).view(1, -1, 2)
     found, visible = correspond(rooms, first, second, depth2.flatten(1), pixels, shape1)
     pose = second.seen_by(first).pose[0].double().numpy()
     U, _, Vt = np.linalg.svd(pose[:, :3])  # the nearest rotation: these are in single precision
+    K = [camera.K[0].double().numpy() for camera in (first, second)]
     return RenderedPair(
         *(image_arrays(image)[0] for image in (image1, image2)),
-        *(_matrix(camera.K[0].double().numpy()) for camera in (first, second)),
+        *(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) for fx, fy, cx, cy in K),
         U @ Vt,
         pose[:, 3],
         found.view(*shape2, 2).double().numpy(),
@@ -149,11 +143,6 @@ def _turn(axis: Tensor, angle: float) -> Tensor:
     return torch.linalg.matrix_exp(cross.double()).float()
 
 
-@lru_cache(maxsize=1)
-def _photos() -> Photos:
-    return drawn_photos(18, 384)
-
-
 def _K(seed: int, size: tuple[int, int]) -> Tensor:
     """fx fy cx cy (B, 4) of a camera of `size` (width, height)."""
     draw = Draw("cpu", seed, size)
@@ -162,5 +151,30 @@ def _K(seed: int, size: tuple[int, int]) -> Tensor:
     return torch.cat([focal, focal, centre]).expand(_TRIES, 4)
 
 
-def _matrix(K: np.ndarray) -> np.ndarray:
-    return np.array([[K[0], 0, K[2]], [0, K[1], K[3]], [0, 0, 1]])
+def rendered(seed: int, size: tuple[int, int], rotation_deg: float = 12.0) -> RenderedPair:
+    """Two views (width, height) of a random scene by one camera, with the truth about them."""
+    return render_scene_pair(seed, size1=size, size2=size, rotation_deg=rotation_deg)
+
+
+def write_rgbd(root: Path, pair: RenderedPair) -> Path:
+    """Both views of a pair in the layout of posed RGB-D, metres; file numbers have gaps."""
+    lines = []
+    views = ((pair.image1, pair.depth1), (pair.image2, pair.depth2))
+    for name in ("images", "depth"):
+        (root / name).mkdir(parents=True)
+    for number, (image, depth), cam_from_world in zip((3, 17), views, poses(pair), strict=True):
+        cv2.imwrite(str(root / "images" / f"{number:05d}.png"), image[..., ::-1])
+        cv2.imwrite(str(root / f"depth/{number:05d}.png"), (1000 * depth).round().astype(np.uint16))
+        lines.append(" ".join(map(repr, np.linalg.inv(cam_from_world).reshape(-1).tolist())))
+    (root / "poses.txt").write_text("\n".join(lines) + "\n")
+    np.savetxt(root / "K.txt", pair.K1)
+    return root
+
+
+def poses(pair: RenderedPair) -> tuple[np.ndarray, np.ndarray]:
+    """cam_from_world (4, 4) of both views, metres."""
+    first, relative = np.eye(4), np.eye(4)
+    first[:3, :3] = cv2.Rodrigues(np.array([0.3, -0.5, 0.2]))[0]
+    first[:3, 3] = (5.0, -2.0, 1.0)
+    relative[:3, :3], relative[:3, 3] = pair.R, pair.t
+    return first, relative @ first

@@ -1,0 +1,106 @@
+"""Results of pairs whose poses are made up or known."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from multi_view import SIZE, K
+from scenes import project
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.batch.rows import PairRow, row_of
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.colmap.shared import PairGeometry
+from dgc_pose.estimation import Hypothesis, RelativePose
+from dgc_pose.estimation.evidence import Evidence
+
+GOOD_EVIDENCE = Evidence(
+    num_inliers=300,
+    inlier_ratio=0.6,
+    chance_ratio=0.01,
+    log10_false_alarms=-100.0,
+    cheirality_ratio=0.95,
+    rotation=np.eye(3),
+    num_rotation_inliers=100,
+    rotation_share=0.3,
+    strict_rotation_share=0.2,
+    parallax=20.0,
+    median_triangulation_angle_deg=8.0,
+    homography_ratio=0.4,
+    collinear=False,
+    occupied_cells=80,
+    key_points=False,
+    raw_rotation_90_deg=0.5,
+    raw_translation_90_deg=1.0,
+    raw_focal_90_percent=None,
+    focal_check=None,
+    residual=0.2,
+    threshold_cells=0.05,
+    confidence=0.95,
+    other_ratio=0.3,
+    map_matchability=0.5,
+    map_agreement=0.9,
+    map_chance=0.2,
+)
+PROBABILITIES = 0.52, 0.45
+INLIERS = 271, 270
+
+
+def ambiguous_pose(count: int = 300) -> RelativePose:
+    """The result of a pair of so many matches that two poses explain."""
+    rotations = Rotation.from_rotvec([[0.0, 0.5, 0.0], [0.1, -0.3, 0.0]]).as_matrix()
+    directions = np.array([[0.6, 0.0, 0.8], [-0.8, 0.6, 0.0]])
+    inliers = [np.arange(count) < number for number in INLIERS]
+    every = np.ones(count, dtype=bool)
+    return RelativePose(
+        status="ambiguous",
+        reason="two poses explain the matches, with probabilities of 52 % and 45 %",
+        inliers=inliers[0],
+        num_matches=count,
+        evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),
+        any_probability=sum(PROBABILITIES),
+        alternatives=tuple(
+            Hypothesis(R, t, found, every, probability=probability)
+            for R, t, found, probability in zip(
+                rotations, directions, inliers, PROBABILITIES, strict=True
+            )
+        ),
+    )
+
+
+def true_row(
+    names: tuple[str, str], R: np.ndarray, t: np.ndarray, status: str = "ok", count: int = 100
+) -> PairRow:
+    """The row of a pair whose pose is known."""
+    pose = RelativePose(
+        status=status,  # type: ignore[arg-type]
+        reason="a pose",
+        inliers=np.ones(count, bool),
+        num_matches=count,
+        R=R,
+        t=None if status == "rotation_only" else t / np.linalg.norm(t),
+    )
+    return row_of(names, pose, 0.5)
+
+
+def camera() -> Camera:
+    """Of all views of `multi_view`."""
+    return Camera(K, SIZE)
+
+
+def cloud_pairs(
+    poses: list[tuple[np.ndarray, np.ndarray]], *, count: int, noise_px: float, seed: int = 0
+) -> list[PairGeometry]:
+    """All pairs of views as a batch would find them, each with matches of the same points and noise
+    of its own."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (count, 3)) * (1.5, 1.0, 0.8) + (0, 0.1, 4.6)
+    seen = [project(points, K, R, t) for R, t in poses]
+    pairs = []
+    for i, j in combinations(range(len(poses)), 2):
+        (R1, t1), (R2, t2) = poses[i], poses[j]
+        R = R2 @ R1.T
+        row = true_row((f"view{i}.png", f"view{j}.png"), R, t2 - R @ t1, count=count)
+        noisy = [seen[k] + noise_px * rng.standard_normal((count, 2)) for k in (i, j)]
+        pairs.append(PairGeometry(row, (camera(), camera()), *noisy, np.linspace(1, 0.5, count)))
+    return pairs
