@@ -48,9 +48,6 @@ class PairBenchOptions:
         None, "Folder of the image paths; by default the list's own.", type=NamedPath()
     )
     limit: int | None = option(None, "Only the first N pairs.", metavar="N", min=1, max=10**9)
-    every: int = option(
-        1, "Only the first of every N pairs of LIST.", metavar="N", min=1, max=10**9
-    )
     protocol: Literal["native", "paper"] = option(
         "native",
         "paper: images squared to 256x256, every match, the best of --runs RANSAC runs (the "
@@ -116,7 +113,7 @@ def bench_pairs(
     folders = _folders(options.matches)
     names = split_names(options.methods)
     methods = parse_methods(names, matcher, estimation, [*folders], cameras)
-    listed = read_pairs(pair_list, options.root)[:: options.every][: options.limit]
+    listed = read_pairs(pair_list, options.root)[: options.limit]
     require_images(listed)
     stored = {name: pair_files(path, listed) for name, path in folders.items()}
     pairs = ListedPairs(listed, size=PAPER_SIZE if paper else None)

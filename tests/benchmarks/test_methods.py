@@ -34,7 +34,6 @@ def test_names_stand_for_methods() -> None:
         ([], [], "no methods"),
         (["dis", "sift", "dis"], [], "'dis' is named twice"),
         (["sift/all"], [], "key points alone"),
-        (["dis"], ["sift"], "there already"),
         (["dis:magic=1"], [], "dis:magic=1: no option magic"),
         (["dis:runs=many"], [], "runs cannot be 'many'"),
         (["sift:refine=map"], [], "refine=map needs the features of a network"),
