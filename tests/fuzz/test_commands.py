@@ -121,6 +121,7 @@ EXPORT = ("export-colmap", "batch", "--overwrite")
         ((*MATCH, "--overwrite", "--weights", "junk.pth", "--out", "junk.pth"), "would be lost"),
         ((*EXPORT, "--database", "batch/matches.h5"), ""),
         ((*EXPORT, "--database", "views/one.png"), ""),
+        ((*EXPORT, "--hloc", "batch"), ""),
         (RECONSTRUCT, "is there already"),
         ((*RECONSTRUCT, "--resume"), "sparse: holds other files"),
         ((*ESTIMATE, *K, "--json", "junk"), "junk is there already: --overwr"),
