@@ -67,13 +67,6 @@ def test_every_command_has_its_help_without_an_extra(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_a_package_of_the_installation_itself_comes_with_it(tmp_path: Path) -> None:
-    words = ("estimate", *_PAIR, *_K, "--plot", "plot.png")
-    done = run_in(without(tmp_path / "site", "matplotlib"), *words)
-    line = "error: estimate needs matplotlib, which is not installed: pip install ."
-    assert (done.returncode, done.stderr.splitlines()) == (2, [line])
-
-
 def test_a_module_that_a_library_lacks_is_no_missing_package() -> None:
     """torch is installed: a missing submodule does not mean that torch is missing."""
     assert missing_package(ModuleNotFoundError(name="torch.no_such_part")) is None

@@ -16,13 +16,14 @@ from sklearn.linear_model import LogisticRegression, QuantileRegressor
 from dgc_pose.benchmarks.metrics import folded
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.errors import InputError
-from dgc_pose.estimation.competition import CHOICE_FEATURES, choice_shares
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
+    CHOICE_FEATURES,
     FEATURES,
     OF_AUTO,
     OF_MAPS,
     MatchKind,
+    choice_shares,
     log_error,
 )
 

@@ -22,8 +22,7 @@ from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.relative_pose import gathered
-from dgc_pose.estimation.uncertainty import uncertainty
+from dgc_pose.estimation.relative_pose import gathered, uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg

@@ -17,14 +17,15 @@ from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.competition import choice_shares, utility
 from dgc_pose.estimation.probability import (
     FORMAT,
     MatchKind,
     ProbabilityModel,
+    choice_shares,
     match_kind,
     of_right,
     parse_models,
+    utility,
 )
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge

@@ -4,9 +4,10 @@
 
 from pathlib import Path
 
+import h5py
 import numpy as np
 
-from dgc_pose.batch.matches_file import group_name, new_file
+from dgc_pose.batch.result import group_name
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import save_text, staged
@@ -24,11 +25,11 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
     paths = [str(folder / name) for name in ("features.h5", "matches.h5", "pairs.txt")]
     with staged(*paths) as stage:
         features, matches, pairs = map(stage, paths)
-        with new_file(features) as file:
+        with h5py.File(features, "w") as file:
             for name, points in shared.key_points.items():
                 file[f"{name}/keypoints"] = points.astype(np.float32)
                 file[f"{name}/scores"] = np.ones(len(points), np.float32)
-        with new_file(matches) as file:
+        with h5py.File(matches, "w") as file:
             for names, index in shared.pairs.items():
                 matches0 = np.full(len(shared.key_points[names[0]]), -1, np.int32)
                 matches0[index[:, 0]] = index[:, 1]

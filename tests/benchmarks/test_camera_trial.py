@@ -8,7 +8,6 @@ from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_cameras
-from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 
 IMAGE = Image(np.zeros((240, 320, 3), np.uint8))
@@ -42,8 +41,3 @@ def test_a_wrong_K_is_wrong_by_what_was_asked_for() -> None:
         assert camera.K == pytest.approx(np.array([[240, 0, 159.5], [0, 240, 119.5], [0, 0, 1]]))
         assert camera.focal_std == 0
     assert CAMERA.K[0, 0] == 300
-
-
-def test_a_K_that_is_withheld_cannot_be_changed() -> None:
-    with pytest.raises(InputError, match="K is auto: it cannot be changed"):
-        CameraTrial(k="auto", k_scale=2.0)

@@ -15,7 +15,7 @@ from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.cli.batch import _echo_pairs
 from dgc_pose.estimation import RelativePose
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 

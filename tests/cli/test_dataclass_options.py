@@ -94,9 +94,9 @@ def test_the_help_has_texts_choices_defaults_and_sections() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--limit", "0"], "'--limit': 0.0 is not in the range x>0."),
-        (["--limit", "nan"], "'--limit': nan is no number"),
-        (["--share", "1.5"], "'--share': 1.5 is not in the range 0<=x<=1."),
+        (["--limit", "0"], "--limit must be above 0, not 0.0"),
+        (["--limit", "nan"], "--limit must be a number, not nan"),
+        (["--share", "1.5"], "--share must be at least 0 and at most 1, not 1.5"),
         (["--size", "big"], "--size must be WxH, not big"),
         (["--names", "c"], "--names has c"),
     ],

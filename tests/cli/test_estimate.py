@@ -222,7 +222,7 @@ def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
         (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
         (("--matches", "p.json"), "same file"),
-        (("--matchability", "1.5"), "'--matchability': 1.5 is not in"),
+        (("--matchability", "1.5"), "--matchability must be at least 0 and at most 1, not 1.5"),
         (("--device", "cuda"), "cuda"),
     ],
 )

@@ -104,7 +104,7 @@ def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy)
         (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
         (
             ["estimate", "a.png", "b.png", "--K", "auto", "--runs", "0"],
-            "error: Invalid value for '--runs': 0 is not in",
+            "error: --runs must be at least 1 and at most 10000, not 0",
         ),
         (["match", "a.png", "b.png"], "--out"),
     ],

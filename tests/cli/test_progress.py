@@ -1,6 +1,5 @@
-"""What the progress of a long command writes: lines into a file, a bar on a terminal."""
+"""What the progress of a long command writes into a file: lines."""
 
-import io
 from types import SimpleNamespace
 
 import pytest
@@ -8,18 +7,12 @@ import pytest
 from dgc_pose.cli.progress import progress_bars
 
 
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A clock that the test sets."""
-    clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
-    monkeypatch.setattr("dgc_pose.cli.progress.time", clock)
-    return clock
-
-
 def test_a_log_file_gets_a_line_a_minute(
-    clock: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of 780 pairs 60 are of the run before; six take a second."""
+    clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
+    monkeypatch.setattr("dgc_pose.cli.progress.time", clock)
     with progress_bars() as progress:
         for done in range(60, 781, 6):
             progress("pairs", done, 780)
@@ -31,18 +24,3 @@ def test_a_log_file_gets_a_line_a_minute(
         "",
         "pairs 420 of 780, 54 %, 1 min left\npairs 780 of 780, 100 %, 0 min left\n",
     )
-
-
-def test_a_terminal_gets_a_bar(clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr("sys.stderr", terminal)
-    with progress_bars() as progress:
-        for done in range(4):
-            progress("pairs", done, 3)
-            clock.seconds += 100
-    assert "\r" in terminal.getvalue() and "3/3" in terminal.getvalue()
-    assert "min left" not in terminal.getvalue()

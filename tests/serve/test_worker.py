@@ -31,7 +31,7 @@ def test_a_failure_is_one_line_and_the_next_call_works(error, message):
         raise error
 
     async def calls():
-        worker = Worker(1)
+        worker = Worker()
         with pytest.raises(WorkError, match=message) as caught:
             await worker.call(fail, seconds=SECONDS)
         assert type(caught.value) is WorkError and caught.value.status == 422
@@ -43,7 +43,7 @@ def test_a_failure_is_one_line_and_the_next_call_works(error, message):
 
 def test_what_takes_too_long_is_given_up_and_the_next_call_waits_for_it(held):
     async def calls():
-        worker = Worker(2)
+        worker = Worker()
         with pytest.raises(WorkError, match=r"^stopped after 0\.1 seconds$"):
             await worker.call(held.wait, seconds=0.1)
         # The time of the next call passes before it begins, and it never does.
@@ -57,13 +57,11 @@ def test_what_takes_too_long_is_given_up_and_the_next_call_waits_for_it(held):
     asyncio.run(calls())
 
 
-def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them(held):
+def test_closing_ends_all_calls(held):
     async def calls():
-        worker = Worker(2)
+        worker = Worker()
         waiting = [asyncio.create_task(worker.call(held.wait, seconds=SECONDS)) for _ in "ab"]
         await asyncio.sleep(0)  # until both have begun
-        with pytest.raises(Unavailable, match="busy"):
-            await worker.call(sum, [], seconds=SECONDS)
         worker.close()
         errors = await asyncio.gather(*waiting, return_exceptions=True)
         with pytest.raises(Unavailable) as late:
@@ -76,7 +74,7 @@ def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them(held):
 
 def test_a_call_that_is_cancelled_gives_up_its_place(held):
     async def calls():
-        worker, begun = Worker(2), threading.Event()
+        worker, begun = Worker(), threading.Event()
         left = [
             asyncio.create_task(worker.call(function, seconds=SECONDS))
             for function in (held.wait, begun.set)

@@ -31,7 +31,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, parse_models
 from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")
