@@ -208,7 +208,6 @@ def test_unusable_input_is_one_line_and_leaves_nothing(images: Path, tmp_path: P
         cv2.imwrite(str(small / name), np.zeros((10, 20), np.uint8))
     before = contents(tmp_path)
     for source, to, words, expected in (
-        (tmp_path / "none", "tum", (), "none: no such file or folder"),
         (images, "tum", (), "holds no model of COLMAP"),
         (cut, "tum", (), "images.bin is not COLMAP's images that can be read"),
         (full, "nerfstudio", (), "--to nerfstudio cannot hold FULL_OPENCV"),

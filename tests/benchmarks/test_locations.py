@@ -10,7 +10,6 @@ from command_line import assert_refused, run
 from multi_view import K, View, render_views, write_views
 
 from dgc_pose.benchmarks.locations import LocationScore, report, thinned, true_model
-from dgc_pose.errors import DgcPoseError
 
 
 @pytest.fixture(scope="module")
@@ -28,19 +27,12 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
     return folder, views
 
 
-def test_posed_images_are_a_model(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
+def test_posed_images_are_a_model(scene: tuple[Path, list[View]]) -> None:
     folder, views = scene
     model = true_model(folder, None)
     for i, view in enumerate(views):
         np.testing.assert_allclose(model.centre(f"view{i}.png"), view.centre, atol=1e-9)
         np.testing.assert_allclose(model.poses[f"view{i}.png"][:, :3], view.R, atol=1e-9)
-    for name in ("images", "depth"):
-        (tmp_path / name).mkdir()
-        cv2.imwrite(str(tmp_path / name / "a.png"), views[0].pixels)
-    for name in ("K.txt", "poses.txt"):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    with pytest.raises(DgcPoseError, match="1 images, 1 depths and 5 poses"):
-        true_model(tmp_path, None)
 
 
 def test_a_report_counts_what_is_within_bounds() -> None:
