@@ -4,7 +4,6 @@ Chromium reads commands from its descriptor 3 and answers on 4 (--remote-debuggi
 no driver and no port are needed.
 """
 
-import base64
 import json
 import os
 import shutil
@@ -104,10 +103,6 @@ class Page:
         """The window's inner size, CSS pixels."""
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self._call("Emulation.setDeviceMetricsOverride", **size)
-
-    def screenshot(self, path: Path) -> None:
-        """Write what the window shows as a PNG."""
-        path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))
 
     def wait(self, expression: str, seconds: float = 60) -> None:
         """Until a JavaScript expression is true. Raises AssertionError after so many seconds."""

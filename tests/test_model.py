@@ -103,24 +103,17 @@ def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
     data = json.loads(_transforms(SCENE, odd).read_text())
     data["frames"][0]["transform_matrix"] = (2 * np.eye(4)).tolist()
     odd.write_text(json.dumps(data))
-    zero = tmp_path / "zero.csv"
-    row = _table(SCENE, zero).read_text().splitlines()
-    zero.write_text("\n".join([row[0], "r0.jpg,0,0,0,0" + row[1].split(",", 5)[5].join([",", ""])]))
     single = tmp_path / "single.csv"
-    single.write_text("\n".join(row[:2]))
+    single.write_text("\n".join(_table(SCENE, single).read_text().splitlines()[:2]))
     for source, words in (
         (tmp_path / "two", "model .*two has the models 0, 1"),
         (cameras, "model .* has no poses of images"),
         (odd, "has a pose that is none"),
-        (zero, "a quaternion without a length"),
-        (tmp_path / "absent", "model .*absent: no such file or folder"),
         (images, "holds no model of COLMAP"),
         (single, "model .*single.csv has the pose of one image, two are needed"),
     ):
         with pytest.raises(DgcPoseError, match=words):
             load_model(source, images)
-    with pytest.raises(InputError, match="images .*absent: no such folder"):
-        load_model(_table(SCENE, tmp_path / "poses.csv"), tmp_path / "absent")
 
 
 @pytest.mark.parametrize("kind", ["binary", "table"])
@@ -147,9 +140,6 @@ def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) 
     assert written.num_points3D() == (20 if is_colmap else 0)
     again = load_model(tmp_path / "out", images)
     assert sorted(again.poses) == SCENE.names  # the photograph is in another folder
-    with pytest.raises(InputError, match="add has an image r0.jpg already"):
-        require_addable(tmp_path / "other", model, [str(images / "r0.jpg")])
-    assert not (tmp_path / "other").exists()
 
 
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
@@ -177,13 +167,8 @@ def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
     as_stored = model.cameras[added.camera_id]
     assert (as_stored.width, as_stored.height) == (160, 120)
     for point in SCENE.points:
-        x, y = (
-            SCENE.R
-            @ (point - SCENE.centre)
-            @ np.eye(3)[:, :2]
-            / (SCENE.R @ (point - SCENE.centre))[2]
-        )
-        at = camera.project(np.array([[x, y]]))[0]
+        seen = SCENE.R @ (point - SCENE.centre)
+        at = camera.project(seen[None, :2] / seen[2])[0]
         in_file = as_stored.img_from_cam(added.cam_from_world() * point) - 0.5
         column, line = np.round(at).astype(int)
         if 0 <= column < upright.shape[1] and 0 <= line < upright.shape[0]:

@@ -54,24 +54,11 @@ def test_a_photograph_is_placed(scene: tuple[Path, list[View]], tmp_path: Path) 
     np.testing.assert_allclose(-np.array(data["R"]).T @ data["t"], data["centre"], atol=1e-9)
     assert data["rotation_error_90_deg"] < 2 and data["position_error_90"] < 0.3
     assert sum(reference["agrees"] for reference in data["references"]) > 1
-    text = result.stdout
-    assert "cam_from_world (x = R X + t)" in text and "probability over 99 %" in text
+    assert "probability over 99 %" in result.stdout
     assert load_image(out / "o.png").size[0] > 1000
     added = pycolmap.Reconstruction(out / "model").find_image_with_name("photo.png")
     assert added is not None
     np.testing.assert_allclose(added.cam_from_world().matrix()[:, 3], data["t"], atol=1e-9)
-
-
-def test_a_location_is_written_though_no_model_of_COLMAP_holds_its_camera(
-    scene: tuple[Path, list[View]], tmp_path: Path
-) -> None:
-    skewed = K + np.array([[0, 0.5, 0], [0, 0, 0], [0, 0, 0]])
-    np.savetxt(tmp_path / "K.txt", skewed)
-    files = ("--json", tmp_path / "o.json", "--add", tmp_path / "model")
-    result = locate(scene[0], "--K", tmp_path / "K.txt", *files)
-    assert result.exit_code == 2 and "skew" in result.stderr
-    (data,) = json.loads((tmp_path / "o.json").read_text()).values()
-    assert data["status"] == "located" and not (tmp_path / "model").exists()
 
 
 def test_an_image_of_the_model_is_not_matched_and_another_place_is_nowhere(
@@ -96,22 +83,13 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
     given = ("--json", tmp_path / "o.json", "--add", tmp_path / "m")
     for words, expected in (
         (("--K", "500,500,320,240"), "K"),
-        (("--plot", tmp_path / "o.txt"), "a plot is written as one of"),
         (("--K", "auto", "--weights", "sift"), "no features of a network"),
         (("--model", tmp_path / "none"), "--model"),
-        (("--images", tmp_path / "none"), "--images"),
         (("--masks", tmp_path / "none"), "--masks"),
     ):
         assert_refused(locate(folder, *words, *given), expected)
-    assert_refused(locate(folder, *given, photo="absent.png"), "absent.png")
     inside = locate(folder, *given, "--K", K_text(), photo="images/view2.png")
     assert_refused(inside, "--add", "has an image view2.png already")
-    copy = tmp_path / "copy" / "photo.png"
-    copy.parent.mkdir()
-    copy.write_bytes((folder / "photo.png").read_bytes())
-    assert_refused(locate(folder, copy, *given), "--add", "has an image photo.png already")
-    copy.unlink()
-    copy.parent.rmdir()
     several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
     assert_refused(several, "--plot", "draws a single query, not 2")
     assert contents(tmp_path) == {} and contents(folder) == before

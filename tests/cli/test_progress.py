@@ -1,6 +1,5 @@
 """What the progress of a long command writes: lines into a file, a bar on a terminal."""
 
-import io
 from types import SimpleNamespace
 
 import pytest
@@ -31,18 +30,3 @@ def test_a_log_file_gets_a_line_a_minute(
         "",
         "pairs 420 of 780, 54 %, 1 min left\npairs 780 of 780, 100 %, 0 min left\n",
     )
-
-
-def test_a_terminal_gets_a_bar(clock: SimpleNamespace, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr("sys.stderr", terminal)
-    with progress_bars() as progress:
-        for done in range(4):
-            progress("pairs", done, 3)
-            clock.seconds += 100
-    assert "\r" in terminal.getvalue() and "3/3" in terminal.getvalue()
-    assert "min left" not in terminal.getvalue()

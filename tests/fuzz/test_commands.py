@@ -101,7 +101,6 @@ def test_bad_values_are_refused_in_one_line_and_change_nothing(words, folder, fi
 
 
 def test_every_number_option_has_a_range(folder):
-    """Of the dataclasses' options too: they refuse what lies outside when they are made."""
     for words in command_lines():
         if words[-1] in ("9" * 30, "-inf"):
             assert_refused(run(*words))
@@ -115,11 +114,9 @@ EXPORT = ("export-colmap", "batch", "--overwrite")
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ((*ESTIMATE, *K, "--overwrite", "--matches", "one.png"), "would be lost"),
         ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "would be lost"),
         ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
         ((*MATCH, "--overwrite", "--weights", "junk.pth", "--out", "junk.pth"), "would be lost"),
-        ((*EXPORT, "--database", "batch/matches.h5"), ""),
         ((*EXPORT, "--database", "views/one.png"), ""),
         (RECONSTRUCT, "is there already"),
         ((*RECONSTRUCT, "--resume"), "sparse: holds other files"),

@@ -17,7 +17,6 @@ from safetensors.torch import load_file, save_file
 from dgc_pose import load_image
 from dgc_pose.batch.result import read_batch
 from dgc_pose.cameras.formats.colmap import read_database
-from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_bytes
@@ -27,7 +26,7 @@ from dgc_pose.network.weights import load_network
 from dgc_pose.training.run import save_weights
 
 
-@pytest.mark.parametrize("read", [load_image, read_pairs, read_bytes, read_array, load_network])
+@pytest.mark.parametrize("read", [load_image, read_bytes, load_network])
 @pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder"])
 def test_only_regular_files_are_opened(read, kind, tmp_path):
     os.mkfifo(tmp_path / "fifo")
@@ -78,7 +77,6 @@ def _filled(value):
     ("write", "words"),
     [
         (lambda path: torch.save([1, 2], path), ""),
-        (lambda path: torch.save({1: torch.zeros(2)}, path), ""),
         (lambda path: torch.save({"state_dict": {"a": None}}, path), ""),
         (lambda path: torch.save({"a": torch.zeros(2, 2).to_sparse()}, path), ""),
         (_filled(np.nan), "not finite"),

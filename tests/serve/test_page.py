@@ -83,14 +83,6 @@ def test_a_pair_of_files_gives_its_pose(open_page, map_matcher, pictures, tmp_pa
         page.wait(f"!{STALE}")
         assert "310.0 px" in page.text("#numbers")
         assert "410" in page.errors.pop()  # which the browser notes
-        page.evaluate(
-            "(() => { window.saved = []; URL.createObjectURL = (blob) => { saved.push(blob);"
-            " return 'data:,'; }; HTMLAnchorElement.prototype.click = () => {}; })()"
-        )
-        page.click("#save-json")
-        page.wait("saved.length === 1")
-        data = json.loads(page.evaluate("saved[0].text()"))
-        assert data["status"] == "ok" and len(data["matches"]["points"]) > 100
 
 
 def assert_pointed(page, place):
@@ -175,16 +167,9 @@ def test_a_folder_gives_a_table_of_its_pairs(open_page, tmp_path):
         assert [row[0] for row in others] == ["a1.png, a10.png", "a2.png, a10.png"]
         for row in others:
             assert row[1].startswith("No pose\n") and row[2:5] == ["", "", ""]
-        assert_fits(page, (390, 1280))
         page.click("#pairs tbody tr:nth-child(1) button")
         page.wait(DONE)
         assert page.text("#verdict") == first[1]
         assert f"rotation angle\n{first[3]}\n" in page.text("#numbers")
         page.click("#pairs tbody tr:nth-child(2) button")
         page.wait("document.querySelector('#verdict').textContent === 'No pose'")
-        assert page.text("#numbers").endswith("agree with the best essential matrix")
-        shown = (
-            "[...document.querySelectorAll('#result [data-posed], #result canvas')]"
-            ".filter((part) => part.offsetParent).map((part) => part.id)"
-        )
-        assert page.evaluate(shown) == ["view"]

@@ -112,40 +112,23 @@ def test_synthetic_sets_have_a_line_a_method(photos):
     assert [group["pairs"] for group in half["groups"]] == [3, 3]
     assert half["all"]["aepe"] < 100 < off["all"]["aepe"]
     assert off["reliability"] is None and sum(half["reliability"]["counts"]) == 6 * 240 * 240
-    for group in half["groups"]:
-        (line,) = lines(result, group["group"], "half")
-        assert line[2:4] == ["3", f"{group['aepe']:.2f}"]
     first = result.stdout.splitlines()[0]
     assert "photographs that training holds back" in first and "no occluders" in first
-
-
-def test_scenes_and_changes_of_light(photos):
     words = ("--methods", "half", "--sets", "scenes", "--pairs", "2", "--changed")
-    assert "with changes of light" in bench("--photos", "photos", *words).stdout
+    more = bench("--photos", "photos", *words)
+    assert "with changes of light" in more.stdout
 
 
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (("--homographies", "planes", "--methods", "true,nosuch"), "nosuch"),
-        (("--homographies", "planes", "--methods", "true,true"), "twice"),
-        (("--homographies", "planes", "--methods", "true,sift"), "sift: has key points alone"),
         (("--homographies", "planes", "--photos", "planes"), "one of them"),
         ((), "give --homographies or --photos"),
-        (("--photos", "nowhere"), "nowhere: No such file or directory"),
         (("--photos", "planes", "--sets", "affine,tps"), "no set 'tps'"),
-        (("--photos", "planes", "--sets", ","), "no sets"),
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(planes, arguments, words):
     methods = () if "--methods" in arguments else ("--methods", "true")
     assert_refused(run("bench-maps", *arguments, *methods), words)
     assert os.listdir(planes) == ["planes"]
-
-
-def test_a_broken_image_leaves_no_files(planes):
-    (planes / "planes" / "v_wall" / "6.ppm").write_bytes(b"P6 no image")
-    words = ("--homographies", "planes", "--methods", "true", "--out", "run")
-    result = run("bench-maps", *words)
-    assert result.exit_code == 2 and "6.ppm" in result.stderr
-    assert os.listdir("run") == []
