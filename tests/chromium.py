@@ -162,9 +162,8 @@ def chromium_page(executable: str) -> Iterator[Page]:
 
     def as_3_and_4() -> None:
         # Through high numbers first: the pipes may be 3 and 4 themselves.
-        high = os.dup2(command_out, 100), os.dup2(answer_in, 101)
-        os.dup2(high[0], 3)
-        os.dup2(high[1], 4)
+        os.dup2(os.dup2(command_out, 100), 3)
+        os.dup2(os.dup2(answer_in, 101), 4)
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         process = subprocess.Popen(

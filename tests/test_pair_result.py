@@ -59,7 +59,7 @@ def test_the_points_are_those_that_colmap_triangulates(lens: Distortion | None) 
 
 
 def test_the_points_are_in_metres_where_t_has_a_length_and_none_behind_a_camera() -> None:
-    result = result_of(two_view_scene(count=100))
+    result = result_of(two_view_scene(count=100, sigma_px=0.0, outliers=0.0))
     metric = replace(result, pose=replace(result.pose, length=2.5))
     np.testing.assert_allclose(metric.points3d, 2.5 * result.points3d)
     behind = replace(result, pose=replace(result.pose, t=-result.pose.t))  # a camera, all points

@@ -43,7 +43,7 @@ def test_names_say_which_homographies_look_past_the_horizon(photos: Photos) -> N
         said += [name.endswith(", past its horizon") for name in case.names]
         for truth, valid in zip(case.pairs.map.double().numpy(), case.pairs.valid, strict=True):
             here = np.column_stack([x[valid], y[valid]])
-            matrix, _ = cv2.findHomography(here, truth[valid.numpy()])
+            matrix, _ = cv2.findHomography(here[::50], truth[valid.numpy()][::50])
             denominator = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
             found.append(bool(denominator.min() < 0 < denominator.max()))
     assert said == found and 0 < sum(said) < 16

@@ -50,13 +50,8 @@ def client(folder, pictures, map_matcher):
     server.close()
 
 
-def encoded(ending, pixels=None):
-    pixels = dense_scene.pictures()[0] if pixels is None else pixels
-    return cv2.imencode(ending, pixels[..., ::-1])[1].tobytes()
-
-
-def decoded(url):
-    return Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
+def encoded(ending):
+    return cv2.imencode(ending, dense_scene.pictures()[0][::4, ::4])[1].tobytes()
 
 
 def send(client, data, name="a.png"):
@@ -77,9 +72,6 @@ def poses(client, first, second, camera):
     lines = [json.loads(line) for line in answer.text.splitlines()]
     assert all(list(line) == ["progress"] for line in lines[:-1])
     return lines[-1]
-
-
-# Who may ask
 
 
 @pytest.mark.parametrize(
@@ -128,29 +120,17 @@ def test_only_the_files_of_the_page_are_given_out(client, path):
     assert "import" not in answer.text
 
 
-# Images
-
-
-@pytest.mark.parametrize("ending", [".jpg", ".tif"])
-def test_an_image_comes_back_as_the_browser_shows_it(client, ending):
-    answer = send(client, encoded(ending), "näme.x")
-    assert answer.status_code == 200
-    image = answer.json()
-    assert image["size"] == [320, 240] and image["name"] == "näme.x"
-    assert image["picture"].startswith("data:image/jpeg;base64,")
-    shown = np.asarray(decoded(image["picture"]))
-    assert np.abs(shown.astype(int) - dense_scene.pictures()[0]).mean() < 8
-
-
-def test_a_portrait_is_upright(client):
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_an_image_comes_back_upright_as_a_jpeg(client, kind):
     stream, exif = io.BytesIO(), Image.Exif()
     exif[0x0112] = 6
     stored = dense_scene.pictures()[0]
-    Image.fromarray(stored).save(stream, "JPEG", exif=exif)
-    image = send(client, stream.getvalue(), "turned.jpg").json()
-    assert image["size"] == [240, 320]
-    shown = np.asarray(decoded(image["picture"])).astype(int)
-    assert np.abs(shown - np.rot90(stored, -1)).mean() < 8
+    Image.fromarray(stored).save(stream, kind, exif=exif)
+    image = send(client, stream.getvalue(), "näme.x").json()
+    assert image["size"] == [240, 320] and image["name"] == "näme.x"
+    url, data = image["picture"].split(",")
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data)))).astype(int)
+    assert url == "data:image/jpeg;base64" and np.abs(shown - np.rot90(stored, -1)).mean() < 8
 
 
 def test_only_the_last_images_are_kept(client, folder):
@@ -162,12 +142,9 @@ def test_only_the_last_images_are_kept(client, folder):
     assert "no longer there" in answer.text
 
 
-SMALL = dense_scene.pictures()[0][::4, ::4]
-
-
 def png_claiming(width, height):
     """A small PNG that claims another size."""
-    data = bytearray(encoded(".png", SMALL))
+    data = bytearray(encoded(".png"))
     data[16:24] = struct.pack(">II", width, height)
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     return bytes(data)
@@ -175,7 +152,7 @@ def png_claiming(width, height):
 
 @given(
     st.sampled_from([".png", ".jpg", ".tif", ".webp", ".bmp", ".jp2"]).flatmap(
-        lambda ending: damaged(encoded(ending, SMALL)).map(lambda data: data[:100_000])
+        lambda ending: damaged(encoded(ending)).map(lambda data: data[:100_000])
     )
 )
 @example(b"")
@@ -188,7 +165,7 @@ def test_hostile_uploads_leave_the_server_as_it_was(client, folder, data):
     if answer.status_code != 200:
         assert answer.text and "\n" not in answer.text and str(folder) not in answer.text
     assert len(list(folder.iterdir())) <= IMAGES
-    assert send(client, encoded(".png", SMALL)).status_code == 200
+    assert send(client, encoded(".png")).status_code == 200
 
 
 def test_too_large_a_file_is_refused_before_it_is_read(client, folder):
@@ -199,9 +176,6 @@ def test_too_large_a_file_is_refused_before_it_is_read(client, folder):
     answer = client.post("/images", content=iter([large[:400_000], large[:400_000]]))
     assert answer.status_code == 413 and "0.5 MB" in answer.text
     assert sorted(folder.iterdir()) == before
-
-
-# Poses
 
 
 @pytest.mark.parametrize(
@@ -260,15 +234,14 @@ def test_a_bad_camera_is_told_in_one_line(client, pair, camera, words):
 
 
 def test_the_name_of_a_file_is_text_alone(client, folder, pair, tmp_path):
-    for name in ("../../evil.png", "a\x00b\n" + 500 * "c", ""):
-        name = send(client, encoded(".png"), name).json()["name"]
-        assert name.isprintable() and 0 < len(name) <= 200
-    assert all(len(path.name) == 32 and path.parent == folder for path in folder.iterdir())
-    for name in ("../../K.txt", "", "a\0b" + 300 * "ü", str(tmp_path)):
+    for name in ("../../K.txt", "", "a\0b" + 250 * "ü", str(tmp_path)):
         camera = {"kind": "file", "name": name, "content": in_base64(K_FILE)}
         result = poses(client, *pair, camera)["result"]
         assert result["pose"]["success"], name
         assert "dgc-pose." not in json.dumps(result), "the folder that it was written to"
+        name = send(client, encoded(".png"), name).json()["name"]
+        assert name.isprintable() and 0 < len(name) <= 200
+    assert all(len(path.name) == 32 and path.parent == folder for path in folder.iterdir())
 
 
 def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):

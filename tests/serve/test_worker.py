@@ -74,10 +74,8 @@ def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them(held):
 def test_a_call_that_is_cancelled_gives_up_its_place(held):
     async def calls():
         worker, begun = Worker(2), threading.Event()
-        left = [
-            asyncio.create_task(worker.call(function, seconds=SECONDS))
-            for function in (held.wait, begun.set)
-        ]
+        calls = [worker.call(function, seconds=SECONDS) for function in (held.wait, begun.set)]
+        left = [asyncio.create_task(call) for call in calls]
         await asyncio.sleep(0)
         for task in left:
             task.cancel()
