@@ -8,7 +8,7 @@ from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 
 
 def test_demo_prints_both_pairs_with_their_commands_and_the_known_pose(tmp_path):
-    result = run("demo", "--plot", tmp_path / "p.png", "--effort", "fast", "--runs", "1")
+    result = run("demo", "--plot", tmp_path / "p.png")
     assert result.exit_code == 0
     shown = result.stdout
     assert shown.splitlines()[-6].split() == ["estimated", "known"]

@@ -30,7 +30,6 @@ BATCH = ("--pairs", "sequential:1", *K, "--workers", "1", "--runs", "1", "--refi
 BASES = {
     "estimate": ("one.png", "two.png", *K, "--refine", "none"),
     "match": ("one.png", "two.png", "--refine", "none", "--out", "new.npz"),
-    "demo": ("--refine", "none", "--runs", "1"),
     "batch": ("photos", "--out", "new", *BATCH),
     "reconstruct": ("photos", "--out", "new", *BATCH),
     "export-colmap": ("batch", "--database", "new.db"),

@@ -115,7 +115,7 @@ def test_synthetic_sets_have_a_line_a_method(photos):
     assert off["reliability"] is None and sum(half["reliability"]["counts"]) == 6 * 240 * 240
     first = result.stdout.splitlines()[0]
     assert "photographs that training holds back" in first and "no occluders" in first
-    words = ("--methods", "half", "--sets", "scenes", "--pairs", "2", "--changed")
+    words = ("--methods", "half", "--sets", "affine", "--pairs", "2", "--changed")
     more = bench("--photos", "photos", *words)
     assert "with changes of light" in more.stdout
 
