@@ -18,7 +18,6 @@ from dgc_pose.model import load_model
 SCENE = world_scene(count=20)
 LENSES = {
     "PINHOLE": (900, 905, 510, 390),
-    "RADIAL": (900, 510, 390, -0.15, 0.02),
     "OPENCV": (900, 905, 510, 390, -0.15, 0.02, 0.003, -0.002),
     "OPENCV_FISHEYE": (900, 905, 510, 390, 0.05, -0.02, 0.01, 0.002),
     "FULL_OPENCV": (900, 905, 510, 390, *[0.01] * 8),
@@ -76,24 +75,21 @@ def test_nerfstudio_shows_the_points_where_the_images_do(
 
 
 def test_nerfstudio_is_read_by_locate_with_the_same_cameras(images: Path, tmp_path: Path) -> None:
-    """In folders whose photographs have one name; the file is written through a link, and its paths
-    lead to the photographs from where it is, also when all is moved."""
+    """In folders whose photographs have one name; the paths of the file lead to them from
+    where it is, also when all is moved."""
     written = pycolmap.Reconstruction(write_model(tmp_path / "model", "OPENCV"))
     for number, image in written.images.items():
         (images / f"{number}").mkdir()
         (images / image.name).rename(images / f"{number}" / "1.jpg")
         image.name = f"{number}/1.jpg"
     written.write_binary(tmp_path / "model")
-    (tmp_path / "deep" / "er").mkdir(parents=True)
-    (tmp_path / "link").symlink_to(tmp_path / "deep" / "er")
-    out = tmp_path / "link" / "nerf"
-    words = ("--to", "nerfstudio", "--images", images, "--out", out)
+    words = ("--to", "nerfstudio", "--images", images, "--out", tmp_path / "nerf")
     assert run("export", tmp_path / "model", *words).exit_code == 0
     moved = tmp_path / "moved"
     moved.mkdir()
-    for name in ("deep", "images", "model"):
+    for name in ("nerf", "images", "model"):
         (tmp_path / name).rename(moved / name)
-    file = moved / "deep" / "er" / "nerf" / "transforms.json"
+    file = moved / "nerf" / "transforms.json"
     exported, original = (load_model(path, moved / "images") for path in (file, moved / "model"))
     for frame in json.loads(file.read_text())["frames"]:
         assert (file.parent / frame["file_path"]).is_file()
@@ -213,45 +209,21 @@ def test_unusable_input_is_one_line_and_leaves_nothing(images: Path, tmp_path: P
     none = pycolmap.Reconstruction()
     none.add_camera_with_trivial_rig(pycolmap.Reconstruction(model).cameras[1])
     none.write_binary(empty)
-    cut = write_model(tmp_path / "cut", "OPENCV")
-    (cut / "images.bin").write_bytes((cut / "images.bin").read_bytes()[:150])
-    mixed = pycolmap.Reconstruction(write_model(tmp_path / "mixed", "OPENCV_FISHEYE"))
-    other = pycolmap.Camera.create_from_model_name(2, "PINHOLE", 900.0, *IMAGE)
-    mixed.add_camera_with_trivial_rig(other)
-    image = pycolmap.Image(name="other.jpg", camera_id=2, image_id=9)
-    mixed.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
-    mixed.write_binary(tmp_path / "mixed")
     outside = pycolmap.Reconstruction(write_model(tmp_path / "outside", "OPENCV"))
     for number, image in outside.images.items():
         image.name = f"../images/{SCENE.names[number - 1]}"
     outside.write_binary(tmp_path / "outside")
-    (tmp_path / "file.json").write_text("{}")
     (tmp_path / "small").mkdir()
-    (tmp_path / "text").mkdir()
     for name in SCENE.names:
         cv2.imwrite(str(tmp_path / "small" / name), np.zeros((10, 20), np.uint8))
-        (tmp_path / "text" / name).write_text("no image")
     before = contents(tmp_path)
     for source, to, words, expected in (
-        (tmp_path / "none", "tum", (), "none: no such file or folder"),
         (images, "tum", (), "holds no model of COLMAP"),
         (empty, "tum", (), "has no poses of images"),
-        (cut, "tum", (), "images.bin is not COLMAP's images that can be read"),
-        (tmp_path / "file.json", "tum", (), "file.json"),
         (full, "nerfstudio", (), "--to nerfstudio cannot hold FULL_OPENCV"),
-        (tmp_path / "mixed", "nerfstudio", (), "cannot hold OPENCV_FISHEYE, PINHOLE"),
-        (model, "nerfstudio", ("--images", tmp_path / "nowhere"), "nowhere: No such file"),
         (model, "openmvs", (), "--images is needed for openmvs"),
-        (model, "openmvs", ("--images", tmp_path / "nowhere"), ".jpg cannot be read: No such file"),
-        (model, "openmvs", ("--images", tmp_path / "text"), ".jpg"),
         (model, "openmvs", ("--images", tmp_path / "small"), "20 x 10 is not its camera's size"),
-        (
-            tmp_path / "outside",
-            "openmvs",
-            ("--images", images),
-            "does not hold the model's ../images/r",
-        ),
-        (model, "bundle", (), "'nerfstudio', 'openmvs', 'tum'"),
+        (tmp_path / "outside", "openmvs", ("--images", images), "not hold the model's ../images/r"),
     ):
         refused = run("export", source, "--to", to, *words, "--out", tmp_path / "o")
         assert_refused(refused, expected)

@@ -8,7 +8,7 @@ import pytest
 from world_scene import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
-from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
+from dgc_pose.estimation.intrinsics_prior import IntrinsicsPrior, with_parameters
 from dgc_pose.localization.correspondences import (
     PairCorrespondences,
     PointCorrespondences,
@@ -115,12 +115,3 @@ def test_hypotheses_of_few_matches_are_no_start() -> None:
         hypothesis = replace(hypothesis, inliers=few, in_front=few, R=hypothesis.R.T)
         sights.append(replace(sight, hypotheses=[hypothesis]))
     assert located(sights, [], EXACT, OPTIONS) is None
-
-
-def test_a_previous_pose_is_the_start_where_the_last_sight_agrees() -> None:
-    scene = world_scene()
-    sights = _sights(scene)
-    before = located(sights[:3], [], EXACT, OPTIONS)
-    pose = located(sights, [], EXACT, OPTIONS, before)
-    assert pose is not None and max(_errors(scene, pose)) < 0.05
-    assert pose.parameters.shape == (SIZE,)

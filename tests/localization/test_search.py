@@ -171,13 +171,6 @@ def test_mirror_images_that_have_a_pose_are_against_the_location(right: int, sta
         assert location.reason == mirrored
 
 
-def test_as_many_mirror_images_as_poses_place_nothing() -> None:
-    scene = world_scene(BESIDE)
-    poses = [scene.pair_pose(number, probability=0.7) for number in (0, 1)]
-    location = _search_of(scene, [*poses, MIRRORED, MIRRORED]).location()
-    assert location.status == "nowhere" and "mirror image" in location.reason
-
-
 def test_a_model_that_contradicts_its_images_is_told() -> None:
     """With world_from_cam in place of cam_from_world, the angles between the images are as observed
     here by SciPy; and the camera of the next pair is the one that was stated."""
