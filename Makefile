@@ -34,7 +34,7 @@ test-all: test
 test-processors: $(VENV)/.installed-dev
 	env $$(cat tests/avx2.env) $(PYTEST) tests/network tests/runtime/test_torch_engine.py \
 		tests/runtime/test_onnx_engine.py tests/runtime/test_processors.py \
-		tests/refinement/test_features.py
+		tests/matching/test_features.py
 
 # Types and layers are checked on the package as it installs: in the repository cli/, benchmarks/
 # and training/ lie beside dgc_pose/, where mypy would take every import between them for `Any`.

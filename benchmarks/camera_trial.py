@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair
+from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
 from dgc_pose.system.options import check_options, option
 

@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dgc_pose.errors import InputError
 from dgc_pose.viz.figure import new_figure
 
 Unit = Literal["degrees", "pixels"]
@@ -51,12 +50,9 @@ def draw_cumulative(
     """Draw the cumulative histogram of each method, its median in the legend. `NAME/all` has the
     colour of `NAME`, and is dashed.
 
-    errors: by method, (N,), N > 0; infinite ones count as pairs. The axis ends at the least of
+    errors: by method, (N,), N > 0, no NaN; infinite ones count. The axis ends at the least of
     LIMITS that is not below nine tenths of the finite errors of all methods, or at the last one.
-    Raises InputError for an empty array or one with NaN.
     """
-    if any(values.size == 0 or np.isnan(values).any() for values in errors.values()):
-        raise InputError("errors must hold at least one number, and no NaN")
     values = np.concatenate(list(errors.values()))
     finite = values[np.isfinite(values)]
     most, limits = np.quantile(finite, 0.9) if len(finite) else 0.0, LIMITS[unit]

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.benchmarks.methods import Method
-from dgc_pose.benchmarks.metrics import folded, median_and_mean, true_fundamental
+from dgc_pose.benchmarks.metrics import folded, median_and_mean
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
-from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.probability import is_contradicted
+from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
 from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
@@ -30,7 +31,7 @@ def evaluate(
 ) -> Iterator[list[PairScore]]:
     """For each pair from number `first` on, in order, a record a method.
 
-    matchers: of each method. The same whatever `first`: the seed of a pair depends on nothing else.
+    matchers: of each method.
 
     Raises what reading a pair raises.
     """
@@ -41,7 +42,7 @@ def evaluate(
 def settings(
     pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], device: str
 ) -> dict[str, Any]:
-    """All that the records depend on, for `RunStore`."""
+    """All that the records depend on, for `open_run`."""
     ids = json.dumps([dict(pair_ids) for pair_ids in pairs.ids])
     return {
         "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
@@ -60,14 +61,10 @@ def score(pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
 
     Raises InputError if it asks for every pixel of a matcher that makes no map.
     """
-    truth, options = pair.truth, method.estimation
+    truth = pair.truth
     assert truth.R is not None and truth.t is not None
-    if truth.seed:
-        # The same whatever is estimated before it
-        words = np.random.SeedSequence([options.seed, *truth.seed]).generate_state(1)
-        options = replace(options, seed=int(words[0]))
     cameras = method.cameras.cameras(pair)
-    pose, matches, dense, match_seconds = _solved(pair, cameras, method, matcher, options)
+    pose, matches, dense, match_seconds = _solved(pair, cameras, method, matcher)
     everywhere_px = (np.nan, np.nan)
     if dense is not None:
         everywhere_px = epipolar_errors(truth, dense.map, dense.grid)
@@ -118,11 +115,10 @@ def _solved(
     cameras: tuple[Camera, Camera],
     method: Method,
     matcher: Matcher,
-    options: EstimationOptions,
 ) -> tuple[RelativePose, Matches, CorrespondenceMap | None, float]:
     """The pose of a pair, its matches and the dense map, and the seconds of the matching."""
     if not method.everywhere:
-        found = solve_pair(pair.image1, pair.image2, cameras, matcher, options)
+        found = solve_pair(pair.image1, pair.image2, cameras, matcher, method.estimation)
         seconds = sum(s for step, s in found.pose.seconds.items() if step != "estimate")
         return found.pose, found.matches, found.correspondence_map, seconds
     start = time.perf_counter()
@@ -132,7 +128,7 @@ def _solved(
     selection = replace(method.matcher.matching, matchability=0.0)
     every = select_matches(dense, selection, min_share=0.0)
     matched = time.perf_counter()
-    pose = estimate_pose(every, *cameras, options)
+    pose = estimate_pose(every, *cameras, method.estimation)
     pose = replace(pose, seconds={"estimate": time.perf_counter() - matched})
     return pose, every, dense, matched - start
 
@@ -156,9 +152,10 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
 
 
 def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:
-    """Median and mean D_e of matches (..., 2), in pixels."""
+    """Median and mean of the distances D_e of matches (..., 2) from the true lines, pixels."""
     assert truth.R is not None and truth.t is not None
-    F = true_fundamental(truth.camera1, truth.camera2, truth.R, truth.t)
+    E = essential_from_pose(truth.R, truth.t / np.linalg.norm(truth.t))
+    F = fundamental_from_essential(E, truth.camera1.K, truth.camera2.K)
     ideal1, ideal2 = ideal_pixels(points1, truth.camera1), ideal_pixels(points2, truth.camera2)
     return median_and_mean(ideal1, ideal2, F)
 

@@ -42,31 +42,23 @@ def homography_set(root: str | Path) -> MapSet:
 
     Raises InputError if there is no pair or, with the path, if a matrix is malformed.
     """
-    root = Path(root)
-    pairs, missing = find_homography_pairs(root)
+    pairs = find_homography_pairs(Path(root))
     found = {pair.path1.parent for pair in pairs if pair.group in VIEWPOINTS}
     title = f"{len(pairs)} pairs of {root}, {len(found)} of HPatches' {SEQUENCES} sequences"
-    if missing:
-        title += f"; without an image or a matrix: {', '.join(missing)}"
     cases = (MapCase(pair.group, (pair.name,), load_pair(pair)) for pair in pairs)
-    facts = {"root": str(root), "sequences": len(found), "missing": missing}
-    return MapSet(cases, len(pairs), facts, title)
+    return MapSet(cases, len(pairs), {"root": str(root), "sequences": len(found)}, title)
 
 
-def find_homography_pairs(root: Path) -> tuple[list[HomographyPair], list[str]]:
-    """The pairs of a folder, and the names of those without an image or a matrix. Raises as
-    `homography_set` does."""
-    if not root.is_dir():
-        raise InputError(f"{root}: no such folder")
+def find_homography_pairs(root: Path) -> list[HomographyPair]:
+    """The pairs of a folder whose files are all there. Raises as `homography_set` does."""
     folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
-    named = [pair for folder in folders for pair in _pairs_in(folder)]
-    pairs = [pair for pair in named if isinstance(pair, HomographyPair)]
+    pairs = [pair for folder in folders for pair in _pairs_in(folder)]
     if not pairs:
         raise InputError(
             f"{root}: no pairs; expected HPatches (v_*/1.ppm, v_*/H_1_2), VGG's sets (img1.ppm, "
             f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
         )
-    return pairs, [pair for pair in named if isinstance(pair, str)]
+    return pairs
 
 
 def load_pair(pair: HomographyPair) -> MapPairs:
@@ -123,29 +115,21 @@ def _squaring(size: tuple[int, int]) -> np.ndarray:
     return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
 
 
-def _pairs_in(folder: Path) -> Iterator[HomographyPair | str]:
-    """The pairs right in a folder, in each of the layouts; of those that lack a file the names."""
-    viewpoints, name = [*enumerate(VIEWPOINTS, start=2)], folder.resolve().name
-    if folder.name.startswith("v_") and any(folder.glob("H_1_*")):
-        for k, viewpoint in viewpoints:
-            stems = (folder / "1", folder / f"{k}")
-            yield _pair(f"{name} 1-{k}", viewpoint, stems, folder / f"H_1_{k}")
-    if any(folder.glob("H1to[0-9]*p")):
-        for k, _ in viewpoints:
-            stems = (folder / "img1", folder / f"img{k}")
-            yield _pair(f"{name} 1-{k}", name, stems, folder / f"H1to{k}p")
+def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
+    """The pairs right in a folder, in each of the layouts."""
+    name, found = folder.resolve().name, []  # name and group of a pair, its images and its matrix
+    for k, viewpoint in enumerate(VIEWPOINTS, start=2):
+        if folder.name.startswith("v_"):
+            found.append((f"{name} 1-{k}", viewpoint, "1", f"{k}", f"H_1_{k}"))
+        found.append((f"{name} 1-{k}", name, "img1", f"img{k}", f"H1to{k}p"))
     for matrix in sorted(folder.glob("*_H.txt")):
         stem = matrix.name.removesuffix("_H.txt")
-        stems = (folder / f"{stem}_A", folder / f"{stem}_B")
-        yield _pair(f"{name}/{stem}", name, stems, matrix)
-
-
-def _pair(name: str, group: str, stems: tuple[Path, Path], matrix: Path) -> HomographyPair | str:
-    """The pair, or its name if a file is missing."""
-    path1, path2 = map(_image, stems)
-    if path1 is None or path2 is None or not matrix.is_file():
-        return name
-    return HomographyPair(name, group, path1, path2, read_matrix(matrix))
+        found.append((f"{name}/{stem}", name, f"{stem}_A", f"{stem}_B", matrix.name))
+    for pair, group, stem1, stem2, matrix_name in found:
+        path1, path2 = _image(folder / stem1), _image(folder / stem2)
+        matrix = folder / matrix_name
+        if path1 is not None and path2 is not None and matrix.is_file():
+            yield HomographyPair(pair, group, path1, path2, read_matrix(matrix))
 
 
 def _image(stem: Path) -> Path | None:

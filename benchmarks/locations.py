@@ -64,14 +64,11 @@ def true_model(path: Path, images: Path | None) -> Model:
     return load_model(path, images or path / "images")
 
 
-def left_out(names: Sequence[str], every: int, apart: int) -> Iterator[tuple[str, list[str]]]:
-    """The queries to be placed, and the images that are not matched with each: within fewer than
-    `apart` names; or all of every `every`-th, if that is above 1."""
-    asked = names[every // 2 :: every]
-    for name in asked:
-        middle = names.index(name)
-        near = [other for i, other in enumerate(names) if abs(i - middle) < apart]
-        yield name, [*near, *(asked if every > 1 else [])]
+def left_out(names: Sequence[str], apart: int) -> Iterator[tuple[str, Sequence[str]]]:
+    """Each image as a query, and the images that are not matched with it: within fewer than `apart`
+    names."""
+    for i, name in enumerate(names):
+        yield name, names[max(0, i - apart + 1) : i + apart]
 
 
 def thinned(items: Sequence[Item], count: int | None) -> list[Item]:

@@ -17,8 +17,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.network.config import INPUT_SIZE, NetworkConfig
-from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.net import normalise
+from dgc_pose.network.net import normalise, to_pixels
 from dgc_pose.network.weights import choose_device, load_network
 from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
 

@@ -11,15 +11,15 @@ that has it; `refine` is `MatchingOptions.aligned`, `refine_pose` is `Estimation
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.stored_matches import FileMatcher
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import NAMES, MatcherOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import Matcher, NetworkMatcher
-from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
@@ -57,17 +57,13 @@ def parse_methods(
     Args:
         specifications: as described at the top of this file.
         matcher, estimation: what a specification leaves open; only networks are refined then.
-        stored: names of stored matches; those that no specification names become methods, last.
+        stored: names of stored matches, before any other of that name; those that no
+            specification names become methods, last.
         cameras: for what a specification leaves open of the method's cameras.
 
-    Raises InputError for none, for one that is given twice, that is malformed or has an option out
-    of range, for `/all` of key points, and for a name of `stored` that is taken.
+    Raises InputError for none, and for one that is given twice, has an option out of range, or
+    is `/all` of key points.
     """
-    for name in stored:
-        if name in (*shipped(), *NAMES):
-            raise InputError(
-                ArgumentName("matches"), f"{name}: a method of that name is there already"
-            )
     for text in specifications:
         if specifications.count(text) > 1:
             raise InputError(f"the method {text!r} is named twice")
@@ -87,11 +83,11 @@ def load_matchers(
     *,
     device: str,
     runtime: RuntimeName = "auto",
-    stored: Mapping[str, FileMatcher] | None = None,
+    stored: Mapping[str, Mapping[Names, Path]] | None = None,
 ) -> list[Matcher]:
     """Load what each method matches with; a network is read once.
 
-    stored: matchers of stored matches by name. Methods share nothing that is computed of an image,
+    stored: files of stored matches by name. Methods share nothing that is computed of an image,
     so that the seconds of each are its own.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
@@ -100,7 +96,8 @@ def load_matchers(
     matchers: list[Matcher] = []
     for options in (method.matcher for method in methods):
         if stored and options.weights in stored:
-            matchers.append(stored[options.weights].selecting(options.matching))
+            files = stored[options.weights]
+            matchers.append(FileMatcher(options.weights, files, options.matching))
             continue
         used = replace(options, device=device, runtime=runtime)
         matcher = used.load(engine=engines.get(options.weights))
@@ -114,8 +111,6 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     name, *words = _SETTING.split(text)
     settings = dict(word.split("=", 1) for word in words)
     weights = name.removesuffix(EVERYWHERE)
-    if not weights:
-        raise InputError(f"the method {text!r} has no name")
     matcher = replace(defaults.matcher, weights=weights)
     everywhere, network = name != weights, matcher.is_network and weights not in stored
     if everywhere and not matcher.has_map and weights not in stored:

@@ -5,13 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import InputError
-from dgc_pose.geometry.epipolar import (
-    essential_from_pose,
-    fundamental_from_essential,
-    symmetric_epipolar_distance,
-)
+from dgc_pose.geometry.epipolar import symmetric_epipolar_distance
 
 
 def folded(error_deg: float) -> float:
@@ -29,14 +23,10 @@ def pose_auc(errors: ArrayLike, thresholds: Sequence[float] = (5, 10, 20)) -> tu
     errors in ascending order, and constant from the last error below the threshold on. The area
     under it is exact. Failures are infinite errors and count among the N.
 
-    errors: (N,), in the unit of the thresholds, for a pair max(rotation, folded translation).
-    Raises InputError if errors is empty, or has NaN or negative numbers.
+    errors: (N,), N > 0, in the unit of the thresholds, for a pair max(rotation, folded
+    translation), never NaN.
     """
     values = np.sort(np.asarray(errors, dtype=np.float64))
-    if values.ndim != 1 or len(values) == 0:
-        raise InputError(f"errors must have shape (N,) with N > 0, not {values.shape}")
-    if not (values >= 0).all():
-        raise InputError("errors must not be negative or NaN: a failure is infinite")
     recalls = np.arange(1, len(values) + 1) / len(values)
     return tuple(_auc_percent(values, recalls, threshold) for threshold in thresholds)
 
@@ -47,12 +37,6 @@ def _auc_percent(errors: np.ndarray, recalls: np.ndarray, threshold: float) -> f
     y = np.concatenate(([0.0], recalls[:below]))
     y = np.append(y, y[-1])
     return float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold)
-
-
-def true_fundamental(camera1: Camera, camera2: Camera, R: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """F (3, 3) of the pose x2 = R x1 + t, for pixels of the cameras: x2^T F x1 = 0."""
-    E = essential_from_pose(R, t / np.linalg.norm(t))
-    return fundamental_from_essential(E, camera1.K, camera2.K)
 
 
 def median_and_mean(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> tuple[float, float]:

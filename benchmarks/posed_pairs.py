@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
 from dgc_pose.geometry.pixels import exif_turn
@@ -32,7 +32,6 @@ class Truth:
     camera2: Camera
     R: np.ndarray | None  # (3, 3); None for images of two scenes
     t: np.ndarray | None  # (3,), any length; None as well for a camera that only rotated
-    seed: tuple[int, ...] = ()  # added to the seed of the estimator; (): one seed for all pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,21 +46,10 @@ class PosedPair:
 class ListedPairs:
     """Pairs of image files. An image that was read recently is not read again."""
 
-    def __init__(
-        self,
-        pairs: Sequence[Pair],
-        *,
-        seeds: Sequence[tuple[int, ...]] | None = None,
-        size: tuple[int, int] | None = None,
-    ) -> None:
-        """
-        Args:
-            seeds: of each pair, see `Truth.seed`; None for one seed for all.
-            size: (width, height) that the images are brought to; None leaves them as stored.
-        """
+    def __init__(self, pairs: Sequence[Pair], *, size: tuple[int, int] | None = None) -> None:
+        """size: (width, height) that the images are brought to; None leaves them as stored."""
         self.pairs = pairs
         self.ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
-        self._seeds = seeds
         self._size = size
         self._images = ImageStore(Path(), size=size)
 
@@ -77,9 +65,8 @@ class ListedPairs:
         pair = self.pairs[number]
         image1, camera1, turn1 = self._shown(pair.path1, pair.camera1)
         image2, camera2, turn2 = self._shown(pair.path2, pair.camera2)
-        seed = () if self._seeds is None else self._seeds[number]
         R, t = turn2 @ pair.R @ turn1.T, turn2 @ pair.t
-        truth = Truth(self.ids[number], camera1, camera2, R, t, seed)
+        truth = Truth(self.ids[number], camera1, camera2, R, t)
         return PosedPair(truth, image1, image2)
 
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:

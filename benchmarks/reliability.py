@@ -43,11 +43,6 @@ class Reliability:
         )
 
     @property
-    def edges(self) -> np.ndarray:
-        """Edges of the bins, (B + 1,), from 0 to 1."""
-        return np.linspace(0, 1, len(self.counts) + 1)
-
-    @property
     def share_correct(self) -> np.ndarray:
         """Share (B,) of correct matches in each bin; NaN if the bin is empty."""
         return _quotient(self.correct, self.counts)

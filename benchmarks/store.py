@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
-from dataclasses import astuple, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import Any, TextIO, get_type_hints
+from typing import Any, get_type_hints
 
-from dgc_pose.benchmarks.scores import PairScore
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as, read_bytes
 from dgc_pose.files.json_files import read_json, write_json
@@ -28,73 +27,96 @@ _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell
 }
 
 
-class RunStore:
-    """The records of one run, in order. A context: the table is open within it.
+@dataclass(frozen=True)
+class PairScore:
+    """What one method made of one pair: a row of results.csv, whose columns are its fields.
 
-    Raises InputError if another run is writing there, if there is a run already and `resume` is not
-    asked for, if that run had other settings, or if its files are not as this class writes them.
+    Errors are infinite without a pose; NaN is what a method does not say.
+
+    D_e is the symmetric epipolar distance to the true epipolar lines, in pixels of the images that
+    the methods see: over all cells of the dense map (NaN without one), and over the matches that
+    the pose was estimated from (infinite without any).
     """
 
-    def __init__(
-        self,
-        out: Path | None,
-        methods: int,
-        settings: Mapping[str, Any],
-        *,
-        resume: bool = False,
-        overwrite: bool = False,
-    ) -> None:
-        """
-        Args:
-            out: the folder, made if missing; None keeps the records in memory alone.
-            methods: records of each pair.
-            settings: all that the records depend on; JSON.
-            resume: go on with the run that `out` holds; begin one if it holds none.
-            overwrite: drop the run that `out` holds.
-        """
-        self.out = out
-        self.scores: list[PairScore] = []
-        self.done = 0  # pairs
-        self._stack = ExitStack()
-        self._table: TextIO | None = None
-        if out is None:
-            return
-        out.mkdir(parents=True, exist_ok=True)
-        with only_writer(out):
-            if overwrite and not resume:
-                for name in (RESULTS, SETTINGS):  # a run without its table begins anew
-                    (out / name).unlink(missing_ok=True)
-            _begin(out, settings, resume)
-            rows = _read_rows(out / RESULTS)
-        self.done = len(rows) // methods
-        self.scores = rows[: self.done * methods]
+    method: str
+    image1: str  # as the list names it
+    image2: str
+    true_rotation_deg: float
+    status: str
+    success: bool
+    num_matches: int
+    num_inliers: int
+    inlier_ratio: float
+    rotation_error_deg: float
+    translation_error_deg: float  # 0 to 180
+    translation_folded_deg: float  # min(e, 180 - e)
+    match_seconds: float  # wall clock of the steps that changed the matches
+    estimate_seconds: float  # wall clock of all estimations
+    rotation_90_deg: float  # what the pose expects of its error; NaN if it has none
+    translation_90_deg: float
+    probability: float  # that R and t are both within 10 degrees
+    focal1_error: float  # ln of the focal length of the pose over the true one; NaN without a pose
+    focal2_error: float
+    focal1_std: float  # what the pose expects of it; 0 if K was exact for it
+    focal2_std: float
+    focal_ratio: float  # f that the matches suggest over that of K; NaN if they suggest none
+    focal_ratio_std: float  # of its logarithm
+    doubts_camera: bool  # whether by the pose a K may be wrong
+    epipolar_all_px: float  # medians
+    epipolar_confident_px: float
+    epipolar_all_mean_px: float
+    epipolar_confident_mean_px: float
 
-    def __enter__(self) -> RunStore:
-        if self.out is not None:
-            self._stack.enter_context(only_writer(self.out))
-            path = self.out / RESULTS
-            with (
-                replaced(path) as stage,
-                writing(stage),
-                stage.open("w", newline="", encoding="utf-8") as table,
-            ):
-                csv.writer(table).writerow([field.name for field in fields(PairScore)])
-                csv.writer(table).writerows(map(astuple, self.scores))
-            self._table = path.open("a", newline="", encoding="utf-8")
-            self._stack.callback(writing(path)(self._table.close))
-        return self
 
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
+@contextmanager
+def open_run(
+    out: Path | None,
+    methods: int,
+    settings: Mapping[str, Any],
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+) -> Iterator[tuple[list[PairScore], Callable[[Sequence[PairScore]], None]]]:
+    """The records of the pairs that are done, and a function that puts those of the next pair, one
+    a method, on disk and among them.
 
-    def add(self, scores: Sequence[PairScore]) -> None:
-        """Put the next pair on disk: a row a method."""
-        if self._table is not None:
-            with writing(self._table.name):
-                csv.writer(self._table).writerows(map(astuple, scores))
-                self._table.flush()
-        self.scores += scores
-        self.done += 1
+    Raises InputError if another run is writing there, if there is a run already and `resume` is not
+    asked for, if that run had other settings, or if its files are not as this function writes them.
+
+    Args:
+        out: the folder, made if missing; None keeps the records in memory alone.
+        methods: records of each pair.
+        settings: all that the records depend on; JSON.
+        resume: go on with the run that `out` holds; begin one if it holds none.
+        overwrite: drop the run that `out` holds.
+    """
+    if out is None:
+        records: list[PairScore] = []
+        yield records, records.extend
+        return
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / RESULTS
+    with only_writer(out):
+        if overwrite and not resume:
+            for name in (RESULTS, SETTINGS):  # a run without its table begins anew
+                (out / name).unlink(missing_ok=True)
+        _begin(out, settings, resume)
+        scores = _read_rows(path)
+        del scores[len(scores) // methods * methods :]
+        names = tuple(field.name for field in fields(PairScore))
+        with replaced(path) as stage:
+            _append(stage, [names, *map(astuple, scores)])
+
+        def add(of_pair: Sequence[PairScore]) -> None:
+            _append(path, map(astuple, of_pair))
+            scores.extend(of_pair)
+
+        yield scores, add
+
+
+def _append(path: Path, rows: Iterable[tuple[Any, ...]]) -> None:
+    with writing(path), path.open("a", newline="", encoding="utf-8") as table:
+        csv.writer(table).writerows(rows)
 
 
 def _begin(out: Path, settings: Mapping[str, Any], resume: bool) -> None:

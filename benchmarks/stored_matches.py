@@ -4,11 +4,12 @@ A flow or map is defined on the pixels of image 2 and points into image 1. A map
 is one over both images resized to W x H. docs/paper.md describes the formats.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError, reason
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_as, read_bytes
@@ -20,7 +21,7 @@ from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 
-Names = tuple[str, str]  # of a pair of images
+Names = tuple[str, str]  # `Image.name`s of a pair
 
 _ENDINGS = (".flo", ".npz", ".npy")
 _FLO_MAGIC = 202021.25
@@ -28,37 +29,28 @@ _FLO_UNKNOWN = 1e9
 _ERROR_PX = 1.0  # of points without an error_px, pixels of the images as stored
 
 
-def pair_files(folder: Path, stems: Mapping[Names, str]) -> dict[Names, Path]:
-    """The file of each pair.
-
-    stems: by the `Image.name`s of a pair, the name of its file without the ending. Raises
-    InputError, with the path, unless there is one file for each pair.
+def pair_files(folder: Path, pairs: Sequence[Pair]) -> dict[Names, Path]:
+    """The file of each pair of a list, by the paths of its images: `a-1.png_a-2.png.flo` for
+    `a/1.png a/2.png`. Raises InputError, with the path, unless there is one for each pair.
     """
     files = {}
-    for names, stem in stems.items():
+    for pair in pairs:
+        stem = f"{pair.name1}_{pair.name2}".replace("/", "-")
         paths = [path for end in _ENDINGS if (path := folder / f"{stem}{end}").is_file()]
         if len(paths) != 1:
             raise InputError(
                 f"{folder / stem}: {len(paths) or 'no'} files with the ending "
                 f"{', '.join(_ENDINGS)}; expected one for each pair of the list"
             )
-        files[names] = paths[0]
+        files[str(pair.path1), str(pair.path2)] = paths[0]
     return files
 
 
 class FileMatcher(Matcher):
     """The files of a program, see `pair_files`."""
 
-    def __init__(
-        self, name: str, files: Mapping[Names, Path], options: MatchingOptions | None = None
-    ) -> None:
-        self.name = name
-        self.files = files
-        self.options = options or MatchingOptions()
-
-    def selecting(self, options: MatchingOptions) -> "FileMatcher":
-        """The same files with other options of selection."""
-        return FileMatcher(self.name, self.files, options)
+    def __init__(self, name: str, files: Mapping[Names, Path], options: MatchingOptions) -> None:
+        self.name, self.files, self.options = name, files, options
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The stored map with the matches selected from it, or the stored points without a map; in

@@ -8,8 +8,7 @@ import numpy as np
 from dgc_pose.benchmarks.files import decimals
 from dgc_pose.benchmarks.metrics import pose_auc
 from dgc_pose.benchmarks.reliability import Reliability
-from dgc_pose.benchmarks.scores import PairScore
-from dgc_pose.errors import InputError
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
@@ -59,12 +58,10 @@ _SURE_STD = 0.05  # of ln f: focal lengths of a smaller deviation are sure
 
 def columns(scores: Iterable[PairScore]) -> dict[str, dict[str, np.ndarray]]:
     """The numbers of the records as arrays (N,), by method, in the order in which they come, and by
-    field. Raises InputError for none."""
+    field."""
     methods: dict[str, list[PairScore]] = {}
     for score in scores:
         methods.setdefault(score.method, []).append(score)
-    if not methods:
-        raise InputError("no results")
     return {
         method: {
             name: np.array([getattr(row, name) for row in rows], dtype=np.float64)

@@ -10,7 +10,6 @@ a dataclass contributes the options of that class.
 """
 
 import functools
-import math
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
@@ -20,7 +19,7 @@ from typing import Any, Literal, get_args, get_origin
 import click
 
 from dgc_pose.cli.guard import NamedPath, SectionedOption
-from dgc_pose.system.options import OptionInfo, field_types, option_info
+from dgc_pose.system.options import OptionInfo, check_options, field_types, option_info
 
 _FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
 Command = Callable[..., Any]
@@ -36,7 +35,7 @@ def dataclass_options(
     their defaults.
 
     The type decides the option: bool is a switch (--x, or --x/--no-x if it is True by default),
-    Literal a choice, tuple[X, ...] may be given several times; click checks the range of a number.
+    Literal a choice, tuple[X, ...] may be given several times. `check_options` checks the instance.
     """
     chosen = dict(_options(cls, argument, only))
 
@@ -92,7 +91,9 @@ def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
             arguments[field.name] = values[name]
         elif any(other.startswith(name + "__") for other in values):
             arguments[field.name] = _made(field_types(cls)[field.name][0], values, name)
-    return cls(**arguments)
+    made = cls(**arguments)
+    check_options(made)
+    return made
 
 
 def _parameter_type(kind: Any, info: OptionInfo) -> Any:
@@ -103,10 +104,6 @@ def _parameter_type(kind: Any, info: OptionInfo) -> Any:
         return _Parsed(info.parse)
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
-    if kind in (int, float):
-        number: Any = click.IntRange if kind is int else _Number
-        least = info.min if info.above is None else info.above
-        return number(least, info.max, min_open=info.above is not None)
     if kind is Path or (kind is str and _FILE.search(info.metavar or "")):
         # The value of an option such as K|FILE stays text, but may be an input.
         return click.Path() if "|" in (info.metavar or "") else NamedPath(path_type=kind)
@@ -118,11 +115,3 @@ class _Parsed(click.types.FuncParamType):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         return self.func(value) if isinstance(value, str) else value
-
-
-class _Number(click.FloatRange):
-    """A number in a range, in which NaN is not."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        number = super().convert(value, param, ctx)
-        return self.fail("nan is no number", param, ctx) if math.isnan(number) else number

@@ -80,11 +80,6 @@ class SectionedOption(click.Option):
         super().__init__(*arguments, **settings)
         self.section = section
 
-    def get_help_extra(self, ctx: click.Context) -> click.types.OptionHelpExtra:
-        extra = super().get_help_extra(ctx)
-        extra.pop("range", None)  # an error tells it
-        return extra
-
 
 class GuardedCommand(click.Command):
     """A command that checks its outputs, names its flags in errors, and has sections of options."""

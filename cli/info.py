@@ -12,7 +12,6 @@ import click
 
 import dgc_pose
 from dgc_pose.errors import is_installed
-from dgc_pose.files.json_files import json_text
 from dgc_pose.runtime.load import default_runtime
 from dgc_pose.system.threads import usable_cpus
 from dgc_pose.version import build, version
@@ -27,13 +26,9 @@ _ABSENT = "not installed"
 
 
 @click.command()
-@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def info(as_json: bool) -> None:
+def info() -> None:
     """Print versions, weights, devices and threads, for bug reports."""
     facts = _facts()
-    if as_json:
-        click.echo(json_text(facts), nl=False)
-        return
     width = max(len(name) for group in facts.values() for name in group)
     for heading, group in facts.items():
         click.echo(heading)

@@ -12,8 +12,8 @@ import click
 
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
-from dgc_pose.cli.guard import STDOUT
-from dgc_pose.cli.options import KChoice, output_file, output_folder
+from dgc_pose.cli.guard import STDOUT, OutputFolder
+from dgc_pose.cli.options import KChoice, output_file
 from dgc_pose.cli.output import closing_lines, row_lines
 from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
@@ -53,10 +53,11 @@ class Place:
     plot: str | None = output_file(
         "Draw a single query's place and matches with database images.", "PATH.png", picture=True
     )
-    add: Path | None = output_folder(
-        *("cameras.bin", "images.bin", "points3D.bin"),
-        help="Write the model with the located queries, as COLMAP's.",
-        default=None,
+    add: Path | None = option(
+        None,
+        "Write the model with the located queries, as COLMAP's.",
+        metavar="DIR",
+        type=OutputFolder("cameras.bin", "images.bin", "points3D.bin", path_type=Path),
     )
 
 

@@ -49,7 +49,6 @@ SECTIONS = {
     "Benchmarks": {
         "bench-pairs": "Score methods on pairs with known poses.",
         "bench-maps": "Score maps on photographs of planes or synthetic pairs.",
-        "bench-dtu": "Repeat the paper's pose experiment on DTU.",
         "bench-reconstruct": "Score reconstructions on known cameras.",
         "bench-locate": "Score photographs placed in a model.",
         "dtu-pairs": "Make a pair list from DTU's calibration.",

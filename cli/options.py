@@ -2,40 +2,22 @@
 
 import re
 from contextlib import suppress
-from dataclasses import MISSING, dataclass
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.guard import OutputFile, OutputFolder
+from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
-from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
 
 
-def output_file(help: str, metavar: str = "PATH", flag: str | None = None, **kind: bool) -> Any:
+def output_file(help: str, metavar: str, **kind: bool) -> Any:
     """A field of an output file, None by default. kind: as of `OutputFile`."""
-    return option(None, help, flag=flag, metavar=metavar, type=OutputFile(**kind))
-
-
-def output_folder(
-    *results: str,
-    help: str = "Folder of the results; created if missing.",
-    flag: str | None = None,
-    default: Any = MISSING,
-) -> Any:
-    """A field of an output folder, a Path; required by default. results: as of `OutputFolder`."""
-    kind = OutputFolder(*results, path_type=Path)
-    return option(default, help, flag=flag, metavar="DIR", type=kind)
-
-
-def device_option() -> Any:
-    """The field of --device."""
-    return option("auto", DEVICE_HELP, metavar="NAME")
+    return option(None, help, metavar=metavar, type=OutputFile(**kind))
 
 
 _camera = partial(option, None, metavar="K|FILE|auto", section="cameras")

@@ -36,13 +36,8 @@ class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
 
 
-# The modules that may be missing, by the name that pip installs them by: those of each extra of
-# setup.cfg, and some of the installation itself.
+# The modules of each extra of setup.cfg, by the name that pip installs them by.
 EXTRAS = {
-    "": {
-        **{name: name for name in ("h5py", "jinja2", "matplotlib", "pycolmap")},
-        "mpl_toolkits": "matplotlib",
-    },
     "fit": {"scipy": "scipy", "sklearn": "scikit-learn"},
     "heic": {"pillow_heif": "pillow-heif"},
     "ray": {"ray": "ray"},
@@ -62,29 +57,27 @@ def require(needs: Mapping[str, str]) -> None:
 
     needs: what is asked for, such as an option, and the name of its extra.
     """
-    if message := _missing(needs):
-        raise InputError(message)
+    for what, extra in needs.items():
+        if message := _missing(what, extra):
+            raise InputError(message)
 
 
 def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | None:
-    """The message for an import that failed; None if the module is never absent.
+    """The message for an import that failed; None if the module is of no extra that is missing.
 
     what: the command or option that needed it.
     """
     module = (failure.name or "").split(".")[0]
     extra = next((extra for extra, modules in EXTRAS.items() if module in modules), None)
-    return None if extra is None else _missing({what: extra})
+    return None if extra is None else _missing(what, extra)
 
 
-def _missing(needs: Mapping[str, str]) -> str | None:
-    """The packages that the first unmet need lacks, as a message; None if all are there."""
-    for what, extra in needs.items():
-        lacks = {name for module, name in EXTRAS[extra].items() if not is_installed(module)}
-        if lacks:
-            verb, target = "is" if len(lacks) == 1 else "are", f"'.[{extra}]'" if extra else "."
-            names = " and ".join(sorted(lacks))
-            return f"{what} needs {names}, which {verb} not installed: pip install {target}"
-    return None
+def _missing(what: str, extra: str) -> str | None:
+    lacks = sorted({name for module, name in EXTRAS[extra].items() if not is_installed(module)})
+    if not lacks:
+        return None
+    names, verb = " and ".join(lacks), "is" if len(lacks) == 1 else "are"
+    return f"{what} needs {names}, which {verb} not installed: pip install '.[{extra}]'"
 
 
 def reason(failure: BaseException) -> str:

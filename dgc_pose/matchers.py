@@ -10,8 +10,8 @@ from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.matching import Matcher, MatchingOptions, NetworkMatcher
 from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.flow import FlowMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.matching.onnx_model import OnnxMatcher
-from dgc_pose.matching.sift import SiftMatcher
 from dgc_pose.matching.vismatch import PREFIX, VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
 from dgc_pose.network.stored import shipped
@@ -41,9 +41,7 @@ class MatcherOptions:
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
     half_precision: bool = option(
-        False,
-        "bfloat16, by torch: less exact, faster on some GPUs.",
-        section="matching",
+        False, "bfloat16, by torch: less exact, faster on some GPUs.", section="matching"
     )
     matching: MatchingOptions = field(default_factory=MatchingOptions)
 

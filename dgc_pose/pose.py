@@ -27,8 +27,6 @@ from dgc_pose.system.threads import in_threads
 if TYPE_CHECKING:
     import torch
 
-    from dgc_pose.schedule import Step
-
     ImageSource = str | Path | np.ndarray | torch.Tensor | Image
     MaskSource = str | Path | ArrayLike | None
     CameraSource = ArrayLike | Camera | Path | None
@@ -112,15 +110,24 @@ def solve_pair(
     for step in steps_of(matcher, options.effort):
         if not may_change(step, pose, *cameras, options.effort):
             continue
-        if step == "mirrored":
-            assert pose is not None and isinstance(matcher, NetworkMatcher)
-            mirrored = _mirrored(image1, image2, cameras, matcher, pose, options)
-            if mirrored is None:
-                continue
-            pose = mirrored
-            break
         start = time.perf_counter()
-        result = _match(step, image1, image2, cameras, matcher, found, pose)
+        if step == "full" or not isinstance(matcher, NetworkMatcher):
+            result: MatchResult | None = matcher.match(image1, image2)
+        elif step == "coarse":
+            result = matcher.coarse(image1, image2)
+        else:  # all others follow one of these
+            assert pose is not None and found is not None
+            if step == "mirrored":
+                mirrored = _mirrored(image1, image2, cameras, matcher, pose, options)
+                if mirrored is None:
+                    continue
+                pose = mirrored
+                break
+            if step == "refine":
+                result = matcher.refined(image1, image2, found)
+            else:
+                hypotheses = [TwoViews(*cameras, h.R, h.t) for h in pose.hypotheses]
+                result = matcher.guided(image1, image2, found, hypotheses)
         if result is None:
             continue
         matched = time.perf_counter()
@@ -132,27 +139,6 @@ def solve_pair(
     pose = with_length(pose, found.matches, scale, depths)
     pose = replace(pose, seconds={**seconds, "estimate": estimating})
     return PairResult(image1, image2, *cameras, found.matches, found.correspondence_map, pose)
-
-
-def _match(
-    step: Step,
-    image1: Image,
-    image2: Image,
-    cameras: tuple[Camera, Camera],
-    matcher: Matcher,
-    found: MatchResult | None,
-    pose: RelativePose | None,
-) -> MatchResult | None:
-    """The matches of a step, by those found before and their pose; None if it has no others."""
-    if step == "full" or not isinstance(matcher, NetworkMatcher):
-        return matcher.match(image1, image2)
-    if step == "coarse":
-        return matcher.coarse(image1, image2)
-    assert found is not None and pose is not None
-    if step == "refine":
-        return matcher.refined(image1, image2, found)
-    hypotheses = [TwoViews(*cameras, h.R, h.t) for h in pose.hypotheses]
-    return matcher.guided(image1, image2, found, hypotheses)
 
 
 def _mirrored(
@@ -179,12 +165,9 @@ def _mirrored(
         K[:2, 1:] = [[-K[0, 1], K[0, 2]], [K[1, 1], image2.size[1] - 1 - K[1, 2]]]
     else:
         K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
+    second = replace(cameras[1], K=K)
     of_mirror_image = estimate_pose(
-        result.matches,
-        cameras[0],
-        replace(cameras[1], K=K),
-        options,
-        map_matches=result.map_matches,
+        result.matches, cameras[0], second, options, map_matches=result.map_matches
     )
     probability = (of_mirror_image.probability or 0.0) if of_mirror_image.success else 0.0
     if probability < max(LIKELY, pose.any_probability or 0.0):

@@ -8,7 +8,7 @@ import numpy as np
 from dgc_pose.benchmarks.evaluate import evaluate
 from dgc_pose.benchmarks.methods import Method, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs
-from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
@@ -64,7 +64,7 @@ def posed_pairs(folder: Path, count: int, size: tuple[int, int] | None = None) -
         (folder / name).write_bytes((folder / "two.png").read_bytes())
         t = 120 * dense_scene.T
         pairs.append(Pair("one.png", name, folder, camera, camera, dense_scene.R, t))
-    return ListedPairs(pairs, seeds=[(65, 1, 2 + k) for k in range(count)], size=size)
+    return ListedPairs(pairs, size=size)
 
 
 def scored(

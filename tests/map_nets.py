@@ -7,8 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from dgc_pose.network.config import INPUT_SIZE, PRESETS, DecoderConfig, NetworkConfig
-from dgc_pose.network.coordinates import to_normalised
-from dgc_pose.network.net import DGCNet, Prediction
+from dgc_pose.network.net import DGCNet, Prediction, to_normalised
 
 # For squared images, with a mask, and fast.
 SMALL = NetworkConfig(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.network.config import NetworkConfig, preset
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
-@dataclass(frozen=True)
-class Shares:
+class Shares(NamedTuple):
     """How many of the pairs are of each kind; a kind without data has none."""
 
     photos: float = 0.20  # warped photographs
@@ -19,9 +19,7 @@ class Shares:
     posed: float = 0.52  # posed photographs of known depth
 
     def __str__(self) -> str:
-        """As percentages, which `parse` reads."""
-        shares = (self.photos, self.light, self.rooms, self.posed)
-        return ",".join(f"{100 * share:g}" for share in shares)
+        return ",".join(f"{100 * share:g}" for share in self)
 
     @classmethod
     def parse(cls, text: str) -> Shares:
@@ -69,9 +67,6 @@ class TrainingOptions:
         "Pairs a step, of 240x240 pixels; default: on a GPU 84 and 64, on a CPU 4.",
         min=1,
         max=2**16,
-    )
-    validation_count: int = option(
-        32, "Pairs of each kind that validate.", flag="--validation-pairs", min=1, max=2**16
     )
 
     def __post_init__(self) -> None:

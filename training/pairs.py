@@ -38,9 +38,9 @@ class PairSource:
 
         Raises InputError if the shares leave no kind that there is data for.
         """
-        photos, posed, shares = self.photos, self.posed, self.shares
-        light = shares.light * (len(photos.places) > 0)
-        ends = np.cumsum([shares.photos, light, shares.rooms, shares.posed * (posed is not None)])
+        photos, posed = self.photos, self.posed
+        there = True, len(photos.places) > 0, True, posed is not None
+        ends = np.cumsum(np.multiply(self.shares, there))
         if not ends[-1]:
             raise InputError("shares: there is no data for the kinds of pairs that have a share")
         # Evenly from a random start, so that small batches have all kinds, too.

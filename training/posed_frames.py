@@ -147,10 +147,9 @@ def _read_listed(root: Path) -> list[PosedFrame]:
             name, *words = line.split()
             K, Rt, (nearest, farthest) = np.split(np.array(words, float), (4, 16))
             pose = np.vstack([Rt.reshape(3, 4), (0, 0, 0, 1)])
-        if not (np.isfinite(K).all() and K[:2].min() > 0):
-            raise InputError(f"{path}:{number}: fx fy cx cy must be finite, and fx fy positive")
-        if not 0 < nearest < farthest < np.inf:
-            raise InputError(f"{path}:{number}: the depths must be positive and rise")
+        if not (K[:2].min() > 0 and 0 < nearest < farthest < np.inf):
+            wanted = "fx fy must be positive, and the depths must, too, and rise"
+            raise InputError(f"{path}:{number}: {wanted}")
         depth = root / "depth" / f"{Path(name).stem}.png" if scale.exists() else None
         reach = nearest, farthest
         frames.append(PosedFrame(root / "images" / name, Camera(K), pose, depth, step, reach))

@@ -19,11 +19,10 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.stored import COUNTER
-from dgc_pose.network.weights import load_checkpoint, load_network
+from dgc_pose.network.net import DGCNet, Pyramid
+from dgc_pose.network.stored import COUNTER, check_state
+from dgc_pose.network.weights import load_checkpoint, load_network, read_state
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.initialise import initialise_encoder
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
@@ -36,7 +35,7 @@ _STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
 _SAVE_SECONDS = 60.0  # between checkpoints
 _BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
-_VALIDATION_BATCH = 8
+_VALIDATION, _VALIDATION_BATCH = 4, 8  # batches of each kind that validate, and pairs of each
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
 _HALF_MAX = torch.finfo(torch.float16).max
 _RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
@@ -159,10 +158,9 @@ class Trainer:
         """Figures of the averaged weights, by what validates."""
         result = {}
         for kind, batches in validation.items():
-            draw, weights = Draw(self.device, "validation"), [len(pairs.map) for pairs in batches]
+            draw = Draw(self.device, "validation")
             rows = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
-            values = {key: [float(row[key]) for row in rows] for key in rows[0]}
-            result[kind] = {k: float(np.average(v, weights=weights)) for k, v in values.items()}
+            result[kind] = {k: float(np.mean([float(row[k]) for row in rows])) for k in rows[0]}
         self.stages[self.stage]["figures"] = result
         return result
 
@@ -225,9 +223,7 @@ class Trainer:
         """The same pairs for every run."""
         draw = Draw(self.device, "validation", name)
         shape = (208, 272) if name == "posed" and self.options.config.any_shape else _SQUARE
-        count = self.options.validation_count
-        sizes = [min(_VALIDATION_BATCH, count - k) for k in range(0, count, _VALIDATION_BATCH)]
-        return [source.make(size, shape, draw) for size in sizes]
+        return [source.make(_VALIDATION_BATCH, shape, draw) for _ in range(_VALIDATION)]
 
     def _write(
         self, figures: Mapping[str, Tensor], validation: Mapping[str, Sequence[MapPairs]]
@@ -252,7 +248,6 @@ class Trainer:
 
 
 def _text(figures: Mapping[str, float]) -> str:
-    """Figures for people."""
     return "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
 
 
@@ -280,6 +275,25 @@ def _card(
         rows[name] = "; ".join([done, *figures])
     lines = [f"# {options.preset}", "", "| | |", "|---|---|"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows.items()]) + "\n"
+
+
+def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
+    """Load ImageNet's VGG-16 (.pth or .safetensors) in torchvision's layout (BSD-3-Clause), whose
+    later layers are left out, into the net's encoder. It is not needed to run.
+
+    Raises WeightsError if the file holds other weights.
+    """
+    assert isinstance(net.pyramid, Pyramid)
+    path, layers = Path(weights), nn.ModuleDict({"features": vgg_layers(net.pyramid)})
+    wanted = {key: value.shape for key, value in layers.state_dict().items()}
+    state = {key: value for key, value in read_state(path).items() if key in wanted}
+    check_state(path, "VGG-16 in torchvision's layout", state, wanted)
+    layers.load_state_dict({key: torch.from_numpy(value) for key, value in state.items()})
+
+
+def vgg_layers(pyramid: Pyramid) -> nn.Sequential:
+    """The pyramid's layers, all levels', as torchvision numbers those of VGG-16's `features`."""
+    return nn.Sequential(*(layer for level in pyramid.children() for layer in level.children()))
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:

@@ -16,10 +16,9 @@ from dgc_pose.network.config import (
     SECOND_SIZE,
     STRIDE,
 )
-from dgc_pose.network.coordinates import to_normalised, to_pixels
 from dgc_pose.network.correlation import consensus, match_evidence, match_scores
 from dgc_pose.network.efficientnet import EfficientPyramid
-from dgc_pose.network.net import DGCNet, l2_normalise, normalise, upsample
+from dgc_pose.network.net import DGCNet, l2_normalise, normalise, to_normalised, to_pixels, upsample
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.losses import (
     absolute_map_loss,

@@ -3,20 +3,59 @@
 """
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Literal
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView, read_projection
+import numpy as np
+
+from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.errors import InputError
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.images.image import image_size
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
 _EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
+_BYTES = 2**16  # of a file with a few matrices
+
+
+@dataclass(frozen=True, eq=False)
+class DtuView:
+    """A calibrated camera position: X_cam = R X_world + t."""
+
+    K: np.ndarray  # (3, 3) pixels, (0, 0) the centre of the top-left pixel, diagonal > 0
+    R: np.ndarray  # (3, 3) rotation, cam_from_world
+    t: np.ndarray  # (3,) millimetres, cam_from_world
+
+
+def read_projection(path: Path) -> DtuView:
+    """Read one `pos_NNN.txt`: the 3x4 matrix P, world (mm) to pixel, of any scale but zero.
+
+    P ~ K [R | t] is split by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1. Raises InputError,
+    with the path, unless the file holds 12 finite numbers that are a camera; OSError if it cannot
+    be read.
+    """
+    with read_as("a calibration", path):
+        P = np.array(read_text(path, "a calibration", _BYTES).split(), np.float64).reshape(3, 4)
+        if not (np.isfinite(P).all() and np.linalg.cond(P[:, :3]) < 1e12):
+            raise ValueError("the left 3x3 of a camera has finite numbers and an inverse")
+    if np.linalg.det(P[:, :3]) < 0:
+        P = -P
+    # Of the rows and the columns in reverse order RQ is QR.
+    q, r = np.linalg.qr(P[::-1, :3].T)
+    upper, R = r.T[::-1, ::-1], q.T[::-1]
+    signs = np.sign(np.diag(upper))
+    upper, R = upper * signs, signs[:, None] * R
+    return DtuView(K=upper / upper[2, 2], R=R, t=np.linalg.solve(upper, P[:, 3]))
+
+
+def relative_pose(view1: DtuView, view2: DtuView) -> tuple[np.ndarray, np.ndarray]:
+    """cam2_from_cam1 as R (3, 3) and t (3,) in millimetres: R2 R1^T and t2 - R t1."""
+    R = view2.R @ view1.R.T
+    return R, view2.t - R @ view1.t
 
 
 @dataclass(frozen=True)
@@ -29,64 +68,38 @@ class DtuScene:
     size: tuple[int, int]  # (width, height) of every image; (0, 0) without any
 
     @property
-    def name(self) -> str:
-        return f"scan{self.number}"
-
-    @property
     def missing(self) -> int:
         """How many of DTU's positions lack an image or a calibration."""
-        return number_of_views(self.number) - len(self.views)
-
-
-@dataclass(frozen=True)
-class Dataset:
-    """The scenes that have two views or more."""
-
-    root: Path  # what the names of images are relative to
-    scenes: tuple[DtuScene, ...]  # by number, ascending
-    left_out: tuple[int, ...]  # numbers of scenes with a folder, but fewer than two views
-
-    def scene(self, number: int) -> DtuScene:
-        """A scene by its number. Raises InputError if it is missing."""
-        for scene in self.scenes:
-            if scene.number == number:
-                return scene
-        raise InputError(f"scan{number} is none of the {len(self.scenes)} scans of {self.root}")
+        return _positions(self.number) - len(self.views)
 
 
 def open_dataset(
-    root: str | Path, *, scenes: Sequence[int] | None = None, light: Light = "3"
-) -> Dataset:
-    """Find scenes and their views; without `scenes`, their numbers, all that are there.
+    root: str | Path, scan: int | None = None, light: Light = "3"
+) -> tuple[Path, list[DtuScene]]:
+    """The folder that names of images are relative to, and the scenes, or the one of that number.
 
-    Raises InputError, with the path and what was expected, if there is no scene, if one of `scenes`
-    has fewer than two views, or if a calibration is malformed; ImageError for a file that is no
-    image; OSError.
+    Raises InputError, with the path, if no scene has two views, or if a calibration is malformed;
+    ImageError for a file that is no image; OSError.
     """
     root = Path(root)
-    if not root.is_dir():
-        raise InputError(f"{root}: no such folder; expected DTU there")
     if (root / "MVS Data/Calibration/cal18").is_dir():
         root = root / "MVS Data"
     folders = [path for kind in ("Rectified", "Cleaned") for path in (root / kind).glob("scan*")]
     matches = (re.fullmatch(r"scan(\d+)", path.name) for path in folders)
-    numbers = {int(match[1]) for match in matches if match} if scenes is None else set(scenes)
+    numbers = {int(match[1]) for match in matches if match} if scan is None else {scan}
     read = cache(read_projection)  # scenes share the calibration
-    opened = [_read_scene(root, number, light, read) for number in sorted(numbers)]
-    short = [scene for scene in opened if len(scene.views) < 2]
-    if short and (scenes is not None or len(short) == len(opened)):
-        scene = short[0]
+    scenes = [_read_scene(root, number, light, read) for number in sorted(numbers)]
+    scenes = [scene for scene in scenes if len(scene.views) > 1]
+    if not scenes:
+        which = "a scan" if scan is None else f"scan{scan}"
         raise InputError(
-            f"{root}: {scene.name} has {len(scene.views)} views with image (light {light}) and "
-            f"calibration, and two are needed, such as {_EXPECTED}"
+            f"{root}: {which} with two views, of light {light} and with a calibration, is not "
+            f"there, such as {_EXPECTED}"
         )
-    if not opened:
-        raise InputError(f"{root}: no scene of DTU, expected {_EXPECTED}")
-    complete = tuple(scene for scene in opened if scene not in short)
-    return Dataset(root, complete, tuple(scene.number for scene in short))
+    return root, scenes
 
 
-def number_of_views(scene: int) -> int:
+def _positions(scene: int) -> int:
     """How many positions DTU took a scene from."""
     return 49 if scene <= 77 else 64
 
@@ -104,7 +117,7 @@ def _read_scene(root: Path, number: int, light: Light, read: Callable[[Path], Dt
     if not folder.is_dir():
         folder, start = root / "Cleaned" / f"scan{number}", "clean"
     ending = light if light == "max" else f"{light}_r5000"
-    for position in range(1, number_of_views(number) + 1):
+    for position in range(1, _positions(number) + 1):
         calibration = root / f"Calibration/cal18/pos_{position:03d}.txt"
         stem = f"{start}_{position:03d}_{ending}"
         paths = (folder / f"{stem}{suffix}" for suffix in (".png", ".jpg"))

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import combinations, groupby
+from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.calibration import DtuView, relative_pose
-from dgc_pose.benchmarks.dtu.dataset import Dataset, DtuScene
+from dgc_pose.benchmarks.dtu.dataset import DtuScene, DtuView, relative_pose
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
@@ -44,71 +44,53 @@ class ViewPairOptions:
 
 @dataclass(frozen=True)
 class ViewPair:
-    """Two views of a scene, and their relative motion by the calibration."""
+    """Two views of a scene, and their relative rotation by the calibration."""
 
-    scene: int
+    scene: DtuScene
     view1: int
     view2: int
-    rotation_deg: float  # of cam2_from_cam1
-    overlap: float  # share of space at the object that both views see, 0 to 1
-    baseline_mm: float  # between the camera centres, never zero
+    rotation_deg: float
 
 
-def find_view_pairs(dataset: Dataset, options: ViewPairOptions) -> list[ViewPair]:
+def find_view_pairs(scenes: Sequence[DtuScene], options: ViewPairOptions) -> list[ViewPair]:
     """All pairs of views (the smaller number first) within the rotation and overlap asked for."""
     pairs = []
-    for scene in dataset.scenes:
+    for scene in scenes:
         for view1, view2 in combinations(sorted(scene.views), 2):
             motion = _motion(scene.views[view1], scene.views[view2], scene.size)
-            pair = ViewPair(scene.number, view1, view2, *motion)
+            rotation_deg, shared, baseline_mm = motion
             if (
-                options.min_rotation <= pair.rotation_deg <= options.max_rotation
-                and pair.overlap >= options.min_overlap
-                and pair.baseline_mm > _LEAST_BASELINE_MM
+                options.min_rotation <= rotation_deg <= options.max_rotation
+                and shared >= options.min_overlap
+                and baseline_mm > _LEAST_BASELINE_MM
             ):
-                pairs.append(pair)
+                pairs.append(ViewPair(scene, view1, view2, rotation_deg))
     return pairs
 
 
 def draw(candidates: Sequence[ViewPair], options: ViewPairOptions) -> list[ViewPair]:
     """Draw pairs at random: from each scene in turn, and within a scene from each rotation bin.
 
-    So they are balanced over scenes, and those of a scene over the rotations. The same seed draws
-    the same pairs, scene by scene; fewer than asked for only if there are fewer candidates.
+    candidates: scene by scene. The pairs are balanced over scenes, and those of a scene over the
+    rotations. The same seed draws the same pairs, scene by scene; fewer than asked for only if
+    there are fewer candidates.
     """
     rng = np.random.default_rng(options.seed)
     ranked = []
-    by_scene = sorted(candidates, key=lambda pair: pair.scene)
-    for scene, pairs in groupby(by_scene, lambda pair: pair.scene):
+    for scene, pairs in groupby(candidates, lambda pair: pair.scene.number):
         spread = _spread_over_rotations(list(pairs), options, rng)
         ranked += [(rank, scene, pair) for rank, pair in enumerate(spread)]
     drawn = sorted(ranked, key=lambda entry: entry[:2])[: options.pairs]
     return [pair for _, _, pair in sorted(drawn, key=lambda entry: (entry[1], entry[0]))]
 
 
-def view_pair(scene: DtuScene, view1: int, view2: int) -> ViewPair:
-    """Two views by their numbers. Raises InputError if one is missing, or both have one centre."""
-    for number in (view1, view2):
-        if number not in scene.views:
-            raise InputError(f"{scene.name} has no view {number} with an image and a calibration")
-    motion = _motion(scene.views[view1], scene.views[view2], scene.size)
-    pair = ViewPair(scene.number, view1, view2, *motion)
-    if view1 == view2 or pair.baseline_mm <= _LEAST_BASELINE_MM:
-        raise InputError(f"views {view1} and {view2} of {scene.name} have one and the same centre")
-    return pair
-
-
-def listed_pair(dataset: Dataset, pair: ViewPair) -> Pair:
-    """Images, cameras and true pose (t in millimetres), for a pair list."""
-    scene = dataset.scene(pair.scene)
-    view1, view2 = scene.views[pair.view1], scene.views[pair.view2]
-    R, t = relative_pose(view1, view2)
-    name1, name2 = (
-        scene.images[number].relative_to(dataset.root).as_posix()
-        for number in (pair.view1, pair.view2)
-    )
+def listed_pair(root: Path, pair: ViewPair) -> Pair:
+    """Images, cameras and true pose (t in millimetres), for a pair list. root: of the data set."""
+    scene, numbers = pair.scene, (pair.view1, pair.view2)
+    view1, view2 = (scene.views[number] for number in numbers)
+    name1, name2 = (scene.images[number].relative_to(root).as_posix() for number in numbers)
     camera1, camera2 = (Camera(K=view.K, size=scene.size) for view in (view1, view2))
-    return Pair(name1, name2, dataset.root, camera1, camera2, R, t)
+    return Pair(name1, name2, root, camera1, camera2, *relative_pose(view1, view2))
 
 
 def overlap(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
@@ -124,10 +106,10 @@ def overlap(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> float:
 
 @cache  # in some layouts all scenes share their views
 def _motion(view1: DtuView, view2: DtuView, size: tuple[int, int]) -> tuple[float, float, float]:
-    """Rotation, overlap and baseline of a ViewPair."""
+    """Rotation, degrees, overlap and baseline, mm."""
     R, t = relative_pose(view1, view2)
-    shared = overlap(view1, view2, size)
-    return rotation_error_deg(R, np.eye(3)), shared, float(np.linalg.norm(t))
+    rotation_deg = rotation_error_deg(R, np.eye(3))
+    return rotation_deg, overlap(view1, view2, size), float(np.linalg.norm(t))
 
 
 def _spread_over_rotations(

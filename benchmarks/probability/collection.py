@@ -84,20 +84,18 @@ def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> No
     if not missing:
         return
     posed = pair.make()
-    truth = posed.truth
-    known: dict[str, object] = {
-        "scene": pair.scene,
-        **{"K1": truth.camera1.K, "size1": posed.image1.size},
-        **{"K2": truth.camera2.K, "size2": posed.image2.size},
-    }
-    known |= {name: v for name, v in (("R", truth.R), ("t", truth.t)) if v is not None}
+    images, truth = (posed.image1, posed.image2), posed.truth
+    cameras = truth.camera1, truth.camera2
+    known: dict[str, object] = {"scene": pair.scene}
+    for n, image, camera in zip("12", images, cameras, strict=True):
+        known |= {"K" + n: camera.K, "size" + n: image.size}
+    if truth.R is not None:
+        known |= {"R": truth.R, "t": truth.t}
     for name, path in missing.items():
-        matcher, images = matchers[name], (posed.image1, posed.image2)
-        result = matcher.match(*images)
+        result = matchers[name].match(*images)
         arrays = known | _arrays("", result.matches)
-        if isinstance(matcher, NetworkMatcher):
-            cameras = truth.camera1, truth.camera2
-            pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
+        if isinstance(matchers[name], NetworkMatcher):
+            pooled = solve_pair(*images, cameras, matchers[name], _THOROUGH).matches
             if not np.array_equal(pooled.points1, result.matches.points1):
                 arrays |= _arrays("pooled_", pooled)
         if result.map_matches is not None:

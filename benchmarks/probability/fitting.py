@@ -16,13 +16,14 @@ from sklearn.linear_model import LogisticRegression, QuantileRegressor
 from dgc_pose.benchmarks.metrics import folded
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.errors import InputError
-from dgc_pose.estimation.competition import CHOICE_FEATURES, choice_shares
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
+    CHOICE_FEATURES,
     FEATURES,
     OF_AUTO,
     OF_MAPS,
     MatchKind,
+    choice_shares,
     log_error,
 )
 
@@ -60,7 +61,8 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
     odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
-    strength = min(odds, key=lambda c: _loss(odds[c], right))
+    # Of the least negative log-likelihood
+    strength = min(odds, key=lambda c: np.logaddexp(0, np.where(right, -odds[c], odds[c])).mean())
     slope, offset = _platt(odds[strength], right)
     weights, intercept = _logistic(X, right, signs, strength)
     medians = np.median(X[right], axis=0)
@@ -68,7 +70,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     accurate = [
         (row, evidence)
         for row, evidence in samples
-        if row.exact and row.right and (row.cameras == "exact" or row.exact_cameras)
+        if row.exact and row.best.right and (row.cameras == "exact" or row.exact_cameras)
     ]
     return {
         "weights": {names[k]: round(slope * weights[k], 6) for k in used},
@@ -117,8 +119,8 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
         and row.evidence
         and row.evidence.raw_focal_90_percent is not None
         and row.exact_cameras
-        and row.rotation_error_deg < _ALTOGETHER_WRONG_DEG
-        and folded(row.translation_error_deg) < _ALTOGETHER_WRONG_DEG
+        and row.best.rotation_error_deg < _ALTOGETHER_WRONG_DEG
+        and folded(row.best.translation_error_deg) < _ALTOGETHER_WRONG_DEG
     ]
     if len(samples) < _MIN_POSES:
         return {"slope": 0.0, "intercept": 0.0}
@@ -153,11 +155,6 @@ def _left_out_odds(
     return odds
 
 
-def _loss(odds: np.ndarray, right: np.ndarray) -> float:
-    """Mean negative log-likelihood."""
-    return float(np.logaddexp(0, np.where(right, -odds, odds)).mean())
-
-
 def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
     """Slope and offset of log-odds that the poses' own scenes had no part in.
 
@@ -185,7 +182,11 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
         if (raw := getattr(evidence, f"raw_{part}_90_{unit}")) is not None
     ]
     X = np.array([[log_error(raw)] for _, raw in usable])
-    errors = np.array([max(getattr(row, f"{part}_error_{unit}"), 1e-4) for row, _ in usable])
+    of_part = [
+        row.focal_error_percent if part == "focal" else getattr(row.best, f"{part}_error_deg")
+        for row, _ in usable
+    ]
+    errors = np.maximum(of_part, 1e-4)
     y = np.log(errors / np.array([max(raw, 1e-4) for _, raw in usable]))
     scenes = np.array([row.scene for row, _ in usable])
     for quantile in _QUANTILES:

@@ -13,13 +13,13 @@ never on both sides. Kinds:
 - `textureless`: drawn images without structure, alone and beside photographs of `path`.
 """
 
-import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal
 
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.inputs import read_text
+from dgc_pose.files.json_files import read_json
 from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
@@ -38,10 +38,10 @@ class PlanEntry:
     pairs: int = option(60, min=1)  # of the kinds without a list
     seed: int = option(0, min=0)
     scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
-    altered: bool = False  # whether each pair is altered, see `altered.py`
+    altered: bool = False  # whether each pair is altered, see `planned.py`
     # Scenes whose true poses are a tracker's, off by a degree or more: they part right from wrong,
     # but not how accurate a pose is.
-    rough: tuple[str, ...] = ()
+    rough: Sequence[str] = ()
     # Whether its pairs are estimated without K, too. A plane has no focal length: many of them
     # would teach little but that.
     withheld: bool = True
@@ -53,26 +53,14 @@ class PlanEntry:
 def read_plan(path: Path) -> list[PlanEntry]:
     """The entries of a plan.
 
-    Raises InputError, with the path, for a file that is no plan and for a scene with two parts.
+    Raises InputError, with the path, for a file that is no plan and for a name that is there twice.
     """
-    text = read_text(path, "a plan")
+    data = read_json(path, "a plan")
     try:
-        entries = [_entry(values) for values in json.loads(text)]
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        entries = [PlanEntry(**{**values, "path": Path(values.get("path", ""))}) for values in data]
+    except (ValueError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not a plan ({reason(error)})") from None
-    names = [entry.name for entry in entries]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise InputError(f"{path}: {', '.join(sorted(twice))} twice")
-    missing = set(get_args(Part)) - {entry.part for entry in entries}
-    if missing:
-        raise InputError(f"{path}: no scene to {' or '.join(sorted(missing))}")
+    names = {entry.name for entry in entries}
+    if len(names) < len(entries):
+        raise InputError(f"{path}: two entries have one name")
     return entries
-
-
-def _entry(values: dict[str, Any]) -> PlanEntry:
-    parts: dict[str, Any] = {
-        "path": Path(values.get("path", "")),
-        "rough": tuple(values.get("rough", ())),
-    }
-    return PlanEntry(**{**values, **parts})

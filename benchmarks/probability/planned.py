@@ -2,7 +2,7 @@
 
 import gzip
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, get_args
@@ -17,16 +17,19 @@ from dgc_pose.benchmarks.posed_pairs import (
     posed_pair,
     require_images,
 )
-from dgc_pose.benchmarks.probability.altered import ALTERATIONS, altered
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.images.folder import search_images
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import Image, load_image, resize
 
-BlankKind = Literal["even", "gradient", "vignette", "noise", "lens cap", "stripes", "sky"]
+BlankKind = Literal["gradient", "noise", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
+Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
+ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
+_SCALE, _BORDER, _GAMMA = 1.5, 0.1, 1.8  # the border over the longer side
+_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # of the axes of an image turned clockwise
 PLANE_SIZE = 640  # pixels a side of a view
 _RENDERED_SIZE = 640
 _PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
@@ -67,13 +70,39 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         make = partial(_textureless, paths, entry.seed)
     else:
         make = _rendered(folder, entry)
-    if entry.altered:
-        make = partial(_altered, make)
-    return [PlannedPair(entry, k, name, partial(make, k)) for k, name in enumerate(scenes)]
+
+    def made(number: int) -> PosedPair:
+        pair, way = make(number), ALTERATIONS[number % len(ALTERATIONS)]
+        return altered(pair, way) if entry.altered else pair
+
+    return [PlannedPair(entry, k, name, partial(made, k)) for k, name in enumerate(scenes)]
 
 
-def _altered(make: Callable[[int], PosedPair], number: int) -> PosedPair:
-    return altered(make(number), ALTERATIONS[number % len(ALTERATIONS)])
+def altered(pair: PosedPair, way: Alteration) -> PosedPair:
+    """The pair, whose poses are known, with image 2 first or changed; and what is true of it."""
+    truth, pixels = pair.truth, pair.image2.pixels
+    assert truth.R is not None and truth.t is not None
+    K, R, t = truth.camera2.K.copy(), truth.R, truth.t
+    height, width = pixels.shape[:2]
+    if way == "swapped":
+        truth = replace(truth, camera1=truth.camera2, camera2=truth.camera1, R=R.T, t=-R.T @ t)
+        return PosedPair(truth, pair.image2, pair.image1)
+    if way == "enlarged":
+        size = (round(_SCALE * width), round(_SCALE * height))
+        K = replace(truth.camera2, size=(width, height)).resized(size).K
+        pixels = resize(pixels, size)
+    elif way == "bordered":
+        sides = 4 * (round(_BORDER * max(width, height)),)
+        K[:2, 2] += sides[0]
+        pixels = cv2.copyMakeBorder(pixels, *sides, cv2.BORDER_CONSTANT, value=(128, 128, 128))
+    elif way == "turned":
+        K[:2] = [K[1, 1], 0, height - 1 - K[1, 2]], [0, K[0, 0], K[0, 2]]
+        pixels, R, t = np.ascontiguousarray(np.rot90(pixels, -1)), _TURN @ R, _TURN @ t
+    else:
+        pixels = (255 * (pixels / 255) ** _GAMMA).round().astype(np.uint8)
+    image2 = replace(pair.image2, pixels=pixels)
+    camera2 = replace(truth.camera2, K=K, size=image2.size)
+    return PosedPair(replace(truth, camera2=camera2, R=R, t=t), pair.image1, image2)
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
@@ -134,17 +163,10 @@ def blank(kind: BlankKind, size: tuple[int, int], rng: np.random.Generator) -> n
     y, x = np.mgrid[:height, :width] / max(size)
     angle = rng.uniform(0, np.pi)
     along = np.cos(angle) * x + np.sin(angle) * y
-    if kind == "even":
-        grey = np.full((height, width), rng.choice([0.0, 255.0, rng.uniform(0, 255)]))
-    elif kind == "gradient":
+    if kind == "gradient":
         grey = rng.uniform(0, 128) + rng.uniform(10, 127) * (1 + along) / 2
-    elif kind == "vignette":
-        squared = (x - x.mean()) ** 2 + (y - y.mean()) ** 2
-        grey = rng.uniform(60, 250) * np.exp(-rng.uniform(0.3, 2) * squared)
     elif kind == "noise":
         grey = 128 + rng.uniform(5, 60) * rng.standard_normal((height, width))
-    elif kind == "lens cap":
-        grey = rng.uniform(0, 4) + rng.uniform(0.5, 6) * rng.standard_normal((height, width))
     elif kind == "stripes":
         wave = np.sin(2 * np.pi * rng.uniform(8, 60) * along)
         grey = 128 + rng.uniform(20, 120) * (wave if rng.random() < 0.5 else np.sign(wave))

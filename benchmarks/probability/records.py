@@ -22,8 +22,7 @@ from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.relative_pose import gathered
-from dgc_pose.estimation.uncertainty import uncertainty
+from dgc_pose.estimation.relative_pose import gathered, uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -44,7 +43,7 @@ class PoseRecord:
 
     likelihood: float  # see `Hypothesis`
     map_agreement: float | None
-    rotation_error_deg: float  # infinite if the images are of two scenes
+    rotation_error_deg: float  # infinite if the images are of two scenes, and without a pose
     translation_error_deg: float
 
     @property
@@ -60,9 +59,7 @@ class Record:
     entry: PlanEntry
     scene: str
     evidence: Evidence | None  # None without a model
-    rotation_error_deg: float  # infinite without a pose, and if the images are of two scenes
-    translation_error_deg: float
-    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, this one first
+    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, the best first
     cameras: CameraCase = "exact"
     # Of ln f of the less certain camera, per cent; NaN if it was not fitted, and without a pose.
     focal_error_percent: float = math.nan
@@ -71,9 +68,8 @@ class Record:
     exact_cameras: bool = True
 
     @property
-    def right(self) -> bool:
-        """Whether R and t are both within 10 degrees."""
-        return max(self.rotation_error_deg, self.translation_error_deg) <= RIGHT_DEG
+    def best(self) -> PoseRecord:
+        return self.poses[0] if self.poses else PoseRecord(-math.inf, None, math.inf, math.inf)
 
     @property
     def exact(self) -> bool:
@@ -83,23 +79,23 @@ class Record:
     @property
     def any_right(self) -> bool:
         """Whether the pose or another that explains the matches about as well is right."""
-        return self.right or any(pose.right for pose in self.poses)
+        return any(pose.right for pose in self.poses)
 
 
 def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
     """The records of each pair, in order."""
     stored = iter(pairs)
     while chunk := list(islice(stored, _CHUNK)):
-        work = [(pair, case) for pair in chunk for case in _cases(pair)]
+        work: list[tuple[StoredPair, CameraCase]] = [(pair, "exact") for pair in chunk]
+        work += [(p, "auto") for p in chunk if p.entry.withheld and not p.matches.key_points]
         yield from in_threads(lambda item: record(item[0], options, item[1]), work)
 
 
 def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "exact") -> Record:
     """The record of one pair."""
     truth = pair.truth
-    camera1, camera2 = _cameras(pair, cameras)
+    stated = _cameras(pair, cameras)
     matches = pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled
-    stated = camera1, camera2
     problem = TwoViewProblem.of(matches, *stated, options)
     poses: tuple[PoseRecord, ...] = ()
     found, evidence, focal_error = None, None, math.nan
@@ -109,17 +105,8 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
         known = uncertainty(found, matches, options)
         evidence, focal_error = gathered(found, known), _focal_error(known.cameras, truth)
         poses = tuple(_pose_record(choice, truth) for choice in found.hypotheses if choice.likely)
-    return Record(
-        pair.entry,
-        pair.scene,
-        evidence,
-        poses[0].rotation_error_deg if poses else math.inf,
-        poses[0].translation_error_deg if poses else math.inf,
-        poses,
-        cameras,
-        focal_error,
-        _exact(truth),
-    )
+    facts = cameras, focal_error, _exact(truth)
+    return Record(pair.entry, pair.scene, evidence, poses, *facts)
 
 
 def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
@@ -128,12 +115,6 @@ def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
         rotation = rotation_error_deg(choice.R, truth.R)
         translation = translation_error_deg(choice.t, truth.t)
     return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
-
-
-def _cases(pair: StoredPair) -> tuple[CameraCase, ...]:
-    if pair.matches.key_points or not pair.entry.withheld:
-        return ("exact",)
-    return ("exact", "auto")
 
 
 def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
@@ -164,12 +145,10 @@ def _focal_error(cameras: tuple[Camera, Camera], truth: Truth) -> float:
 
 def _exact(truth: Truth) -> bool:
     difference = abs(math.log(truth.camera1.focal / truth.camera2.focal))
-    centres = max(_offset(camera) for camera in (truth.camera1, truth.camera2))
-    return centres < _USUAL_CENTRE and not _EQUAL_FOCAL < difference < _SAME_FOCAL
-
-
-def _offset(camera: Camera) -> float:
-    """Of the principal point from the middle, over the longer side."""
-    assert camera.size is not None
-    middle = (np.array(camera.size) - 1) / 2
-    return float(np.abs(camera.K[:2, 2] - middle).max() / max(camera.size))
+    if _EQUAL_FOCAL < difference < _SAME_FOCAL:
+        return False
+    for camera in (truth.camera1, truth.camera2):
+        size = np.array(camera.size)
+        if np.abs(camera.K[:2, 2] - (size - 1) / 2).max() / size.max() >= _USUAL_CENTRE:
+            return False
+    return True

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,19 +17,20 @@ from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.competition import choice_shares, utility
-from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     FORMAT,
     MatchKind,
     ProbabilityModel,
+    choice_shares,
     match_kind,
     of_right,
     parse_models,
+    utility,
 )
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
+from dgc_pose.viz.figure import new_figure
 
 _DEFAULTS = EstimationOptions()
 _KINDS: dict[MatchKind, str] = {
@@ -54,7 +55,7 @@ class Judged:
 
     @property
     def right(self) -> bool:
-        return self.record.right
+        return self.record.best.right
 
 
 def judged(record: Record, model: ProbabilityModel) -> Judged:
@@ -68,18 +69,14 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         model.choice["lapse"],
     )
     order = np.argsort(-shares, kind="stable")
-    share, best = float(shares[order[0]]), record.poses[order[0]]
+    share = float(shares[order[0]])
     rotation, translation = model.errors_90_deg(evidence)
     verdict = judge(
         evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
     )
     known = STATUSES[verdict.status]
     return Judged(
-        replace(
-            record,
-            rotation_error_deg=best.rotation_error_deg,
-            translation_error_deg=best.translation_error_deg,
-        ),
+        replace(record, poses=tuple(record.poses[k] for k in order)),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else share * any_right,
         of_right(rotation),
@@ -92,8 +89,8 @@ def report_text(poses: Sequence[Judged]) -> str:
     """The claims on scenes that have no part in the fit, and what they are worth."""
     error = 100 * reliability(poses).calibration_error
     exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
-    R = [p.record.rotation_error_deg <= p.rotation_90_deg for p in exact]
-    t = [p.record.translation_error_deg <= p.translation_90_deg for p in exact]
+    R = [p.record.best.rotation_error_deg <= p.rotation_90_deg for p in exact]
+    t = [p.record.best.translation_error_deg <= p.translation_90_deg for p in exact]
     within = f"{100 * np.mean(R):.0f} and {100 * np.mean(t):.0f} %" if exact else "none"
     return (
         "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.\n\n"
@@ -107,47 +104,24 @@ def claims_table(poses: Sequence[Judged]) -> str:
     """A row a data set, and all of them."""
     headings = ("pairs", "number", "right", "claimed", "wrong", "right refused", "ambiguous")
     rows: list[tuple[str, ...]] = [(*headings, "mean of claims")]
-    for name, members in _groups(poses).items():
-        right = _values(members, "right")
-        claims = _values(members, "by_probability")
-        claimed, wrong = int(claims.sum()), int((claims & ~right).sum())
-        share = f" ({100 * wrong / claimed:.1f} %)" if claimed else ""
-        cells = [str(claimed), f"{wrong}{share}", str((~claims & right).sum())]
-        probability = _values(members, "probability")[claims]
-        cells += [str(_values(members, "ambiguous").sum())]
-        cells += [f"{100 * probability.mean():.1f} %" if len(probability) else "-"]
-        rows.append((name, str(len(members)), str(right.sum()), *cells))
+    groups: dict[str, list[Judged]] = {}
+    for pose in poses:
+        groups.setdefault(pose.record.entry.name, []).append(pose)
+    for name, members in {**groups, "all": poses}.items():
+        claims = [pose for pose in members if pose.by_probability]
+        right, wrong = sum(p.right for p in members), sum(not p.right for p in claims)
+        share = f" ({100 * wrong / len(claims):.1f} %)" if claims else ""
+        mean = f"{100 * np.mean([p.probability for p in claims]):.1f} %" if claims else "-"
+        counts = len(members), right, len(claims), f"{wrong}{share}", right - len(claims) + wrong
+        rows.append((name, *map(str, (*counts, sum(p.ambiguous for p in members), mean))))
     return aligned(rows)
 
 
 def reliability(poses: Sequence[Judged]) -> Reliability:
     """Of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
-    return Reliability.of(_values(known, "probability"), _values(known, "right"))
-
-
-def reliability_figure(kinds: Mapping[str, Sequence[Judged]]) -> Figure:
-    """The reliability diagram, a curve a kind of matches."""
-    from dgc_pose.viz.figure import new_figure
-
-    figure = new_figure(5.5, 5)
-    axes = figure.subplots()
-    curves = {name: reliability(poses) for name, poses in kinds.items()}
-    draw_reliability(axes, curves, right="within 10 degrees")
-    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    return figure
-
-
-def _values(poses: Sequence[Judged], name: str) -> np.ndarray:
-    kind = float if name == "probability" else bool
-    return np.array([getattr(pose, name) for pose in poses], kind)
-
-
-def _groups(poses: Sequence[Judged]) -> dict[str, list[Judged]]:
-    groups: dict[str, list[Judged]] = {}
-    for pose in poses:
-        groups.setdefault(pose.record.entry.name, []).append(pose)
-    return {**groups, "all": list(poses)}
+    right = np.array([pose.right for pose in known], bool)
+    return Reliability.of(np.array([pose.probability for pose in known]), right)
 
 
 def fit_all(
@@ -181,16 +155,12 @@ def fit_all(
         for kind, rows in by_kind.items()
     }
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
-    figure = reliability_figure({str(kind): rows for kind, rows in reported.items()})
+    figure = new_figure(5.5, 5)
+    axes = figure.subplots()
+    curves = {str(kind): reliability(rows) for kind, rows in reported.items()}
+    draw_reliability(axes, curves, right="within 10 degrees")
+    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     return text, "\n\n\n".join(parts), figure
-
-
-def _kind(evidence: Evidence) -> MatchKind:
-    return match_kind(
-        key_points=evidence.key_points,
-        with_map=evidence.map_agreement is not None,
-        fitted=evidence.raw_focal_90_percent is not None,
-    )
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
@@ -198,13 +168,14 @@ def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
     too. Those without evidence are of every kind of their cameras."""
     blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
     kinds: dict[MatchKind, list[Record]] = {}
-    for auto in (False, True):
-        members = [row for row in rows if (row.cameras == "auto") == auto]
-        kind = {_kind(row.evidence) for row in members if row.evidence is not None}
-        for name in kind:
-            kinds[name] = members
-        if "network" in kind or "network_auto" in kind:
-            evidence = [row.evidence and replace(row.evidence, **blank) for row in members]  # type: ignore[arg-type]
-            without = [replace(row, evidence=e) for row, e in zip(members, evidence, strict=True)]
-            kinds["matches_auto" if auto else "matches"] = without
+    for cameras in ("exact", "auto"):
+        members = [row for row in rows if row.cameras == cameras]
+        known = [row.evidence for row in members if row.evidence is not None]
+        for key_points, with_map in {(e.key_points, e.map_agreement is not None) for e in known}:
+            of = {"key_points": key_points, "fitted": cameras == "auto"}
+            kinds[match_kind(with_map=with_map, **of)] = members
+            if with_map:
+                without = [e and replace(e, **blank) for e in (row.evidence for row in members)]  # type: ignore[arg-type]
+                pairs = zip(members, without, strict=True)
+                kinds[match_kind(with_map=False, **of)] = [replace(r, evidence=e) for r, e in pairs]
     return kinds

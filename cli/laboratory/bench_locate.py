@@ -27,9 +27,6 @@ class LocateBenchOptions:
 
     images: Path | None = option(None, "Folder of the images; default: images/ in MODEL.")
     k: WithheldCameras | None = option(None, "Withhold K, as for locate without one.", flag="--K")
-    every: int = option(
-        1, "Leave out every N-th image at once; 1: each in turn.", metavar="N", min=1, max=1000
-    )
     apart: int = option(
         1, "Names between a query and its database images, at least.", metavar="N", min=1, max=1000
     )
@@ -68,7 +65,7 @@ def bench_locate(
         above = sum((location.probability or 0) > 0.5 for location in locations)
         click.echo(f"{above} of {len(locations)} placed above 0.5")
         return
-    cases = [*left_out(sorted(model.poses), bench.every, bench.apart)]
+    cases = [*left_out(sorted(model.poses), bench.apart)]
     scores = []
     for name, without in thinned(cases, bench.count):
         scores.append(placed(locator, name, without, bench.k))

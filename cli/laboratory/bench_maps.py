@@ -71,15 +71,17 @@ def bench_maps(bench: MapBenchOptions) -> None:
     themselves, without the matcher's search over rotations.
     """
     from dgc_pose.benchmarks.homographies import homography_set
-    from dgc_pose.benchmarks.map_report import (
+    from dgc_pose.benchmarks.map_run import load_map_methods, map_scores
+    from dgc_pose.benchmarks.map_scores import (
         HEADING,
+        PCK_ALPHAS,
+        MapScore,
         groups_of,
         maps_table,
+        pooled,
         reliability_lines,
         report_data,
     )
-    from dgc_pose.benchmarks.map_run import load_map_methods, map_scores
-    from dgc_pose.benchmarks.map_scores import PCK_ALPHAS, MapScore, pooled
     from dgc_pose.benchmarks.synthetic import synthetic_set
 
     if bench.homographies is not None and bench.photos is None:

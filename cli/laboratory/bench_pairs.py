@@ -1,54 +1,94 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import click
+from tqdm import tqdm
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.files import split_names
-from dgc_pose.benchmarks.methods import parse_methods
+from dgc_pose.benchmarks.evaluate import evaluate, settings
+from dgc_pose.benchmarks.files import finite_data, split_names
+from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
-from dgc_pose.benchmarks.summary import CAMERA_COLUMNS, CAMERA_HEADING, heading, summary_table
+from dgc_pose.benchmarks.store import RESULTS, SETTINGS, open_run
+from dgc_pose.benchmarks.stored_matches import pair_files
+from dgc_pose.benchmarks.summary import (
+    CAMERA_COLUMNS,
+    CAMERA_HEADING,
+    columns,
+    heading,
+    summarise,
+    summary_table,
+)
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.cli.dataclass_options import NamedPath, dataclass_options
-from dgc_pose.cli.laboratory.bench_run import RUN_FOLDER, RunChoice, run_bench
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import NamedPath, OutputFolder, overwrites
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.json_files import write_json
+from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.network.config import DEFAULT_WEIGHTS
+from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.system.options import option
+
+_SUMMARY, _ERRORS = "summary.json", "errors.png"
+PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)
+EVERY_MATCH = 2**31  # more than any map has cells
 
 
 @dataclass(frozen=True)
 class PairBenchOptions:
-    """Which pairs, and where the results go."""
+    """Which pairs, what is scored on them and how, and where the results go."""
 
     root: str | None = option(
         None, "Folder of the image paths; by default the list's own.", type=NamedPath()
     )
     limit: int | None = option(None, "Only the first N pairs.", metavar="N", min=1, max=10**9)
-    every: int = option(
-        1, "Only the first of every N pairs of LIST.", metavar="N", min=1, max=10**9
+    protocol: Literal["native", "paper"] = option(
+        "native",
+        "paper: images squared to 256x256, every match, the best of --runs RANSAC runs (the "
+        "paper's: 5 of 1000 iterations), not refined; native: images as stored, an even subsample "
+        "of the matches, matches and poses refined.",
+    )
+    methods: str = option(
+        f"{DEFAULT_WEIGHTS},sift",
+        "Comma-separated names or paths of weights or other matchers (sift, dis), each with "
+        "options of its own, such as NAME:refine=none:runs=1; "
+        f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their "
+        "matchability.",
+    )
+    matches: tuple[str, ...] = option(
+        (),
+        "Maps, flows or matches that another program computed, a file a pair: the names of both "
+        "images with - for /, joined by _, and the ending .flo, .npz or .npy. A method of that "
+        "name.",
+        metavar="NAME=DIR",
     )
     out: Path | None = option(
         None,
         "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
         metavar="DIR",
-        type=RUN_FOLDER,
+        type=OutputFolder(SETTINGS, RESULTS, _SUMMARY, _ERRORS, path_type=Path),
     )
+    resume: bool = option(False, "Continue the run in --out, if there is one.")
+    device: str = option("auto", DEVICE_HELP, metavar="NAME")
+    runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
 
 
 @click.command()
 @click.argument("pair_list", metavar="LIST", type=click.Path())
 @dataclass_options(PairBenchOptions, "options")
 @dataclass_options(CameraTrial, "cameras")
-@dataclass_options(RunChoice, "run")
 @dataclass_options(MatcherOptions, "matcher", only=("matching",))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_pairs(
     pair_list: str,
     options: PairBenchOptions,
     cameras: CameraTrial,
-    run: RunChoice,
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:
@@ -63,10 +103,53 @@ def bench_pairs(
     NAME:K=auto:shared or NAME:K_scale=0.8, for one of several. Errors are of the true cameras as
     before; a second table has the focal lengths and what the poses state.
     """
-    methods = parse_methods(split_names(run.methods), matcher, estimation, cameras=cameras)
-    pairs = read_pairs(pair_list, options.root)[:: options.every][: options.limit]
-    require_images(pairs)
-    summaries = run_bench(ListedPairs(pairs), methods, options.out, run)
+    out, paper = options.out, options.protocol == "paper"
+    if out is None and options.resume:
+        raise InputError("--resume needs the --out of the run to continue")
+    if paper:
+        matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
+        matcher = replace(matcher, matching=matching)
+        estimation = replace(estimation, refine=False)
+    folders = _folders(options.matches)
+    names = split_names(options.methods)
+    methods = parse_methods(names, matcher, estimation, [*folders], cameras)
+    listed = read_pairs(pair_list, options.root)[: options.limit]
+    require_images(listed)
+    stored = {name: pair_files(path, listed) for name, path in folders.items()}
+    pairs = ListedPairs(listed, size=PAPER_SIZE if paper else None)
+    matchers = load_matchers(methods, device=options.device, runtime=options.runtime, stored=stored)
+    known = settings(pairs, methods, matchers, device_type(options.device))
+    known["protocol"] = options.protocol
+    resume = {"resume": options.resume, "overwrite": overwrites()}
+    with open_run(out, len(methods), known, **resume) as (records, add):
+        if done := len(records) // len(methods):
+            click.echo(f"{done} of {len(listed)} pairs are done already")
+        rows = evaluate(pairs, methods, matchers, done)
+        for scores in tqdm(rows, total=len(listed), initial=done, unit="pair", disable=None):
+            add(scores)
+    figures = columns(records)
+    summaries = [summarise(method, column) for method, column in figures.items()]
+    if out is not None:
+        from dgc_pose.benchmarks.curves import plot_errors
+        from dgc_pose.viz import save_figure
+
+        write_json(out / _SUMMARY, {"methods": finite_data(summaries)})
+        with replaced(out / _ERRORS) as file:
+            save_figure(plot_errors(figures), file)
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
     if any(method.cameras.reports for method in methods):
         click.echo(f"\n{CAMERA_HEADING}\n{summary_table(summaries, CAMERA_COLUMNS)}")
+
+
+def _folders(matches: Sequence[str]) -> dict[str, Path]:
+    """NAME=DIR, by name."""
+    folders: dict[str, Path] = {}
+    for text in matches:
+        name, _, folder = text.partition("=")
+        if not name or not folder or name in folders or set(name) & set(",:/"):
+            raise InputError(
+                f"--matches takes NAME=DIR, each name once and without comma, colon and slash, "
+                f"not {text!r}"
+            )
+        folders[name] = Path(folder)
+    return folders

@@ -56,9 +56,7 @@ class ReconstructBenchOptions:
 @click.command()
 @click.argument("folder", metavar="FOLDER", type=click.Path(path_type=Path))
 @dataclass_options(ReconstructBenchOptions, "bench")
-@dataclass_options(
-    ReconstructionOptions, "reconstruction", only=("per_image", "mapper", "refine_intrinsics")
-)
+@dataclass_options(ReconstructionOptions, "reconstruction", only=_SHARED)
 @dataclass_options(BatchOptions, "work", only=("workers", "memory", "resume"))
 @dataclass_options(EstimationOptions, "estimation")
 def bench_reconstruct(

@@ -52,11 +52,7 @@ def fit_probability(choice: FitChoice) -> None:
     """
     plan = choice.plan or DEFAULT_PLAN
     entries = read_plan(plan)
-    drawn = {"rendered", "planes"} & {entry.kind for entry in entries}
-    needs = {"fit-probability": "fit"}  # asked for before the work
-    if drawn and not choice.collected:
-        needs[f"the plan's {min(drawn)}"] = "torch"
-    require(needs)
+    require({"fit-probability": "fit"})  # before the work
     methods = split_names(choice.methods)
     if not methods:
         raise InputError("no methods named")

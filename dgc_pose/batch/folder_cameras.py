@@ -67,7 +67,6 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
 
 
 def _rows_of(pairs: Iterable[MatchedPair]) -> list[PairRow]:
-    """The rows in the order of the pairs."""
     return sorted((pair.row for pair in pairs), key=lambda row: row.index)
 
 
@@ -223,6 +222,5 @@ def _same_focal(camera: Camera, other: Camera, stds: float) -> bool:
 
 
 def _size(camera: Camera) -> Size:
-    """Of a photograph, whose camera has one."""
     assert camera.size is not None
     return camera.size

@@ -11,7 +11,6 @@ import numpy as np
 from dgc_pose.errors import ArgumentName, InputError
 
 Way = Literal["exhaustive", "sequential", "auto"]
-_EXHAUSTIVE_UP_TO = 20  # images
 _PAIRS = ArgumentName("pairs")
 
 
@@ -27,11 +26,6 @@ class PairChoice:
         """The pairs (i, j), i < j, of so many images; none for "auto", which needs their scores."""
         widest = {"exhaustive": count, "sequential": self.number, "auto": 0}[self.way]
         return [(i, j) for i in range(count) for j in range(i + 1, min(i + widest + 1, count))]
-
-
-def default_pair_choice(count: int) -> PairChoice:
-    """The default choice of the pairs of so many images."""
-    return PairChoice("exhaustive") if count <= _EXHAUSTIVE_UP_TO else PairChoice("auto", 10)
 
 
 def parse_pair_choice(text: str) -> PairChoice:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dgc_pose.batch.matches_file import group_name
 from dgc_pose.batch.source import STORE, FileState
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
@@ -48,15 +47,6 @@ class Plan:
         """The names of a pair."""
         first, second = self.pairs[index]
         return self.names[first], self.names[second]
-
-
-def require_own_groups(plan: Plan) -> None:
-    """Raise InputError if two pairs would share a group of the matches file."""
-    groups: dict[str, tuple[str, str]] = {}
-    for pair in map(plan.pair, range(len(plan.pairs))):
-        other = groups.setdefault(group_name(*pair), pair)
-        if other != pair:
-            raise InputError(f"{' '.join(pair)} and {' '.join(other)} have one name in HDF5")
 
 
 def plan_data(plan: Plan) -> dict[str, Any]:

@@ -217,7 +217,6 @@ def _fits_of(
     shared: Mapping[str, tuple[str, ...]],
     inside: Collection[str],
 ) -> dict[tuple[str, ...], CameraFit]:
-    """The fits of a pair's cameras; one camera of both images once."""
     fits: dict[tuple[str, ...], CameraFit] = {}
     pose, fitted = row.pose, fit_of(row)
     if fitted is not None and pose is not None and pose.camera_covariance is not None:

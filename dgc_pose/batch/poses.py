@@ -8,10 +8,9 @@ from itertools import islice
 import numpy as np
 
 from dgc_pose.batch.rows import MatchedPair, PairRow
-from dgc_pose.batch.schedule import block_size, blocks_of
 from dgc_pose.batch.store import BatchStore
 from dgc_pose.batch.work import Worker
-from dgc_pose.batch.workers import Run
+from dgc_pose.batch.workers import Run, block_size, blocks_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import sampson_distance

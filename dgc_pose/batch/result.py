@@ -1,13 +1,20 @@
 """The result of a batch: `pairs.jsonl`, `matches.h5`, `summary.json`, and `cameras.csv` of pooled
-cameras, in the order of the pairs whatever the order in which they were done."""
+cameras, in the order of the pairs whatever the order in which they were done.
+
+`matches.h5` has hloc's layout: a group `name1/name2` ("/" inside a name becomes "-") holds
+`keypoints0`, `keypoints1` (N, 2) float32, pixels of the images, (0, 0) the centre of the top-left
+pixel, `scores` (N,) float32, and `inliers` (N,) bool, which hloc passes over.
+"""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dgc_pose.batch.matches_file import write_matches
+import h5py
+import numpy as np
+
 from dgc_pose.batch.plan import Plan
 from dgc_pose.batch.pooling import PooledCamera, write_cameras
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, MatchedPair, PairRow
@@ -36,23 +43,14 @@ class Batch:
             yield from store.pairs("result")
 
 
-def stored_plan(out: Path) -> Plan | None:
-    """The plan of the batch in a folder; None if there is none. Raises InputError, with the path,
-    if it is broken."""
-    if not (out / STORE).is_file():
-        return None
-    with open_store(out) as store:
-        return store.plan
-
-
 def read_batch(out: Path) -> Batch:
     """The result of a finished batch. Raises InputError, with the path, if it is not finished, or
     broken."""
-    if (plan := stored_plan(out)) is None:
-        raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no plan in {STORE})")
+    if not (out / STORE).is_file():
+        raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no {STORE})")
     with open_store(out) as store:
-        summary = store.summary
-        if summary is None:
+        plan, summary = store.plan, store.summary
+        if plan is None or summary is None:
             raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
         rows = store.rows("result")
     if [row.names for row in rows] != [plan.pair(i) for i in range(len(plan.pairs))]:
@@ -106,3 +104,21 @@ def _camera_facts(pooled: PooledCamera) -> dict[str, Any]:
         "pairs": pooled.pairs,
         "why": pooled.why,
     }
+
+
+def group_name(name1: str, name2: str) -> str:
+    """The group of a pair in hloc's layout."""
+    return "/".join(name.replace("/", "-") for name in (name1, name2))
+
+
+def write_matches(path: Path, pairs: Iterable[MatchedPair]) -> None:
+    """Write the matches of pairs."""
+    with h5py.File(path, "w") as file:
+        for pair in pairs:
+            group, matches, pose = group_name(*pair.row.names), pair.matches, pair.row.pose
+            if group in file:
+                raise InputError(f"{path}: another pair than {' '.join(pair.row.names)} is {group}")
+            file[f"{group}/keypoints0"] = matches.points1.astype(np.float32)
+            file[f"{group}/keypoints1"] = matches.points2.astype(np.float32)
+            file[f"{group}/scores"] = matches.confidence.astype(np.float32)
+            file[f"{group}/inliers"] = np.zeros(0, bool) if pose is None else pose.inliers

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.files.inputs import read_as
@@ -40,12 +40,10 @@ class PairRow:
 
     @property
     def success(self) -> bool:
-        """Whether R and t are known."""
         return self.pose is not None and self.pose.success
 
     @property
     def num_matches(self) -> int:
-        """Number of matches used."""
         return 0 if self.pose is None else self.pose.num_matches
 
     @property
@@ -114,11 +112,3 @@ class MatchedPair:
     matches: Matches = _NO_MATCHES
     # Even sample of the map; None without a map, and where the pose is not estimated again.
     map_matches: Matches | None = None
-
-
-def unmatched(names: tuple[str, str], index: int, error: Exception) -> MatchedPair:
-    """A pair whose matching or estimation raised an error."""
-    if isinstance(error, DgcPoseError):
-        return MatchedPair(PairRow(*names, BAD_INPUT, str(error), index=index))
-    reason = f"{type(error).__name__}: {error}"
-    return MatchedPair(PairRow(*names, FAILED, reason, index=index))

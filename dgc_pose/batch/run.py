@@ -12,17 +12,23 @@ import numpy as np
 
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice, default_pair_choice, most_similar, similarities
-from dgc_pose.batch.plan import Plan, continued, require_own_groups
+from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
+from dgc_pose.batch.plan import Plan, continued
 from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses, compared
-from dgc_pose.batch.result import SUMMARY, Batch, read_batch, stored_plan, summary_of, write_files
+from dgc_pose.batch.result import SUMMARY, Batch, read_batch, summary_of, write_files
 from dgc_pose.batch.rows import FAILED
-from dgc_pose.batch.schedule import block_size, blocks_of, tile_order
 from dgc_pose.batch.source import STORE, Source, survey
 from dgc_pose.batch.store import BatchStore, open_store
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker
-from dgc_pose.batch.workers import Run, local_workers, ray_workers
+from dgc_pose.batch.workers import (
+    Run,
+    block_size,
+    blocks_of,
+    local_workers,
+    ray_workers,
+    tile_order,
+)
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
@@ -34,6 +40,7 @@ from dgc_pose.runtime.load import default_runtime, device_type
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
+_EXHAUSTIVE_UP_TO = 20  # images
 
 
 def run_batch(
@@ -68,7 +75,8 @@ def run_batch(
     masks = source.masks and source.masks.resolve()
     source = replace(source, root=source.root.resolve(), masks=masks)
     if choice is None and source.pairs is None:
-        choice = default_pair_choice(len(source.names))
+        many = len(source.names) > _EXHAUSTIVE_UP_TO
+        choice = PairChoice("auto", 10) if many else PairChoice("exhaustive")
     digest, runtime = _weights_hash(matcher.weights), matcher.runtime
     if runtime == "auto" and digest is not None:  # it differs from machine to machine
         runtime = default_runtime(matcher.weights, matcher.device)
@@ -84,7 +92,10 @@ def run_batch(
         "estimation": asdict(estimation),
     }
     with _folder_alone(out):
-        before = stored_plan(out)
+        before: Plan | None = None
+        if (out / STORE).is_file():
+            with open_store(out) as store:
+                before = store.plan
         if before is not None and not options.resume:
             raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
         place = {name: i for i, name in enumerate(source.names)}
@@ -110,7 +121,6 @@ def run_batch(
         with start_workers(job, options.worker_count) as run:
             if before is None and choice is not None and choice.way == "auto":
                 plan = _with_similar(plan, choice.number, run, progress)
-            require_own_groups(plan)
             with open_store(out, create=True) as store:
                 store.begin(plan, again)
                 (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
@@ -187,7 +197,6 @@ def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan
 def _match(
     store: BatchStore, plan: Plan, run: Run, options: BatchOptions, progress: Progress
 ) -> int:
-    """Match the pairs that are left; returns their number."""
     matched = dict(store.lines("matched"))
     left = np.array([i for i in range(len(plan.pairs)) if i not in matched], dtype=np.int64)
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
@@ -207,6 +216,5 @@ def _match(
 
 
 def _weights_hash(weights: str) -> str | None:
-    """The first digits of the SHA-256 of a weights file; None for a matcher without weights."""
     path = find_weights(weights) if weights in shipped() else Path(weights)
     return hashlib.sha256(read_bytes(path)).hexdigest()[:16] if path.is_file() else None

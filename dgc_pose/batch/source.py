@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.by_image import Calibration, may_be_of
+from dgc_pose.cameras.by_image import Calibration, may_be_of, times
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import times
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.errors import ArgumentName, ImageError, InputError
@@ -52,9 +51,7 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
     """
     if path.is_dir():
         if root is not None:
-            raise InputError(
-                ArgumentName("root"), f"is for a list or a database, and {path} is a folder"
-            )
+            raise InputError(_ROOT, f"is for a list or a database, and {path} is a folder")
         source = _of_folder(path, masks)
     elif not path.is_file():
         raise InputError(f"{path}: no such folder, list or database")
@@ -67,8 +64,6 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
         raise InputError(
             "; ".join([f"{path}: {what} there, and a pair needs two", *source.left_out])
         )
-    if not source.root.is_dir():
-        raise InputError(_ROOT, f"{source.root}: no such folder of images")
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(
             _ROOT,

@@ -146,10 +146,6 @@ class BatchStore:
                 sample = Matches(points1, points2, confidence, map_error_px)
             if row.pose is not None:
                 inliers, covariance = of_pose["inliers"], of_pose.get("camera_covariance")
-                if inliers.shape != (len(matches),) or inliers.dtype != bool:
-                    raise ValueError("inliers of other matches")
-                if covariance is not None and covariance.shape != (12, 12):
-                    raise ValueError("no covariance of two cameras")
                 pose = replace(row.pose, inliers=inliers, camera_covariance=covariance)
                 row = replace(row, pose=pose)
             return MatchedPair(row, matches, sample)
@@ -172,7 +168,6 @@ class BatchStore:
 
 
 def _arrays(pair: MatchedPair) -> dict[str, np.ndarray]:
-    """The arrays of a pair's matches by name."""
     matches, sample = pair.matches, pair.map_matches
     arrays = {name: getattr(matches, name).astype(np.float32) for name in _FIELDS}
     if sample is not None:

@@ -1,13 +1,14 @@
 """The work of a worker: it holds a matcher and images, and describes, matches and estimates."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dgc_pose.batch.pooling import is_known
-from dgc_pose.batch.rows import BAD_INPUT, MatchedPair, PairRow, row_of, unmatched
+from dgc_pose.batch.rows import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError, ImageError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
@@ -68,7 +69,8 @@ class Worker:
 
     def match(self, pairs: Sequence[tuple[int, tuple[str, str]]]) -> list[MatchedPair]:
         """Pairs, each by its index and its names, as they are by themselves."""
-        return [self._matched(index, names, self.job.cameras) for index, names in pairs]
+        cameras = self.job.cameras
+        return [_done(index, names, self._matched, names, cameras) for index, names in pairs]
 
     def estimate(
         self, pairs: Sequence[MatchedPair], cameras: Cameras, fit_cameras: bool
@@ -77,26 +79,23 @@ class Worker:
 
         fit_cameras: whether each pair fits them anew, also those that are known already.
         """
-        return [self._estimated(pair, cameras, fit_cameras) for pair in pairs]
+        return [
+            _done(pair.row.index, pair.row.names, self._estimated, pair, cameras, fit_cameras)
+            for pair in pairs
+        ]
 
-    def _matched(self, index: int, names: tuple[str, str], cameras: Cameras) -> MatchedPair:
+    def _matched(self, names: tuple[str, str], cameras: Cameras) -> MatchedPair:
         image1, image2 = (self._image(name) for name in names)
         if image1 is None or image2 is None:
             bad = {name: self.bad[name] for name in names if name in self.bad}
             reason = "; ".join(bad.values())
-            row = PairRow(*names, BAD_INPUT, reason, bad_images=bad, index=index)
-            return MatchedPair(row)
-        try:
-            pair = cameras[names[0]], cameras[names[1]]
-            solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
-            dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
-            sample = None if dense is None or exact else dense.sample
-            row = row_of(names, solved.pose, solved.matches.error_px, index)
-            return MatchedPair(row, solved.matches, sample)
-        except MemoryError:  # every further pair would meet it too
-            raise
-        except Exception as error:  # one pair of a million must not end the batch
-            return unmatched(names, index, error)
+            return MatchedPair(PairRow(*names, BAD_INPUT, reason, bad_images=bad))
+        pair = cameras[names[0]], cameras[names[1]]
+        solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
+        dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
+        sample = None if dense is None or exact else dense.sample
+        row = row_of(names, solved.pose, solved.matches.error_px)
+        return MatchedPair(row, solved.matches, sample)
 
     def _estimated(self, pair: MatchedPair, cameras: Cameras, fit_cameras: bool) -> MatchedPair:
         row, names = pair.row, pair.row.names
@@ -105,25 +104,19 @@ class Worker:
         camera1, camera2 = (cameras[name] for name in names)
         if row.status == "mirrored":  # perhaps by wrong cameras
             exact = camera1.exact and camera2.exact
-            return pair if exact else self._matched(row.index, names, cameras)
+            return pair if exact else self._matched(names, cameras)
         # Two cameras err each by itself.
         known = is_known(camera1) and is_known(camera2) and camera1.identity == camera2.identity
         matches = replace(pair.matches, weights=self.matcher.fingerprint)
-        try:
-            pose = estimate_pose(
-                matches,
-                camera1,
-                camera2,
-                self.job.estimation,
-                map_matches=pair.map_matches,
-                fit_cameras=fit_cameras or not known,
-            )
-            row = row_of(names, pose, matches.error_px, row.index)
-            return MatchedPair(row, matches, pair.map_matches)
-        except MemoryError:
-            raise
-        except Exception as error:
-            return unmatched(names, row.index, error)
+        pose = estimate_pose(
+            matches,
+            camera1,
+            camera2,
+            self.job.estimation,
+            map_matches=pair.map_matches,
+            fit_cameras=fit_cameras or not known,
+        )
+        return MatchedPair(row_of(names, pose, matches.error_px), matches, pair.map_matches)
 
     def _image(self, name: str) -> Image | None:
         """An image; None if it cannot be used, with the reason in `bad`."""
@@ -139,3 +132,18 @@ class Worker:
         except DgcPoseError as error:
             self.bad[name] = str(error)
             return None
+
+
+def _done(
+    index: int, names: tuple[str, str], work: Callable[..., MatchedPair], *arguments: Any
+) -> MatchedPair:
+    """The outcome of work on a pair, or the pair with its error."""
+    try:
+        pair = work(*arguments)
+    except MemoryError:  # every further pair would meet it too
+        raise
+    except DgcPoseError as error:
+        pair = MatchedPair(PairRow(*names, BAD_INPUT, str(error)))
+    except Exception as error:  # one pair of a million must not end the batch
+        pair = MatchedPair(PairRow(*names, FAILED, f"{type(error).__name__}: {error}"))
+    return replace(pair, row=replace(pair.row, index=index))

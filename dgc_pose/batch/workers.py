@@ -1,22 +1,23 @@
-"""Workers of a batch: in this process, in processes of this machine, or on a Ray cluster."""
+"""Workers of a batch: in this process, in processes of this machine, or on a Ray cluster; and the
+order of their tasks, in which each image is loaded few times."""
 
 import logging
 import os
 import sys
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack, contextmanager
-from itertools import pairwise
-from typing import Any
+from concurrent.futures import as_completed
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 import cv2
+import numpy as np
 
 from dgc_pose.batch.work import Job, Worker
 from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
-from dgc_pose.files.outputs import writing
-from dgc_pose.system.processes import process_pools
+from dgc_pose.system.processes import process_pool
 
+Item = TypeVar("Item")
+BLOCK = 16  # pairs handed to a worker at a time, and stored together
 # A method of `Worker`, and its arguments: what is done.
 Work = Callable[..., Any]
 Task = tuple[Any, ...]
@@ -36,30 +37,22 @@ def local_workers(job: Job, workers: int) -> Iterator[Run]:
         yield lambda work, tasks: (work(worker, *task) for task in tasks)
         return
     job.matcher.load()
-    # One pool a worker, since neighbouring blocks share images and belong to one worker.
-    with ExitStack() as stack:
-        with writing("worker processes"):
-            submit = stack.enter_context(process_pools([1] * workers, _start, job))
-
-        def run(work: Work, tasks: Sequence[Task]) -> Iterator[Any]:
-            def give(worker: int, task: Task) -> Future[Any]:
-                with writing("worker processes"):
-                    return submit(worker, _do, work, *task)
-
-            return in_spans(tasks, workers, give)
-
-        yield run
+    with process_pool(workers, _start, job) as submit:
+        yield lambda work, tasks: (
+            done.result() for done in as_completed([submit(_do, work, *task) for task in tasks])
+        )
 
 
 @contextmanager
 def ray_workers(job: Job, workers: int) -> Iterator[Run]:
-    """Actors of the cluster at RAY_ADDRESS; without that, a cluster is started on this machine.
+    """Actors of the cluster at RAY_ADDRESS, or of one that is started on this machine.
 
     All machines of the cluster need the package, and the images at the same path. Raises InputError
     without Ray. Running tasks raises DgcPoseError if an actor ends; `--resume` goes on after that.
     """
     require({"engine ray": "ray"})
     import ray
+    from ray.util import ActorPool
 
     starts = not ray.is_initialized()
     if starts:
@@ -69,15 +62,14 @@ def ray_workers(job: Job, workers: int) -> Iterator[Run]:
             log_to_driver=False,
             logging_level=logging.ERROR,
         )
-    gpus = 1 if job.matcher.device == "cuda" else 0
-    kind: Any = ray.remote(num_cpus=1, num_gpus=gpus)(CoreWorker)
-    actors: list[Any] = []
+    kind: Any = ray.remote(num_cpus=1, num_gpus=int(job.matcher.device == "cuda"))(CoreWorker)
+    shared = ray.put(job)
+    actors = [kind.remote(shared) for _ in range(workers)]
 
     def run(work: Work, tasks: Sequence[Task]) -> Iterator[Any]:
         try:
-            yield from in_spans(
-                tasks, workers, lambda worker, task: actors[worker].do.remote(work, *task).future()
-            )
+            pool: Any = ActorPool(actors)
+            yield from pool.map_unordered(lambda actor, task: actor.do.remote(work, *task), tasks)
         except ray.exceptions.RayActorError as error:
             raise DgcPoseError(
                 f"a worker of Ray ended ({reason(error)}):",
@@ -88,42 +80,12 @@ def ray_workers(job: Job, workers: int) -> Iterator[Run]:
             raise error.cause from None
 
     try:
-        shared = ray.put(job)
-        actors += [kind.remote(shared) for _ in range(workers)]
         yield run
     finally:
         for actor in actors:
             ray.kill(actor)  # a cluster that others use stays
         if starts:
             ray.shutdown()
-
-
-def in_spans(
-    tasks: Sequence[Any], workers: int, submit: Callable[[int, Any], Future[Any]]
-) -> Iterator[Any]:
-    """The outcomes of tasks as they come, each worker having one task at a time.
-
-    Each worker gets a run of neighbouring tasks, which share images; when it is finished, the last
-    tasks of the longest run that is left. submit: gives a task to the worker of that number. Raises
-    what the futures raise.
-    """
-    bounds = [len(tasks) * i // workers for i in range(workers + 1)]
-    left = [deque(tasks[first:end]) for first, end in pairwise(bounds)]
-    running: dict[Future[Any], int] = {}
-
-    def give(worker: int) -> None:
-        if left[worker]:
-            running[submit(worker, left[worker].popleft())] = worker
-        elif longest := max(left, key=len):
-            running[submit(worker, longest.pop())] = worker
-
-    for worker in range(workers):
-        give(worker)
-    while running:
-        for future in wait(running, return_when=FIRST_COMPLETED).done:
-            outcome = future.result()
-            give(running.pop(future))
-            yield outcome
 
 
 class CoreWorker:
@@ -137,7 +99,6 @@ class CoreWorker:
         self._worker: Worker | None = None
 
     def do(self, work: Work, *task: Any) -> Any:
-        """The outcome of a task."""
         if self._worker is None:
             cv2.setNumThreads(1)
             os.environ["OMP_NUM_THREADS"] = "1"  # read when torch is imported
@@ -156,3 +117,27 @@ def _start(job: Job) -> None:
 
 def _do(work: Work, *task: Any) -> Any:
     return _of_process[0].do(work, *task)
+
+
+def tile_order(pairs: np.ndarray, capacity: int) -> np.ndarray:
+    """Indices (P,) of the pairs (P, 2) of images in the order to work in: by tiles, of which the
+    images fit into memory together.
+
+    capacity: images whose features fit into the memory of one worker.
+    """
+    low, high = np.sort(pairs, axis=1).T
+    side = max(1, capacity // 2)
+    tile1, tile2 = low // side, high // side
+    # Back and forth along the rows of tiles: a row begins with the tile that the last ended at.
+    column = np.where(tile1 % 2 == 0, tile2, -tile2)
+    return np.lexsort((low, high, column, tile1))
+
+
+def block_size(pairs: int, workers: int) -> int:
+    """Pairs of a block: fewer in a small batch, so that all workers have something to do."""
+    return min(BLOCK, max(1, pairs // (4 * workers)))
+
+
+def blocks_of(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
+    """Runs of at most `size` successive items."""
+    return [items[i : i + size] for i in range(0, len(items), size)]

@@ -12,9 +12,9 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.checks import checked_camera, times
 from dgc_pose.cameras.prior import Sharing, auto_camera
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.pixels import EXCHANGING, Size, exif_turn
@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
+_MAX_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
+_SAME_ASPECT = 0.03  # of the logarithms of two aspect ratios that are the same
+# Logarithms of the scale between two sizes of the same aspect ratio: less is the same size, and
+# more cannot be the image's.
+_MAX_SAME_SCALE, _MAX_POSSIBLE_SCALE = 0.1, 0.4
 
 
 @dataclass(frozen=True)
@@ -88,33 +93,28 @@ class Calibration:
         return self.common is None and self.auto is None and self.named(root, name) is None
 
     def named(self, root: Path, name: str) -> Camera | None:
-        """The camera that the file has for an image: of the name that the image's path ends with,
-        or else of the only name with its file name. A name in the file may lack its ending.
+        """The camera that the file has for an image: of the longest name that the image's path ends
+        with, or else of the only name with its file name. A name in the file may lack its ending.
 
         Raises InputError if several names have its file name, and other cameras.
         """
         path = PurePath(os.path.abspath(root / name))
-        for start in range(len(path.parts)):
-            end = PurePath(*path.parts[start:])
-            for stated in (str(end), str(end.with_suffix(""))):
-                if stated in self._by_path:
-                    return self.by_name[self._by_path[stated]]
         alike = self._by_file_name.get(path.name) or self._by_file_name.get(path.stem) or []
-        if len({id(self.by_name[stated]) for stated in alike}) > 1:
-            first, second, *_ = alike
+        for folders, stated in sorted(alike, key=lambda named: -len(named[0])):
+            if path.parts[-1 - len(folders) : -1] == folders:
+                return self.by_name[stated]
+        if len({id(self.by_name[stated]) for _, stated in alike}) > 1:
+            first, second, *_ = (stated for _, stated in alike)
             raise InputError(f"{self.where} has {first} and {second}, and {name} may be either")
-        return self.by_name[alike[0]] if alike else None
+        return self.by_name[alike[0][1]] if alike else None
 
     @cached_property
-    def _by_path(self) -> dict[str, str]:
-        paths = {name: PurePath(os.path.normpath(name)).parts for name in self.by_name}
-        return {str(PurePath(*(p for p in paths[n] if p != os.pardir))): n for n in paths}
-
-    @cached_property
-    def _by_file_name(self) -> dict[str, list[str]]:
-        names = defaultdict[str, list[str]](list)
+    def _by_file_name(self) -> dict[str, list[tuple[tuple[str, ...], str]]]:
+        """The folders in each name, and the name."""
+        names = defaultdict[str, list[tuple[tuple[str, ...], str]]](list)
         for name in self.by_name:
-            names[PurePath(name).name].append(name)
+            parts = [p for p in PurePath(os.path.normpath(name)).parts if p != os.pardir]
+            names["".join(parts[-1:])].append((tuple(parts[:-1]), name))
         return names
 
     def _of_part(self, path: Path, part: str | None) -> Camera | None:
@@ -213,3 +213,52 @@ def _fits(camera: Camera, image: Image | Header, size: Size | None) -> tuple[boo
     if image.exif.orientation not in EXCHANGING:
         return True, True
     return may_be_of(camera, size_in_file(image), size), may_be_of(camera, image.size, size)
+
+
+def checked_camera(camera: Camera, size: Size, name: str, image: str = "the image") -> Camera:
+    """The camera of an image of `size` (width, height), called `image`, with warnings.
+
+    Raises InputError, naming the argument `name`, if the camera's size differs; or if its principal
+    point lies outside the image, or, of a camera without a size, in the middle of the image turned
+    by 90 degrees or of one of far more or fewer pixels. Warns if the principal point is that of an
+    image of another size, or is far from the middle.
+    """
+    if camera.size is not None and camera.size != size:
+        turned = ": K is of the image turned by 90 degrees" if camera.size == size[::-1] else ""
+        raise InputError(
+            f"{name} is for an image of {camera.size[0]} x {camera.size[1]} pixels, {image} has "
+            f"{size[0]} x {size[1]}{turned}"
+        )
+    centre = camera.K[:2, 2]
+    place = f"{name} has its principal point at ({centre[0]:g}, {centre[1]:g})"
+    if camera.size is None and (centre > 0).all():
+        of_K = 2 * centre + 1  # the size of an image whose middle the principal point is
+        x, y = np.log(of_K / size)
+        turned_x, turned_y = np.log(of_K / size[::-1])
+        is_scaled = abs(x - y) <= _SAME_ASPECT
+        is_turned = abs(turned_x - turned_y) <= _SAME_ASPECT
+        is_turned = is_turned and abs(np.log(size[0] / size[1])) > _MAX_SAME_SCALE
+        scale = abs(np.log(of_K.max() / max(size)))
+        if is_turned or (is_scaled and scale > _MAX_SAME_SCALE):
+            problem = (
+                f"{place}, the middle of an image of about {times(np.rint(of_K).astype(int))}, and "
+                f"{image} has {times(size)}"
+            )
+            if is_turned:
+                raise InputError(f"{problem}: K is of the image turned by 90 degrees")
+            if scale > _MAX_POSSIBLE_SCALE:
+                raise InputError(problem)
+            return replace(camera, warnings=(*camera.warnings, problem))
+    shares = (centre + 0.5) / size
+    if shares.min() <= 0 or shares.max() >= 1:
+        raise InputError(f"{place}, outside {image} of {times(size)}")
+    if np.abs(shares - 0.5).max() <= _MAX_USUAL_OFFSET:
+        return camera
+    warning = f"{place}, far from the middle of {image} of {times(size)}"
+    return replace(camera, warnings=(*camera.warnings, warning))
+
+
+def times(size: ArrayLike) -> str:
+    """A size as 640x480."""
+    width, height = np.asarray(size).tolist()
+    return f"{width}x{height}"

@@ -131,7 +131,6 @@ def read_calibration(
 
 
 def _parse_text(text: str, name: str) -> Camera:
-    """The camera of numbers or of a line of COLMAP's. Raises InputError, naming `name`."""
     values = numbers(text)
     if values is not None and len(values) in (4, 9):
         return numbers_camera(values, name)
@@ -147,7 +146,6 @@ def _parse_text(text: str, name: str) -> Camera:
 
 
 def _require_K(details: KDetails, name: str) -> None:
-    """Raise InputError for details of a K that there is not."""
     for option, value in (("size", details.size), ("std", details.focal_std or details.centre_std)):
         if value:
             raise InputError(ArgumentName(f"K_{option}"), f"is of a K, and {name} gives none")

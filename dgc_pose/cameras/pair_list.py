@@ -167,7 +167,6 @@ def _is_heading(first: str, second: str) -> bool:
 
 
 def _cameras(words: list[str], where: str) -> list[Camera]:
-    """The cameras of both images; none of a line without them."""
     if len(words) > 2 and words[2:4] != ["0", "0"]:
         raise InputError(
             f"{where}: rot1 rot2 must be 0 0, not {words[2]} {words[3]}: "

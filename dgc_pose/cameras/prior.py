@@ -154,7 +154,6 @@ def auto_cameras(
 
 
 def _with_focal(camera: Camera, other: Camera) -> Camera:
-    """The camera with the focal length of another, unless it has one of EXIF data."""
     if camera.focal_source == "exif":
         return camera
     K, focals = camera.K.copy(), other.K.diagonal()[:2]
@@ -184,7 +183,6 @@ def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
 
 
 def _on_film(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
-    """The focal length and its deviation by that on 35 mm film."""
     film, zoom = exif.focal_35mm, exif.digital_zoom
     if film is None:
         return

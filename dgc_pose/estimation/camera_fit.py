@@ -28,17 +28,11 @@ from dgc_pose.estimation.intrinsics_prior import (
     SIZE,
     IntrinsicsPrior,
     error_slopes,
-    normaliser,
     pair_with_parameters,
     renormalised_pair,
     renormalised_slopes,
 )
-from dgc_pose.estimation.least_squares import (
-    CORRELATED,
-    EFFICIENT,
-    cauchy_losses,
-    loss_width,
-)
+from dgc_pose.estimation.least_squares import CORRELATED, EFFICIENT, cauchy_losses, loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
@@ -166,11 +160,8 @@ class JointFit:
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
         parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
-        if self.prior.bends(self.problem):
-            error = sampson_distance(*renormalised_pair(self.problem, parameters), E)
-            return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
-        F = normaliser(parameters[SIZE:]).T @ E @ normaliser(parameters[:SIZE])
-        return sampson_distance(self.problem.points1, self.problem.points2, F)
+        error = sampson_distance(*renormalised_pair(self.problem, parameters), E)
+        return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
 
     def errors_px(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a

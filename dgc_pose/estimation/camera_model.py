@@ -17,18 +17,12 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import SIZE_STD
-from dgc_pose.estimation.camera_fit import (
-    MOST_ERROR,
-    JointFit,
-    JointPose,
-    of_focals,
-    start_at,
-)
-from dgc_pose.estimation.competition import choice_shares
+from dgc_pose.estimation.camera_fit import MOST_ERROR, JointFit, JointPose, of_focals, start_at
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.intrinsics_prior import FOCALS, is_of_part
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.probability import choice_shares
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.matches import Matches

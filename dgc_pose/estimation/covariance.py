@@ -105,26 +105,16 @@ def error_radius(covariance: np.ndarray) -> float:
 
 
 def _chi_square_90(freedom: float) -> float:
-    """The value that a chi-square variable stays below nine times in ten, by Newton's method.
-
-    freedom: degrees, above 0, at most some hundred. The import of SciPy takes longer than a pose.
-    """
-    half = value = freedom / 2
-    for _ in range(100):  # about six are needed
-        slope = math.exp((half - 1) * math.log(value) - value - math.lgamma(half))
-        # Left of the mode a step may lead below 0.
-        following = max(value - (_incomplete_gamma(half, value) - 0.9) / slope, value / 8)
-        if abs(following - value) <= 1e-14 * value:
-            break
-        value = following
-    return 2 * following
-
-
-def _incomplete_gamma(a: float, x: float) -> float:
-    """The regularised lower incomplete gamma function P(a, x), by its series (DLMF 8.7.1)."""
-    term = total = math.exp(a * math.log(x) - x - math.lgamma(a + 1))
-    while term > 1e-17 * total:
-        a += 1
-        term *= x / a
-        total += term
-    return total
+    """The value that a chi-square variable of 1 to 3 degrees stays below nine times in ten, by
+    bisection. The import of SciPy takes longer than a pose."""
+    half, low, high = freedom / 2, 1.0, 4.0
+    for _ in range(53):
+        middle, a = (low + high) / 2, half
+        # The regularised lower incomplete gamma function, by its series (DLMF 8.7.1).
+        term = total = math.exp(a * math.log(middle) - middle - math.lgamma(a + 1))
+        while term > 1e-17 * total:
+            a += 1
+            term *= middle / a
+            total += term
+        low, high = (middle, high) if total < 0.9 else (low, middle)
+    return low + high

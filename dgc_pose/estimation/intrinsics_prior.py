@@ -3,9 +3,7 @@ coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose a
 
 The parameters of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
 the focal length of K, what is added to the coefficients (c, d) of its lens (`geometry.radial`),
-which are 0 of a pinhole, and what is added to a = ln(fy / fx). Of two exact pinholes but for K,
-points that K normalised are normalised by A of `normaliser` to what the camera makes of them, so
-that F = A2^T E A1.
+which are 0 of a pinhole, and what is added to a = ln(fy / fx).
 """
 
 from __future__ import annotations
@@ -17,16 +15,9 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.epipolar import epipolar_terms, essential_from_pose, homogeneous, skew
-from dgc_pose.geometry.radial import (
-    undistorted,
-    undistorted_slopes,
-    unprojected,
-    unprojected_slopes,
-)
+from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, skew
+from dgc_pose.geometry.radial import undistorted, undistorted_slopes, unprojected
 
-# Derivatives of A by k and by a, times A^-1.
-_BY_LOG_FOCAL, _BY_ASPECT = np.diag([-1.0, -1.0, 0.0]), np.diag([0.5, -0.5, 0.0])
 _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 
@@ -58,14 +49,11 @@ class IntrinsicsPrior:
     def __len__(self) -> int:
         return self.basis.shape[1]
 
-    def bends(self, problem: TwoViewProblem) -> bool:
-        """Whether a lens is there or unknown, so that A of `normaliser` does not suffice."""
-        return any(problem.lenses) or bool(self.basis[[3, 4, SIZE + 3, SIZE + 4]].any())
-
 
 SIZE = 6  # parameters of a camera
 FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
 EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
+_SEEN_AND_LENS = np.eye(2 + SIZE)[[0, 1, 5, 6]]  # x and y of a point, c and d
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
 _OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
@@ -88,19 +76,6 @@ def _shrinks(parameters: np.ndarray) -> np.ndarray:
     """By which x and y (2,) of a point grow if a K with parameters normalises it."""
     k, a = parameters[0], parameters[5]
     return np.exp([a / 2 - k, -a / 2 - k])
-
-
-def normaliser(parameters: np.ndarray) -> np.ndarray:
-    """A (3, 3) of the parameters (SIZE,) of a camera without a lens."""
-    (by_x, by_y), (x, y) = _shrinks(parameters), parameters[1:3]
-    return np.array([[by_x, 0, -x * by_x], [0, by_y, -y * by_y], [0, 0, 1]])
-
-
-def _normaliser_slopes(A: np.ndarray) -> list[np.ndarray]:
-    """The derivatives (3, 3) of A by the parameters (SIZE,); 0 by those of the lens."""
-    by_x, by_y = np.zeros((3, 3)), np.zeros((3, 3))
-    by_x[0, 2], by_y[1, 2] = -A[0, 0], -A[1, 1]
-    return [_BY_LOG_FOCAL @ A, by_x, by_y, *np.zeros((2, 3, 3)), _BY_ASPECT @ A]
 
 
 def renormalised(points: np.ndarray, lens: Distortion | None, parameters: np.ndarray) -> np.ndarray:
@@ -126,20 +101,16 @@ def renormalised_slopes(
     """The derivatives (N, 2, SIZE) of `renormalised` by the parameters."""
     lens = lens or _PINHOLE
     moved = _moved(points, lens, parameters)
-    if lens.projection is not None:
+    if lens.projection == "plane":
         coefficients = lens.radial + parameters[3:5]
-        ideal = undistorted(moved, coefficients)
-        by_seen, by_lens = undistorted_slopes(ideal, coefficients)
-        if lens.projection != "plane":
-            by_ideal = unprojected_slopes(ideal, lens.projection)
-            by_seen, by_lens = by_ideal @ by_seen, by_ideal @ by_lens
+        by_seen, by_lens = undistorted_slopes(undistorted(moved, coefficients), coefficients)
     else:
         ahead, behind = (
-            [_undone(moved + s * a, lens, parameters) for a in np.eye(2)]
+            [_undone(moved + s * at[:2], lens, parameters + s * at[2:]) for at in _SEEN_AND_LENS]
             for s in (_SLOPE_STEP, -_SLOPE_STEP)
         )
-        by_seen = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
-        by_lens = np.zeros((len(points), 2, 2))
+        slopes = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
+        by_seen, by_lens = slopes[:, :, :2], slopes[:, :, 2:]
     by_centre = -by_seen * _shrinks(parameters)
     by_both = [by_seen @ (moved * of_axes)[:, :, None] for of_axes in ((-1, -1), (0.5, -0.5))]
     return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)
@@ -192,62 +163,43 @@ def error_slopes(
 
     The parameters are a rotation vector w, R becoming exp([w]x) R, two coordinates of t along the
     columns of the basis, which are perpendicular to t, and those of `prior`. parameters: (12,) of
-    the cameras from those that normalised the problem; the errors are in the problem's unit.
+    the cameras from those that normalised the problem; the errors are in the problem's unit, 0
+    where a distortion cannot be undone.
     """
-    if len(prior) and prior.bends(problem):
-        return _lens_slopes(problem, R, t, prior, parameters)
+    points1, points2 = problem.points1, problem.points2
+    if parameters.any():
+        points1, points2 = renormalised_pair(problem, parameters)
     tangent = np.linalg.svd(t[None])[2][1:].T
     E = essential_from_pose(R, t)
-    of_pose = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
-    of_pose += [essential_from_pose(R, axis) for axis in tangent.T]
-    F, changes = E, of_pose
-    if len(prior):
-        A1, A2 = normaliser(parameters[:SIZE]), normaliser(parameters[SIZE:])
-        F, changes = A2.T @ E @ A1, [A2.T @ change @ A1 for change in of_pose]
-        of_cameras = [A2.T @ E @ change for change in _normaliser_slopes(A1)]
-        of_cameras += [change.T @ E @ A1 for change in _normaliser_slopes(A2)]
-        changes += list(np.tensordot(prior.basis.T, of_cameras, axes=1))
-    algebraic, squared1, squared2 = epipolar_terms(problem.points1, problem.points2, F)
-    squared = np.maximum(squared1 + squared2, np.finfo(float).tiny)  # 0 at the epipoles
+    changes = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
+    changes += [essential_from_pose(R, axis) for axis in tangent.T]
     # Points as columns, and all parameters at once: NumPy is slow along short axes.
-    x1, x2 = homogeneous(problem.points1).T, homogeneous(problem.points2).T
-    stacked = np.stack(changes)
-    changed2, changed1 = stacked @ x1, stacked.transpose(0, 2, 1) @ x2  # (5 + M, 3, N)
-    lengthening = ((F.T @ x2)[:2] * changed1[:, :2]).sum(1)
-    lengthening += ((F @ x1)[:2] * changed2[:, :2]).sum(1)
-    slopes = (x2 * changed2).sum(1) - algebraic / squared * lengthening
+    x1, x2 = homogeneous(points1).T, homogeneous(points2).T
+    lines2, lines1 = E @ x1, E.T @ x2
+    squared = (lines1[:2] ** 2).sum(0) + (lines2[:2] ** 2).sum(0)
+    squared = np.maximum(squared, np.finfo(float).tiny)  # 0 at the epipoles
     root = np.sqrt(squared)
-    return algebraic / root, (slopes / root).T, tangent
-
-
-def _lens_slopes(
-    problem: TwoViewProblem,
-    R: np.ndarray,
-    t: np.ndarray,
-    prior: IntrinsicsPrior,
-    parameters: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """As `error_slopes`, of cameras with lenses: parameters move each point in another way."""
-    sides = (
-        (problem.points1, problem.lenses[0], parameters[:SIZE]),
-        (problem.points2, problem.lenses[1], parameters[SIZE:]),
-    )
-    points1, points2 = renormalised_pair(problem, parameters)
-    moved = replace(problem, points1=points1, points2=points2)
-    error, of_pose, tangent = error_slopes(moved, R, t)
-    E = essential_from_pose(R, t)
-    lines2, lines1 = (homogeneous(points1) @ E.T)[:, :2], (homogeneous(points2) @ E)[:, :2]
-    squared = np.maximum((lines1**2).sum(1) + (lines2**2).sum(1), np.finfo(float).tiny)[:, None]
-    root, over = np.sqrt(squared), error[:, None] / squared
+    algebraic, stacked = (x2 * lines2).sum(0), np.stack(changes)
+    changed2, changed1 = stacked @ x1, stacked.transpose(0, 2, 1) @ x2  # (5, 3, N)
+    lengthening = (lines1[:2] * changed1[:, :2]).sum(1) + (lines2[:2] * changed2[:, :2]).sum(1)
+    slopes = (((x2 * changed2).sum(1) - algebraic / squared * lengthening) / root).T
+    error = algebraic / root
+    if not len(prior):
+        return error, slopes, tangent
     # By each point: of the algebraic error, and of the length of the line in the other image.
-    by_point1 = lines1 / root - over * (lines2 @ E[:2, :2])
-    by_point2 = lines2 / root - over * (lines1 @ E[:2, :2].T)
-    by_side = [
-        (by_point[:, None] @ renormalised_slopes(*side))[:, 0]
-        for by_point, side in zip((by_point1, by_point2), sides, strict=True)
-    ]
-    of_cameras = np.hstack(by_side)
+    over = error / squared
+    by_point1 = lines1[:2] / root - over * (E[:2, :2].T @ lines2[:2])
+    by_point2 = lines2[:2] / root - over * (E[:2, :2] @ lines1[:2])
+    sides = (problem.points1, by_point1), (problem.points2, by_point2)
+    of_cameras = np.hstack(
+        [
+            (by_point.T[:, None] @ renormalised_slopes(points, lens, own))[:, 0]
+            for (points, by_point), lens, own in zip(
+                sides, problem.lenses, np.split(parameters, 2), strict=True
+            )
+        ]
+    )
     of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth
-    slopes = np.hstack([of_pose, of_cameras @ prior.basis])
+    slopes = np.hstack([slopes, of_cameras @ prior.basis])
     growth = np.exp(parameters[FOCALS].mean())
     return np.nan_to_num(error * growth), np.nan_to_num(slopes * growth), tangent

@@ -6,7 +6,7 @@ model for each kind of matches; `probability.md` beside it is the card: data, sp
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -106,6 +106,9 @@ FEATURES: Mapping[str, Feature] = {
 }
 OF_AUTO = ("focal_error",)  # of focal lengths that are fitted
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
+
+
+CHOICE_FEATURES = ("likelihood", "map_agreement")
 
 
 @dataclass(frozen=True)
@@ -265,3 +268,18 @@ def _nearness(evidence: Evidence) -> float:
         return 1.0
     deviation = max(check.error_90_deg / NORMAL_90, _MIN_DEVIATION_DEG)
     return 0.5 * math.erfc((check.angle_deg - RIGHT_DEG) / deviation / math.sqrt(2))
+
+
+def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str, float]) -> float:
+    """The log-odds of a hypothesis, up to a constant of the pair."""
+    values = {"likelihood": likelihood, "map_agreement": map_agreement or 0.0}
+    return sum(weights[name] * values[name] for name in CHOICE_FEATURES if name in weights)
+
+
+def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float = 0.0) -> np.ndarray:
+    """Probabilities (K,) of the conditional logit model (McFadden 1974) of utilities (K,), -inf for
+    what cannot be chosen. lapse: the probability that any other is right, whatever these state."""
+    values = np.asarray(utilities)
+    odds = np.exp(values - values.max())
+    possible = np.isfinite(values)
+    return (1 - lapse) * odds / odds.sum() + lapse * possible / possible.sum()

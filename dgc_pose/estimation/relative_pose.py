@@ -6,23 +6,23 @@ the evidence.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_model import model_warnings
 from dgc_pose.estimation.candidates import Candidates, candidates
-from dgc_pose.estimation.covariance import error_radius_deg
-from dgc_pose.estimation.evidence import Evidence, measured
-from dgc_pose.estimation.extent import odd_extent
-from dgc_pose.estimation.focal_check import focal_warnings
+from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_covariance
+from dgc_pose.estimation.evidence import Evidence, FocalCheck, measured
+from dgc_pose.estimation.focal_check import check_focals, focal_warnings
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.probability import calibrated_focal_std
+from dgc_pose.estimation.problem import TwoViewProblem, odd_extent
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import STATUSES
-from dgc_pose.estimation.uncertainty import Uncertainty, uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES, judge
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
@@ -96,32 +96,92 @@ def _estimated(
     return replace(pose, inliers=inliers, warnings=warnings)
 
 
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """The uncertainty of the likeliest pose."""
+
+    cameras: tuple[Camera, Camera]  # with the standard deviations that are left, calibrated
+    check: FocalCheck | None = None  # of the focal lengths of exact cameras
+    # (6, 6), see `pose_covariance`, not calibrated; None if the inliers do not determine it.
+    covariance: np.ndarray | None = None
+    camera_covariance: np.ndarray | None = None  # (12, 12), see `RelativePose`
+    # The error of ln f of the less certain camera that nine in ten stay below, per cent, not
+    # calibrated; None if both focal lengths are exact.
+    focal_90_percent: float | None = None
+
+
+def uncertainty(found: Candidates, matches: Matches, options: EstimationOptions) -> Uncertainty:
+    """The uncertainty of the likeliest candidate and of its cameras. matches: that it is of."""
+    problem, best, cameras = found.problem, found.hypotheses[0], found.model.cameras
+    prior, check = IntrinsicsPrior.of(*cameras), None
+    if not len(prior):  # K is to be right
+        check = check_focals(problem, best, matches, cameras, options, is_plane=found.on_plane)
+    covariances = pose_covariance(problem, best, prior, fitted=found.fitted)
+    if found.fitted:
+        first, second = (replace(c, focal_source="matches") if c.focal_std else c for c in cameras)
+        cameras = first, second
+    if covariances is None:
+        return Uncertainty(cameras, check)
+    covariance, of_cameras = covariances[0] + found.model.pose_covariance, covariances[1]
+    focal_std = float(np.sqrt(of_cameras.diagonal()[FOCALS].max()))
+    camera_covariance = None
+    if found.fitted:
+        first, unit1 = _calibrated(cameras[0], of_cameras[:SIZE, :SIZE])
+        second, unit2 = _calibrated(cameras[1], of_cameras[SIZE:, SIZE:])
+        cameras = first, second
+        camera_covariance = of_cameras * np.outer(unit1 + unit2, unit1 + unit2)
+    focal_90_percent = 100 * NORMAL_90 * focal_std or None
+    return Uncertainty(cameras, check, covariance, camera_covariance, focal_90_percent)
+
+
+def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, list[float]]:
+    """A fitted camera with standard deviations by a covariance (6, 6), calibrated as that of the
+    focal length is, and at most those that it had; and these over the raw ones of its parameters
+    (6,), 0 of what is exact."""
+    if camera.exact:
+        return camera, [0.0] * SIZE
+    focal, x, y, lens, _, aspect = covariance.diagonal().tolist()
+    raw = [focal**0.5, ((x + y) / 2) ** 0.5, lens**0.5, aspect**0.5]
+    factor = calibrated_focal_std(raw[0]) / raw[0] if raw[0] else 1.0
+    camera = replace(
+        camera,
+        focal_std=min(factor * raw[0], camera.focal_std),
+        centre_std=min(factor * raw[1] * camera.focal, camera.centre_std),
+        lens_std=min(factor * raw[2], camera.lens_std),
+        aspect_std=min(factor * raw[3], camera.aspect_std),
+    )
+    stds = camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std
+    by_focal, by_centre, by_lens, by_aspect = (
+        std / before if before else 0.0 for std, before in zip(stds, raw, strict=True)
+    )
+    return camera, [by_focal, by_centre, by_centre, by_lens, by_lens, by_aspect]
+
+
 def gathered(found: Candidates, known: Uncertainty) -> Evidence:
     """The evidence for and against the likeliest candidate."""
     best, *others = found.hypotheses
     evidence = measured(found.problem, best, found.map_problem)
-    rotation, still_ratio = evidence.rotation, 0.0
-    if found.still is not None:
-        still_ratio, R = found.still
-        rotation = R if still_ratio > evidence.strict_rotation_share else rotation
-    if found.second is not None:
+    rotation, second, covariance = evidence.rotation, found.second, known.covariance
+    still_ratio, turned = found.still or (0.0, rotation)
+    if still_ratio > evidence.strict_rotation_share:
+        rotation = turned
+    if second is not None:
         evidence = replace(
             evidence,
-            num_second_inliers=int(found.second.inliers_in_front[~best.inliers].sum()),
-            second_rotation_deg=rotation_error_deg(found.second.R, rotation),
+            num_second_inliers=int(second.inliers_in_front[~best.inliers].sum()),
+            second_rotation_deg=rotation_error_deg(second.R, rotation),
         )
-    if known.covariance is not None:
-        evidence = replace(
-            evidence,
-            raw_rotation_90_deg=error_radius_deg(known.covariance[:3, :3]),
-            raw_translation_90_deg=error_radius_deg(known.covariance[3:, 3:]),
-        )
+    errors: tuple[float | None, float | None] = (None, None)
+    if covariance is not None:
+        errors = error_radius_deg(covariance[:3, :3]), error_radius_deg(covariance[3:, 3:])
     most_of_others = max((other.num_in_front for other in others), default=0)
     return replace(
         evidence,
         rotation=rotation,
         still_ratio=still_ratio,
         homography_ratio=found.homography_ratio,
+        raw_rotation_90_deg=errors[0],
+        raw_translation_90_deg=errors[1],
         raw_focal_90_percent=known.focal_90_percent,
         focal_check=known.check,
         other_ratio=most_of_others / max(best.num_in_front, 1),

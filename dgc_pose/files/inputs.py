@@ -28,10 +28,11 @@ def read_bytes(
     Raises `error`, with the path, for a pipe, a device, a folder, and for more than `limit` bytes;
     OSError, with the path, if it cannot be read.
     """
-    size = _regular_size(path, error)
-    if size > limit:
-        raise error(f"{path} is too large: {size} bytes, at most {limit} are read")
-    return read_start(path, size, error)
+    with open_regular(path, error) as stream, writing(path):
+        size = os.fstat(stream.fileno()).st_size
+        if size > limit:
+            raise error(f"{path} is too large: {size} bytes, at most {limit} are read")
+        return stream.read(size)
 
 
 def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputError) -> bytes:
@@ -43,7 +44,13 @@ def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputEr
 
 def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
     """A regular file to read piece by piece. Raises as `read_bytes` does."""
-    _regular_size(path, error)
+    try:
+        mode = os.stat(path).st_mode  # before it is opened: a pipe would wait for its writer
+    except ValueError:  # a zero byte
+        raise error(f"{str(path)!r} is no name of a file") from None
+    if not stat.S_ISREG(mode):
+        kind = _KINDS.get(stat.S_IFMT(mode), "a device")
+        raise error(f"{path} is {kind}, and only regular files are read")
     return open(path, "rb")
 
 
@@ -52,18 +59,6 @@ def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) ->
     that open files themselves. OSError, with the path, if it cannot be read."""
     if not read_start(path, 1, error):
         raise error(f"{path} is empty")
-
-
-def _regular_size(path: str | Path, error: type[DgcPoseError]) -> int:
-    """Bytes of a regular file. Before it is opened: the opening of a pipe waits for its writer."""
-    try:
-        status = os.stat(path)
-    except ValueError:  # a zero byte
-        raise error(f"{str(path)!r} is no name of a file") from None
-    if stat.S_ISREG(status.st_mode):
-        return status.st_size
-    kind = _KINDS.get(stat.S_IFMT(status.st_mode), "a device")
-    raise error(f"{path} is {kind}, and only regular files are read")
 
 
 @contextmanager

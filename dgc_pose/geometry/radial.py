@@ -81,19 +81,3 @@ def unprojected(points: np.ndarray, projection: Projection) -> np.ndarray:
         return points * (np.tan(angle) / np.maximum(angle, 1e-300))[:, None]
     x, y = points.T
     return np.column_stack([np.sign(x) * np.tan(angle), y / np.cos(angle)])
-
-
-def unprojected_slopes(points: np.ndarray, projection: Projection) -> np.ndarray:
-    """The derivatives (N, 2, 2) of `unprojected` by the points (N, 2)."""
-    if projection == "angles":
-        angle = np.maximum(np.linalg.norm(points, axis=1), 1e-12)[:, None, None]
-        outer = points[:, :, None] * points[:, None] / angle**2
-        return np.eye(2) * np.tan(angle) / angle + outer * (
-            1 / np.cos(angle) ** 2 - np.tan(angle) / angle
-        )
-    slopes = np.tile(np.eye(2), (len(points), 1, 1))
-    if projection == "cylinder":
-        x, y = points.T
-        slopes[:, 0, 0] = 1 / np.cos(x) ** 2
-        slopes[:, 1, 0], slopes[:, 1, 1] = y * np.sin(x) / np.cos(x) ** 2, 1 / np.cos(x)
-    return slopes

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import ImageError
-from dgc_pose.files.inputs import read_start
+from dgc_pose.files.inputs import open_regular, read_start
 from dgc_pose.geometry.pixels import same_shape
-from dgc_pose.images.header import START_BYTES, UnreadableFormatError, image_format
+from dgc_pose.images.header import UnreadableFormatError, image_format
 from dgc_pose.images.image import image_size, load_image, resize
 
 _PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
@@ -103,16 +103,13 @@ def left_out_line(kind: str, names: Collection[str], why: str) -> str:
 
 
 def _why_not(path: Path, name: str) -> str | None:
-    """Why a file is not taken as an image; None if it is one."""
     try:
         name.encode()
     except UnicodeEncodeError:  # as HDF5 and COLMAP hold names
         return "a name that is not UTF-8"
     try:
-        start = read_start(path, START_BYTES, ImageError)
-        if not start:
-            return "empty"
-        image_format(start)
+        with open_regular(path, ImageError) as stream:
+            image_format(stream)
     except OSError as failure:
         return failure.strerror or str(failure)
     except ImageError:

@@ -11,7 +11,7 @@ import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, BinaryIO
 
 import PIL.Image
 from PIL.ExifTags import IFD, Base
@@ -21,7 +21,7 @@ from PIL.TiffImagePlugin import ImageFileDirectory_v2
 from dgc_pose.errors import is_installed
 from dgc_pose.geometry.pixels import EXCHANGING, Size
 
-START_BYTES = 4096  # of a file, which its format is recognised by
+_END_BYTES = 2**17  # of a file's beginning and end, searched for XMP, and a PNG's for EXIF data
 _RAW = "RAW"
 # The formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
 _FORMATS = {
@@ -81,15 +81,15 @@ class Header:
     projection: str = ""  # "equirectangular" or "cylindrical", of a panorama by XMP; else ""
 
 
-def image_format(start: bytes) -> str:
-    """The format of an image file by its first `START_BYTES` or more, or by all of a smaller file.
-
-    Raises UnreadableFormatError, which names what the file is, if it is not read.
-    """
+def image_format(stream: BinaryIO) -> str:
+    """The format of an image file. Raises UnreadableFormatError if it is not read."""
+    start = stream.read(64)
+    if not start:
+        raise UnreadableFormatError("empty")
     name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
     if name is None:
         raise UnreadableFormatError("not an image of a known format")
-    if name == _RAW or (name == "TIFF" and _is_raw(start)):
+    if name == _RAW or (name == "TIFF" and _is_raw(stream)):
         raise UnreadableFormatError(
             "a camera's raw file, or begins with a thumbnail, and neither is read"
         )
@@ -98,30 +98,34 @@ def image_format(start: bytes) -> str:
     return name
 
 
-def read_header(data: bytes, *, complete: bool = True) -> Header:
-    """The header of an encoded image.
+def read_header(stream: BinaryIO, *, verify: bool = False) -> Header:
+    """The header of an image file, of which the ends are read, and what Pillow reads.
 
-    complete: whether `data` is all of the file, and not its beginning, of a PNG its end too; then
-    the checksums of a PNG are checked.
+    verify: whether the checksums of a PNG are checked, of all of the file.
 
     Raises UnreadableFormatError if the format is not read, any other exception if the header is
     damaged.
     """
-    name, found = image_format(data), _PROJECTION.search(data)
+    name = image_format(stream)
+    stream.seek(0)
+    ends = stream.read(_END_BYTES)
+    stream.seek(max(len(ends), stream.seek(0, io.SEEK_END) - _END_BYTES))
+    ends += stream.read()
+    found = _PROJECTION.search(ends)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "TIFF":  # Pillow refuses kinds that OpenCV decodes: floats in three colours
-            tags, block, info = _tiff_tags(data), data, {}
+            tags, exif_block, info = _tiff_tags(stream), stream, {}
             size = int(tags[Base.ImageWidth]), int(tags[Base.ImageLength])
-            if not complete and {IFD.Exif, IFD.GPSInfo, Base.Make, Base.Model}.intersection(tags):
-                raise ValueError("the EXIF data may lie behind the start")
         else:
-            image = _opened(name, data)
+            stream.seek(0)
+            image = _opened(name, stream)
             size, info = image.size, image.info
-            block = _png_exif(data, info) if name == "PNG" else info.get("exif") or b""
-            if complete and name != "HEIF":
+            block = _png_exif(ends, info) if name == "PNG" else info.get("exif") or b""
+            exif_block = io.BytesIO(block.removeprefix(b"Exif\0\0"))
+            if verify and name != "HEIF":
                 image.verify()
-        exif, aspect = read_exif(block)
+        exif, aspect = read_exif(exif_block)
     aspect = _density_aspect(info, aspect)
     if name == "HEIF":  # its own rotation, which is part of decoding, is repeated in EXIF
         exif = replace(exif, orientation=1)
@@ -130,42 +134,40 @@ def read_header(data: bytes, *, complete: bool = True) -> Header:
     return Header(name, size, exif, aspect, found[1].decode().lower() if found else "")
 
 
-def _is_raw(start: bytes) -> bool:
-    """Whether the first image of a TIFF is a thumbnail or a sensor's mosaic, as raw files have.
-
-    False if the tags lie behind the start.
-    """
+def _is_raw(stream: BinaryIO) -> bool:
+    """Whether the first image of a TIFF is a thumbnail or a sensor's mosaic, as raw files have."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            tags = _tiff_tags(start)
+            tags = _tiff_tags(stream)
         return Base.DNGVersion in tags or bool(tags.get(Base.NewSubfileType, 0) & 1)
     except Exception:  # damaged tags, which the header's reader refuses
         return False
 
 
-def _tiff_tags(data: bytes, offset: int | None = None) -> Any:
+def _tiff_tags(stream: BinaryIO, offset: int | None = None) -> Any:
     """The tags of a TIFF's first image, or of the directory at an offset."""
-    stream = io.BytesIO(data)
-    directory = ImageFileDirectory_v2(stream.read(16 if b"+" in data[2:4] else 8))
+    stream.seek(0)
+    start = stream.read(16)
+    directory = ImageFileDirectory_v2(start if b"+" in start[2:4] else start[:8])
     stream.seek(directory.next if offset is None else offset)
     directory.load(stream)
     return directory
 
 
-def _opened(name: str, data: bytes) -> Any:
+def _opened(name: str, stream: BinaryIO) -> Any:
     """An image with its `size` and `info`, of which nothing is decoded. Not by PIL.Image.open,
     which refuses 179 million pixels: telephones take such images."""
     if name == "HEIF":
         import pillow_heif
 
-        return pillow_heif.open_heif(data)
+        return pillow_heif.open_heif(stream)
     PIL.Image.init()
     if name not in PIL.Image.OPEN:
         raise UnreadableFormatError(f"{name}, which this Pillow does not read")
     # The registered factory of JPEG also reads blocks of several images.
     factory = JpegImageFile if name == "JPEG" else PIL.Image.OPEN[name][0]
-    return factory(io.BytesIO(data), "")
+    return factory(stream, "")
 
 
 def _png_exif(data: bytes, info: Mapping[Any, Any]) -> bytes:
@@ -196,14 +198,13 @@ def _aspect(width: Any, height: Any) -> float:
     return aspect if _PIXEL_ASPECTS[0] <= aspect <= _PIXEL_ASPECTS[1] else 1.0
 
 
-def read_exif(block: bytes) -> tuple[Exif, float]:
-    """The camera, and the aspect of a pixel as stored, of an EXIF block, with or without
-    `Exif\\0\\0` before it; of a damaged one as of an empty one."""
+def read_exif(stream: BinaryIO) -> tuple[Exif, float]:
+    """The camera, and the aspect of a pixel as stored, of an EXIF block or a TIFF; of a damaged one
+    as of an empty one."""
     try:
-        block = block.removeprefix(b"Exif\0\0")
-        tags = _tiff_tags(block)
+        tags = _tiff_tags(stream)
         directories = [tags[tag] for tag in (IFD.Exif, IFD.GPSInfo) if tag in tags]
-        more = {k: v for offset in directories for k, v in _tiff_tags(block, offset).items()}
+        more = {k: v for offset in directories for k, v in _tiff_tags(stream, offset).items()}
         aspect = _aspect(tags.get(Base.YResolution), tags.get(Base.XResolution))
         return _camera_tags(tags, more), aspect
     except Exception:  # a damaged block raises almost anything
@@ -211,10 +212,6 @@ def read_exif(block: bytes) -> tuple[Exif, float]:
 
 
 def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
-    """The camera by the tags of the first directory and of those of EXIF and GPS.
-
-    Raises any exception for a tag that is damaged.
-    """
     zoom, turn = _number(more.get(Base.DigitalZoomRatio)), first.get(Base.Orientation)
     return Exif(
         make=_text(first.get(Base.Make)),
@@ -231,7 +228,6 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
 
 
 def _position(tags: Mapping[int, Any]) -> tuple[float, float, float] | None:
-    """By the tags of GPS; the altitude is 0 without one."""
     try:
         degrees = [sum(float(part) / 60**n for n, part in enumerate(tags[k])) for k in (2, 4)]
         altitude = float(tags.get(6, 0)) * (-1 if tags.get(5) in (1, b"\1") else 1)

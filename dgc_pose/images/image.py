@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import base64
+import io
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, BinaryIO, Literal
 
 import cv2
 import numpy as np
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
 MAX_PIXELS = 210_000_000
 MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # of the environment, for another bound
 MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
-_HEADER_BYTES = 2**17  # read first for an image's size alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +120,6 @@ def load_image(
     large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
     finite or of alpha 0.
     """
-    if source is None:
-        raise InputError(f"{name} is None, as cv2.imread returns it for a file that it cannot read")
-    if isinstance(source, bytes | bytearray):
-        raise InputError(f"{name} is {type(source).__name__}, not a path, an array or a tensor")
-    if isinstance(source, str) and "://" in source:
-        raise InputError(f"{name} is a URL, which is not fetched: {source}")
     if isinstance(source, str | os.PathLike):
         source = _read_file(Path(source))
     if isinstance(source, Image):
@@ -151,71 +145,10 @@ def _read_file(path: Path) -> Image:
         return replace(image, **{field: getattr(header, field) for field in kept})
 
 
-def read_pixels(path: str | Path) -> np.ndarray:
-    """A file's pixels as stored, as OpenCV gives them, BGR(A).
-
-    For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
-    file is missing, corrupt, too large or no regular file.
-    """
-    with _image_errors(Path(path)):
-        return _decoded(Path(path))[0]
-
-
-def image_size(path: str | Path) -> tuple[int, int]:
-    """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
-    return image_header(Path(path)).size
-
-
-def image_header(path: Path) -> Header:
-    """The header of an image file. Raises ImageError, with the path."""
-    with _image_errors(path):
-        with open_regular(path, ImageError) as stream:
-            start = stream.read(_HEADER_BYTES)
-            if start.startswith(b"\x89PNG"):  # which may have EXIF data and XMP behind the pixels
-                stream.seek(max(stream.tell(), stream.seek(0, os.SEEK_END) - _HEADER_BYTES))
-                start += stream.read()
-        try:
-            header = read_header(start, complete=False)
-        except Exception:  # in a TIFF the pixels may lie before the header
-            return _complete_header(read_bytes(path, MAX_BYTES, ImageError), path)
-        return _checked_header(header, path)
-
-
-@contextmanager
-def _image_errors(path: Path) -> Iterator[None]:
-    """Turn the errors of the reading of an image into ImageErrors with the path."""
-    try:
-        yield
-    except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
-    except MemoryError:
-        raise ImageError(f"{path} needs more memory than there is") from None
-    except InputError as error:
-        raise ImageError(str(error)) from error
-
-
-def _checked_header(header: Header, path: Path) -> Header:
-    """The header. Raises ImageSizeError for too many pixels; ImageError for a TIFF that is not
-    upright: OpenCV rotates some and not others. Both with the path."""
-    text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
-    if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
-        raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
-    width, height = header.size
-    if width * height > int(text):
-        raise ImageSizeError(
-            f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
-        )
-    if header.format == "TIFF" and header.exif.orientation != 1:
-        raise ImageError(
-            f"{path} is a TIFF with orientation tag {header.exif.orientation}: save it upright"
-        )
-    return header
-
-
 def _decoded(path: Path) -> tuple[np.ndarray, Header]:
-    """Pixels in the order BGR. Of HEIC 8-bit colours."""
+    """Pixels as stored, in the order BGR(A); of HEIC 8-bit colours."""
     data = read_bytes(path, MAX_BYTES, ImageError)
-    header = _complete_header(data, path)
+    header = _header(io.BytesIO(data), path, verify=True)
     if header.format == "HEIF":
         import pillow_heif
 
@@ -235,22 +168,62 @@ def _decoded(path: Path) -> tuple[np.ndarray, Header]:
     return array, header
 
 
-def _complete_header(data: bytes, path: Path) -> Header:
-    """The header of an encoded image, all of a file. Raises ImageError, with the path, if the file
-    is empty or no image of a format that is read, or as `_checked_header` does."""
-    if not data:
-        raise ImageError(f"{path} is empty")
+def _header(stream: BinaryIO, path: Path, *, verify: bool = False) -> Header:
     try:
-        header = read_header(data)
+        header = read_header(stream, verify=verify)
     except UnreadableFormatError as error:
         raise ImageError(f"{path} is {error}") from None
     except Exception as error:  # of any type, by the format's reader
         raise ImageError(f"{path} is corrupt: {reason(error)}") from error
-    return _checked_header(header, path)
+    text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
+    if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
+        raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
+    width, height = header.size
+    if width * height > int(text):
+        raise ImageSizeError(
+            f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
+        )
+    if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
+        raise ImageError(
+            f"{path} is a TIFF with orientation tag {header.exif.orientation}: save it upright"
+        )
+    return header
+
+
+def read_pixels(path: str | Path) -> np.ndarray:
+    """A file's pixels as stored, as OpenCV gives them, BGR(A).
+
+    For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
+    file is missing, corrupt, too large or no regular file.
+    """
+    with _image_errors(Path(path)):
+        return _decoded(Path(path))[0]
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
+    return image_header(Path(path)).size
+
+
+def image_header(path: Path) -> Header:
+    """The header of an image file. Raises ImageError, with the path."""
+    with _image_errors(path), open_regular(path, ImageError) as stream:
+        return _header(stream, path)
+
+
+@contextmanager
+def _image_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        raise ImageError(f"{path} needs more memory than there is") from None
+    except InputError as error:
+        raise ImageError(str(error)) from error
 
 
 def _of_array(array: np.ndarray, name: str) -> Image:
-    """The image of an array (H, W), or (H, W, C) of grey, RGB or RGBA."""
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:

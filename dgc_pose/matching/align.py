@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
-from dgc_pose.images.image import resize_by
-from dgc_pose.matching.consistency import LocalMatches
+from dgc_pose.images.image import Image, resize_by
+from dgc_pose.matches import Matches
+from dgc_pose.matching.consistency import LocalMatches, consistent
 from dgc_pose.matching.lucas_kanade import Patches, align_patches
 
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
@@ -30,7 +31,51 @@ _STRIP = 256  # rows measured at a time: of a large image all take hundreds of M
 _SHIFT = 5.0  # largest shift, in units of the error that the matches came with
 _SETTLED = 0.1  # pixels: the last step of an alignment that has converged
 _ENOUGH = 300  # patches aligned, with which the others are not tried again
+# Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
+ALIGNED_ERROR_PX = 0.5
+NEIGHBOURS = 12  # nearest matches whose affinity a match must fit
+MIN_MATCHES = 50  # fewer that agree are too few to refine
 _SIMILAR = 1.5  # scale between the images up to which neither is shrunk
+
+
+def refine(
+    image1: Image,
+    image2: Image,
+    matches: Matches,
+    max_matches: int,
+    corner_radius: int = CORNER_RADIUS,
+) -> tuple[Matches, Matches]:
+    """The matches that can be aligned, at most `max_matches`, evenly spread; and all that agree
+    with their neighbours, aligned where that succeeds. None of either if fewer than `MIN_MATCHES`
+    agree.
+
+    corner_radius: pixels of image 2 that a match moves along each axis at most, to a corner.
+    """
+    local = consistent(matches, NEIGHBOURS)
+    if len(local.index) < MIN_MATCHES:
+        none = matches.subset(local.index[:0])
+        return none, none
+    agreeing = matches.subset(local.index)
+    aligned = align(
+        image1.pixels,
+        image2.pixels,
+        local,
+        error_px=matches.error_px,
+        max_matches=max_matches,
+        corner_radius=corner_radius,
+    )
+    good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
+    moved = replace(
+        matches,
+        points1=aligned.points1[good],
+        points2=aligned.points2[good],
+        confidence=aligned.zncc[good].clip(0, 1),
+        error_px=ALIGNED_ERROR_PX * aligned.pixel,
+    )
+    rows = np.searchsorted(local.index, aligned.index[good])
+    points1, points2 = agreeing.points1.copy(), agreeing.points2.copy()
+    points1[rows], points2[rows] = moved.points1, moved.points2
+    return moved, replace(agreeing, points1=points1, points2=points2)
 
 
 @dataclass(frozen=True)
@@ -191,18 +236,23 @@ def nearby_corners(
 
 
 def spread(
-    points: np.ndarray, strength: np.ndarray, size: tuple[int, int], most: int
+    points: np.ndarray,
+    strength: np.ndarray,
+    size: tuple[int, ...],
+    most: int,
+    side: float = 1.0,
+    growth: float = 1.1,
 ) -> np.ndarray:
     """Indices of at most `most` of the points (N, 2): the strongest of each square block.
 
-    strength: (N,). size: (width, height) of the image of the points.
+    strength: (N,). size: (width, height) of the image of the points. side: of the blocks at the
+    least, which grow by a factor until `most` are enough.
     """
     order = np.argsort(-strength, kind="stable")
     x, y = points[order].T
-    side = 1.0
     while True:
         blocks = np.floor(x / side) + np.floor(y / side) * (size[0] // side + 1)
         if np.count_nonzero(np.diff(np.sort(blocks))) < most:
             _, first = np.unique(blocks, return_index=True)
             return np.sort(order[first])
-        side *= 1.1
+        side *= growth

@@ -34,37 +34,31 @@ def dense_map(
     """
     images = image1, image2
     views = View.whole(image1.size), View.whole(image2.size)
-    decoded = _decode(engine, images, views, cache, cells)
+
+    def decode(views: tuple[View, View]) -> DecodedMap:
+        source, target = map_features(engine, cache, *zip(images, views, strict=True))
+        return engine.decode(source, target, cells)
+
+    decoded = decode(views)
     mean = decoded.matchability.mean()
     if search and mean < WEAK and (likely := search_views(engine, *images)):
-        again = _decode(engine, images, likely, cache, cells)
+        again = decode(likely)
         inside = likely[1].inside(image2.size, again.matchability.shape[::-1])
         if again.matchability[inside].mean() > mean:
             views, decoded = likely, again
     return _map_of_views(engine, images, views, decoded, cells)
 
 
-def map_features(engine: Engine, image: Image, view: View, cache: ImageCache) -> MapFeatures:
-    """The encoder's features of a view of an image."""
-    return cache.get((image, view), partial(_encode, engine, image, view))
+def map_features(
+    engine: Engine, cache: ImageCache, *views: tuple[Image, View]
+) -> list[MapFeatures]:
+    """The encoder's features of views of images."""
 
+    def encode(image: Image, view: View) -> MapFeatures:
+        return engine.encode(view.cut(image.pixels))
 
-def _encode(engine: Engine, image: Image, view: View) -> MapFeatures:
-    return engine.encode(view.cut(image.pixels))
-
-
-def _decode(
-    engine: Engine,
-    images: tuple[Image, Image],
-    views: tuple[View, View],
-    cache: ImageCache,
-    cells: int,
-) -> DecodedMap:
-    """The map between views of both images."""
-    keys = zip(images, views, strict=True)
-    wanted = [(key, partial(_encode, engine, *key)) for key in keys]
-    source, target = cache.get_all(wanted, in_turn=not engine.concurrent)
-    return engine.decode(source, target, cells)
+    wanted = [(key, partial(encode, *key)) for key in views]
+    return cache.get_all(wanted, in_turn=not engine.concurrent)
 
 
 def _map_of_views(

@@ -98,10 +98,7 @@ def guided_matches(
 
 
 def _compared(
-    engine: Engine,
-    dense: CorrespondenceMap,
-    cache: ImageCache,
-    comparisons: Sequence[_Comparison],
+    engine: Engine, dense: CorrespondenceMap, cache: ImageCache, comparisons: Sequence[_Comparison]
 ) -> list[Matches]:
     """The matches of each comparison, in pixels of the images."""
     views = dict.fromkeys(chain(*((first, second) for first, second, _ in comparisons)))

@@ -64,10 +64,7 @@ def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
 
 
 def scaled_map(
-    points1: np.ndarray,
-    matchability: np.ndarray,
-    size1: tuple[int, int],
-    size2: tuple[int, int],
+    points1: np.ndarray, matchability: np.ndarray, size1: tuple[int, int], size2: tuple[int, int]
 ) -> CorrespondenceMap:
     """A map over both images resized to W x H, as a map over images of sizes 1 and 2.
 

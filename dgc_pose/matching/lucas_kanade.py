@@ -63,7 +63,7 @@ def _align(
     grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, radius: int, affine: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The arrays of `Patches`."""
-    template = _Template.of(grey2, matches.points2, radius, affine)
+    offsets, weights, patches, contrasts, gain = _template(grey2, matches.points2, radius, affine)
     most = min(_STEP, 0.4 * radius)  # below half the radius, a change of the affinity is invertible
     points1, affinity = matches.points1.copy(), matches.affinity.copy()
     zncc, length = np.zeros(len(points1)), np.full(len(points1), np.inf)
@@ -73,14 +73,14 @@ def _align(
             break
         centres = points1[moving].astype(np.float32)
         # The coordinates apart: NumPy is slow along an axis of two.
-        x, y = (affinity[moving].transpose(1, 0, 2) @ template.offsets.T).astype(np.float32)
+        x, y = (affinity[moving].transpose(1, 0, 2) @ offsets.T).astype(np.float32)
         x += centres[:, :1]
         y += centres[:, 1:]
-        patch, contrast = _standardised(bilinear_at(grey1, x, y), template.weights)
-        expected = template.patches[moving]
-        flat = np.minimum(contrast, template.contrast[moving])[:, 0] < _FLAT
-        zncc[moving] = np.where(flat, np.nan, (patch * expected) @ template.weights)
-        step = (template.gain[moving] @ (patch - expected)[..., None])[..., 0]
+        patch, contrast = _standardised(bilinear_at(grey1, x, y), weights)
+        expected = patches[moving]
+        flat = np.minimum(contrast, contrasts[moving])[:, 0] < _FLAT
+        zncc[moving] = np.where(flat, np.nan, (patch * expected) @ weights)
+        step = (gain[moving] @ (patch - expected)[..., None])[..., 0]
         length[moving] = np.linalg.norm(step[:, :2], axis=1)
         if affine:
             length[moving] = np.maximum(length[moving], np.abs(step[:, 2:]).max(1))
@@ -95,43 +95,39 @@ def _align(
     return points1, affinity, zncc, length
 
 
-@dataclass(frozen=True)
-class _Template:
-    """Patches of image 2, and the motion that a difference from them stands for."""
+def _template(
+    grey: np.ndarray, points: np.ndarray, radius: int, affine: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Patches of image 2, and the motion that a difference from them stands for.
 
-    offsets: np.ndarray  # (P, 2) of a patch's samples from its centre, pixels
-    weights: np.ndarray  # (P,) of the samples, their sum 1
-    patches: np.ndarray  # (N, P), standardised
-    contrast: np.ndarray  # (N, 1)
-    # (N, 2 or 6, P) by which a difference is multiplied for the shift in pixels and, times the
-    # radius, the columns of the change of the affinity
-    gain: np.ndarray
-
-    @classmethod
-    def of(cls, grey: np.ndarray, points: np.ndarray, radius: int, affine: bool) -> _Template:
-        axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
-        offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
-        weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
-        weights /= weights.sum()
-        patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
-        across, down = _window(grey, points, halves, axis), _window(grey, points, axis, halves)
-        slopes = (
-            np.diff(across.reshape(-1, len(axis), len(halves)), axis=2),
-            np.diff(down.reshape(-1, len(halves), len(axis)), axis=1),
-        )
-        jacobian = np.stack(slopes, 1).reshape(-1, 2, len(offsets)) / contrast[..., None]
-        ridge = np.full(2, _RIDGE)
-        if affine:
-            x, y = (offsets.T / radius).astype(np.float32)
-            jacobian = np.concatenate([jacobian, jacobian * x, jacobian * y], 1)
-            ridge = np.append(ridge, np.full(4, _STIFFNESS))
-            # Without what gain and offset explain: an enlargement can resemble a gain.
-            jacobian -= (jacobian @ weights)[..., None]
-            jacobian -= ((jacobian * patches[:, None]) @ weights)[..., None] * patches[:, None]
-        weighted = jacobian * weights
-        hessian = weighted @ jacobian.transpose(0, 2, 1) + np.diag(ridge)
-        gain = np.linalg.inv(hessian).astype(np.float32) @ weighted
-        return cls(offsets, weights, patches, contrast, gain)
+    Returns the offsets (P, 2) of a patch's samples from its centre, pixels; their weights (P,), of
+    sum 1; the patches (N, P), standardised; their contrasts (N, 1); and the gain (N, 2 or 6, P) by
+    which a difference is multiplied for the shift in pixels and, times the radius, the columns of
+    the change of the affinity.
+    """
+    axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
+    offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
+    weights /= weights.sum()
+    patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
+    across, down = _window(grey, points, halves, axis), _window(grey, points, axis, halves)
+    slopes = (
+        np.diff(across.reshape(-1, len(axis), len(halves)), axis=2),
+        np.diff(down.reshape(-1, len(halves), len(axis)), axis=1),
+    )
+    jacobian = np.stack(slopes, 1).reshape(-1, 2, len(offsets)) / contrast[..., None]
+    ridge = np.full(2, _RIDGE)
+    if affine:
+        x, y = (offsets.T / radius).astype(np.float32)
+        jacobian = np.concatenate([jacobian, jacobian * x, jacobian * y], 1)
+        ridge = np.append(ridge, np.full(4, _STIFFNESS))
+        # Without what gain and offset explain: an enlargement can resemble a gain.
+        jacobian -= (jacobian @ weights)[..., None]
+        jacobian -= ((jacobian * patches[:, None]) @ weights)[..., None] * patches[:, None]
+    weighted = jacobian * weights
+    hessian = weighted @ jacobian.transpose(0, 2, 1) + np.diag(ridge)
+    gain = np.linalg.inv(hessian).astype(np.float32) @ weighted
+    return offsets, weights, patches, contrast, gain
 
 
 def _alike(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache, LastImages
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.texture import texture, textured
 
@@ -43,7 +43,7 @@ class Matcher:
     @cached_property
     def cache(self) -> ImageCache:
         """What is computed of an image; by default that of the last three images is kept."""
-        return LastImages()
+        return ImageCache()
 
     @property
     def fingerprint(self) -> str | None:

@@ -11,13 +11,12 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.align import spread
-from dgc_pose.matching.cache import ImageCache, LastImages
+from dgc_pose.matching.align import MIN_MATCHES, refine, spread
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
 from dgc_pose.matching.dense import dense_map, map_features
 from dgc_pose.matching.features import feature_matches, guided_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.refine import MIN_MATCHES, refine
 from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import INPUT_SIZE
@@ -48,7 +47,7 @@ class NetworkMatcher(Matcher):
         options: MatchingOptions | None = None,
         cache: ImageCache | None = None,
     ) -> None:
-        self.cache = cache or LastImages()
+        self.cache = cache or ImageCache()
         self.engine, self.name = engine, engine.config.name
         self.options = options or MatchingOptions()
         if engine.config.matchability == "network" and self.options.finest != INPUT_SIZE:
@@ -64,7 +63,7 @@ class NetworkMatcher(Matcher):
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""
-        features = map_features(self.engine, image, View.whole(image.size), self.cache)
+        (features,) = map_features(self.engine, self.cache, (image, View.whole(image.size)))
         return np.concatenate(self.engine.coarsest(features))
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
@@ -121,13 +120,10 @@ class NetworkMatcher(Matcher):
 
     @property
     def _has_features(self) -> bool:
-        """Whether the features of the network are matched."""
         return self.options.aligned in ("auto", "features")
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        """The map at `finest` x `finest` cells, and its matches that pass the options."""
-        cells = self.options.finest
-        dense = dense_map(self.engine, image1, image2, self.cache, cells=cells)
+        dense = dense_map(self.engine, image1, image2, self.cache, cells=self.options.finest)
         matches = select_matches(dense, self.options)
         return MatchResult(replace(matches, weights=self.fingerprint), dense)
 
@@ -154,6 +150,5 @@ class NetworkMatcher(Matcher):
         return MatchResult(self._spread(image2, completed), dense, aligned)
 
     def _spread(self, image2: Image, matches: Matches) -> Matches:
-        """An even subsample of at most `max_matches`."""
         most, size = self.options.max_matches, image2.size
         return matches.subset(spread(matches.points2, matches.confidence, size, most))

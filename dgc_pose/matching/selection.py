@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from dgc_pose.matches import Matches
+from dgc_pose.matching.align import spread
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.system.options import check_options, option
 
@@ -39,12 +40,7 @@ class MatchingOptions:
         section="matching",
     )
     max_matches: int = option(
-        2000,
-        "Most matches, evenly spread.",
-        metavar="N",
-        min=1,
-        max=2**31,
-        section="matching",
+        2000, "Most matches, evenly spread.", metavar="N", min=1, max=2**31, section="matching"
     )
     aligned: Literal["none", "auto", "map", "features"] = option(
         "auto",
@@ -71,36 +67,10 @@ def select_matches(
     keep &= (points1 >= -0.5).all(-1) & (points1 <= (width - 0.5, height - 0.5)).all(-1)
     if keep.mean() < min_share:
         keep = np.zeros_like(keep)
-    keep = even_subsample(keep, correspondence_map.matchability, options.max_matches)
-    return Matches(
-        points1[keep],
-        correspondence_map.grid[keep],
-        correspondence_map.matchability[keep],
-        error_px=correspondence_map.error_px,
-    )
-
-
-def even_subsample(keep: np.ndarray, confidence: np.ndarray, most: int) -> np.ndarray:
-    """At most `most` of the True cells of `keep` (H, W), evenly spread, as a mask (H, W).
-
-    The grid is divided into square blocks, as small as `most` allows, and the most confident cell
-    of each block is kept. An even spread keeps the essential matrix well conditioned when the
-    confident cells concentrate on one object.
-    """
-    rows, columns = np.nonzero(keep)
-    if len(rows) <= most:
-        return keep
-    order = np.argsort(-confidence[rows, columns], kind="stable")
-    rows, columns = rows[order], columns[order]
-    side = math.sqrt(len(rows) / most)
-    while True:
-        blocks = (rows // side * keep.shape[1] + columns // side).astype(np.int64)
-        first = np.full(keep.size, -1)
-        first[blocks[::-1]] = np.arange(len(rows))[::-1]  # of equal indices the last one counts
-        first = first[first >= 0]
-        if len(first) <= most:
-            break
-        side *= 1.05
-    chosen = np.zeros_like(keep)
-    chosen[rows[first], columns[first]] = True
-    return chosen
+    # Evenly spread, the matches condition the essential matrix well where the confident cells
+    # concentrate on one object.
+    cells, confidence = np.argwhere(keep)[:, ::-1], correspondence_map.matchability[keep]
+    side = max(1.0, math.sqrt(len(cells) / options.max_matches))
+    rows = spread(cells, confidence, keep.shape[::-1], options.max_matches, side, 1.05)
+    grid, error_px = correspondence_map.grid, correspondence_map.error_px
+    return Matches(points1[keep][rows], grid[keep][rows], confidence[rows], error_px=error_px)

@@ -13,18 +13,18 @@ temperature.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import chain
 
 import cv2
 import numpy as np
 
-from dgc_pose.geometry.pixels import Size, cell_centres, rescale
+from dgc_pose.geometry.pixels import cell_centres, rescale
 from dgc_pose.images.image import Image, resize_by
-from dgc_pose.matching.cache import BoundedCache
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
 from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, NativeFeatures
+from dgc_pose.system.threads import in_threads
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
 _ANGLES = range(0, 360, 30)  # degrees, at equal fields of view
@@ -47,22 +47,10 @@ _SCALE_OFF = 2.0  # and the factor
 class _Thumbnail:
     """A small copy of an image."""
 
-    size: Size  # of the image
-    shrunk: Size  # of the image resized for all copies
-    view: View  # of that one
+    points: np.ndarray  # (N, 2), centres of the cells inside, pixels of the image
+    pixel: float  # side of a pixel of the copy in pixels of the image
     features: NativeFeatures
     inside: np.ndarray  # (h, w) bool, which cells of stride 16 show the image
-
-    def points(self) -> np.ndarray:
-        """Centres (N, 2) of the cells inside, pixels of the image."""
-        rows, columns = self.inside.shape
-        centres = cell_centres((columns, rows), self.view.size)[self.inside]
-        return rescale(self.view.to_image(centres), self.shrunk, self.size)
-
-    @property
-    def pixel(self) -> float:
-        """Side of a pixel of the copy in pixels of the image."""
-        return math.sqrt(math.prod(self.size) / math.prod(self.shrunk)) / self.view.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,19 +70,58 @@ def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
 
     An image that the network squeezes is not rotated: its copy would be nearly all border.
     """
-    if any(max(image.size) > LONGEST * min(image.size) for image in (image1, image2)):
+    images = image1, image2
+    if any(max(image.size) > LONGEST * min(image.size) for image in images):
         return None
-    thumbnails = _Thumbnails(engine, image1, image2)
-    candidates = thumbnails.compared([(angle, 0) for angle in _ANGLES])
+    # No copy is larger than this one.
+    largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
+    shrunk = [
+        resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
+        for image in images
+    ]
+    made: dict[tuple[int, int, int], _Thumbnail] = {}
+
+    def thumbnail(key: tuple[int, int, int]) -> _Thumbnail:
+        number, angle_deg, octave = key
+        pixels, size = shrunk[number], images[number].size
+        small = (pixels.shape[1], pixels.shape[0])
+        scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(small))
+        view = View.whole(small, float(angle_deg), scale)
+        columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
+        features = engine.native(view.cut(pixels), (columns, rows))
+        inside = view.inside(small, (columns, rows))
+        points = view.to_image(cell_centres((columns, rows), view.size)[inside])
+        pixel = math.sqrt(math.prod(size) / math.prod(small)) / view.scale
+        return _Thumbnail(rescale(points, small, size), pixel, features, inside)
+
+    def compared(motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
+        """The candidate of each angle and octave. The image of the smaller field of view is
+        rotated, and shrunk to the other's scale."""
+        pairs = []
+        for angle_deg, octave in motions:
+            small, turn = (1, angle_deg) if octave >= 0 else (0, -angle_deg)
+            pairs.append(((1 - small, 0, abs(octave)), (small, turn % 360, 0)))
+        missing = [key for key in dict.fromkeys(chain(*pairs)) if key not in made]
+        many = in_threads(thumbnail, missing) if engine.concurrent else map(thumbnail, missing)
+        made.update(zip(missing, many, strict=True))
+        candidates = []
+        for motion, (first, second) in zip(motions, pairs, strict=True):
+            wide, narrow = made[first], made[second]
+            logarithms = matching_distribution(
+                wide.features, narrow.features, narrow.inside, engine.correlation_scales
+            )
+            entropy = mean_entropy(logarithms)
+            candidates.append(_Candidate(*motion, wide, narrow, logarithms, entropy))
+        return candidates
+
+    candidates = compared([(angle, 0) for angle in _ANGLES])
     upright = candidates[0]
     best, median = _lowest(candidates)
     if best.entropy > _CLEAR * median:
-        others = [(angle, octave) for angle in _FEWER_ANGLES for octave in (1, -1)]
-        candidates += thumbnails.compared(others)
+        candidates += compared([(angle, octave) for angle in _FEWER_ANGLES for octave in (1, -1)])
         best, median = _lowest(candidates)
         if best.octave:  # the fields of view may differ by more
-            others = [(angle, 2 * best.octave) for angle in _FEWER_ANGLES]
-            candidates += thumbnails.compared(others)
+            candidates += compared([(angle, 2 * best.octave) for angle in _FEWER_ANGLES])
             best, median = _lowest(candidates)
     if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
@@ -105,51 +132,6 @@ def _lowest(candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
     """The candidate of the lowest entropy, and the median of the entropies."""
     entropies = [candidate.entropy for candidate in candidates]
     return candidates[int(np.argmin(entropies))], float(np.median(entropies))
-
-
-class _Thumbnails:
-    """Small copies of two images, each made once."""
-
-    def __init__(self, engine: Engine, image1: Image, image2: Image) -> None:
-        self.engine = engine
-        # No copy is larger than this one.
-        largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
-        self._pixels = [
-            resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
-            for image in (image1, image2)
-        ]
-        self._sizes = (image1.size, image2.size)
-        self._made: BoundedCache[tuple[int, int, int], _Thumbnail] = BoundedCache(lambda *_: 0)
-
-    def compared(self, motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
-        """The candidate of each angle and octave. The image of the smaller field of view is
-        rotated, and shrunk to the other's scale."""
-        keys = []
-        for angle_deg, octave in motions:
-            small, turn = (1, angle_deg) if octave >= 0 else (0, -angle_deg)
-            keys += [(1 - small, 0, abs(octave)), (small, turn % 360, 0)]
-        made = self._made.get_all(
-            [(key, partial(self._thumbnail, *key)) for key in keys],
-            in_turn=not self.engine.concurrent,
-        )
-        candidates = []
-        for motion, wide, rotated in zip(motions, made[::2], made[1::2], strict=True):
-            logarithms = matching_distribution(
-                wide.features, rotated.features, rotated.inside, self.engine.correlation_scales
-            )
-            entropy = mean_entropy(logarithms)
-            candidates.append(_Candidate(*motion, wide, rotated, logarithms, entropy))
-        return candidates
-
-    def _thumbnail(self, image: int, angle_deg: int, octave: int) -> _Thumbnail:
-        pixels = self._pixels[image]
-        size = (pixels.shape[1], pixels.shape[0])
-        scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(size))
-        view = View.whole(size, float(angle_deg), scale)
-        columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
-        features = self.engine.native(view.cut(pixels), (columns, rows))
-        inside = view.inside(size, (columns, rows))
-        return _Thumbnail(self._sizes[image], size, view, features, inside)
 
 
 def matching_distribution(
@@ -214,8 +196,8 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
     """
     peaks = best.logarithms.max(0)
     sure = peaks >= np.median(peaks)
-    wide = best.wide.points()[best.logarithms.argmax(0)][sure]
-    narrow = best.narrow.points()[sure]
+    wide = best.wide.points[best.logarithms.argmax(0)][sure]
+    narrow = best.narrow.points[sure]
     matrix, fits = None, 0
     if len(narrow) >= _MIN_MATCHES:
         matrix, mask = cv2.estimateAffinePartial2D(

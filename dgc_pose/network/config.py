@@ -46,7 +46,7 @@ class NetworkConfig:
     """Configuration of a network."""
 
     name: str
-    # Channels of each 3x3 convolution of levels 0 to 4 (see `pyramid.py`), or `efficientnet.py`.
+    # Channels of each 3x3 convolution of levels 0 to 4 (see `net.Pyramid`), or `efficientnet.py`.
     pyramid: tuple[tuple[int, ...], ...] | Literal["efficientnet-lite0"]
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
     # A decoder's output: the map itself, of images that are squared to 240x240 (False, the paper:

@@ -22,10 +22,8 @@ from dgc_pose.network.config import (
     DecoderConfig,
     NetworkConfig,
 )
-from dgc_pose.network.coordinates import to_normalised
 from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid, upsample
-from dgc_pose.network.pyramid import Pyramid
 
 # Inverse temperature of the correlation before the encoder's training has learned it.
 INITIAL_SCALE = 20.0
@@ -194,6 +192,38 @@ class DGCNet(nn.Module):
         return torch.autocast(like.device.type, torch.bfloat16, enabled=self.half_precision)
 
 
+class Pyramid(nn.Module):
+    """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1), VGG-16's
+    first layers: 3x3 convolutions with ReLU, and a max-pool at the end of all levels but the
+    first."""
+
+    def __init__(self, config: NetworkConfig) -> None:
+        super().__init__()
+        assert not isinstance(config.pyramid, str)
+        inputs = 3
+        for index, level in enumerate(config.pyramid):
+            layers: list[nn.Module] = []
+            for channels in level:
+                layers.append(nn.Conv2d(inputs, channels, 3, padding=1))
+                layers.append(nn.ReLU())
+                inputs = channels
+            if index > 0:
+                layers.append(nn.MaxPool2d(2, 2))
+            self.add_module(f"level_{index}", nn.Sequential(*layers))
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
+        features = []
+        for level in self.children():
+            image = level(image)
+            features.append(image)
+        return features
+
+    def coarse(self, image: Tensor) -> list[Tensor]:
+        """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
+        return self(image)[2:]
+
+
 class Decoder(nn.Sequential):
     """One correspondence decoder (paper, section 3.3): (B, inputs, S, S) to (B, outputs, S, S)."""
 
@@ -264,3 +294,23 @@ def normalise(images: Tensor) -> Tensor:
     """RGB images (B, 3, H, W) in [0, 1] to the network's input, by ImageNet's statistics."""
     mean, deviation = (images.new_tensor(v)[:, None, None] for v in (MEAN, DEVIATION))
     return (images - mean) / deviation
+
+
+def to_pixels(normalised: Tensor, size: tuple[int, int], align_corners: bool) -> Tensor:
+    """Pixels of an image of `size` (width, height) from normalised (..., 2) coordinates.
+
+    With align_corners, -1 is the centre of pixel 0 and +1 that of the last; without, they are the
+    outer edges of those pixels. Pixel (0, 0) is the centre of the top-left pixel either way.
+    """
+    extent = normalised.new_tensor(size)
+    if align_corners:
+        return (normalised + 1) * (extent - 1) / 2
+    return ((normalised + 1) * extent - 1) / 2
+
+
+def to_normalised(pixels: Tensor, size: tuple[int, int], align_corners: bool) -> Tensor:
+    """The inverse of `to_pixels`: (..., 2) pixels to normalised coordinates."""
+    extent = pixels.new_tensor(size)
+    if align_corners:
+        return 2 * pixels / (extent - 1) - 1
+    return (2 * pixels + 1) / extent - 1

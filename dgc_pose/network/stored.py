@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from safetensors import safe_open
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import WeightsError
 from dgc_pose.files.inputs import read_as, require_regular
-from dgc_pose.network.config import PRESETS, preset
+from dgc_pose.network.config import PRESETS
 
 SUFFIX = ".safetensors"
 _FOLDER = Path(__file__).parents[1] / "weights"
 COUNTER = "num_batches_tracked"  # absent from checkpoints of torch 0.3, and unused here
 _BATCH_NORM_EPSILON = 1e-5
-Shape = tuple[int, ...]
 
 
 def shipped() -> list[str]:
@@ -41,58 +40,55 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
     return path
 
 
-def read_safetensors(path: Path, framework: Literal["pt", "np"]) -> tuple[str, dict[str, Any]]:
-    """The preset's name, and the tensors or arrays of a file of ours.
+def read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
+    """The preset's name, and the arrays of a file of ours.
 
     Raises WeightsError, naming the file, if it is none.
     """
-    metadata, state = read_tensors(path, framework)
+    metadata, state = read_tensors(path)
     name = metadata.get("preset", "")
-    try:
-        preset(name)
-    except InputError:
-        raise WeightsError(
-            f"{path}: its header names no preset of ours ({name or 'nothing'})"
-        ) from None
+    if name not in PRESETS:
+        raise WeightsError(f"{path}: its header names no preset of ours ({name or 'nothing'})")
     return name, state
 
 
-def read_tensors(
-    path: Path, framework: Literal["pt", "np"]
-) -> tuple[dict[str, str], dict[str, Any]]:
-    """The header and the tensors or arrays of any safetensors file. Raises WeightsError, with the
-    path, for any other file."""
+def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
+    """The header and the arrays of any safetensors file. Raises WeightsError, with the path, for
+    any other file."""
+    with reading("a safetensors file", path), safe_open(path, "np") as file:
+        return file.metadata() or {}, {key: file.get_tensor(key) for key in file.keys()}
+
+
+@contextmanager
+def reading(what: str, path: Path) -> Iterator[None]:
+    """`read_as`, of a regular file, where an OSError is a WeightsError, too."""
     try:
         require_regular(path, WeightsError)
-        with read_as("a safetensors file", path, WeightsError), safe_open(path, framework) as file:
-            return file.metadata() or {}, {key: file.get_tensor(key) for key in file.keys()}
+        with read_as(what, path, WeightsError):
+            yield
     except OSError as error:
         raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
 
 
 def check_state(
-    path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Shape]
+    path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Sequence[int]]
 ) -> None:
-    """Raise WeightsError, naming the first such keys, if keys or shapes of the weights `name` are
+    """Raise WeightsError, naming the first such key, if keys or shapes of the weights `name` are
     not those wanted, or values are not finite real floats."""
-    expected = {key: shape for key, shape in wanted.items() if not key.endswith(COUNTER)}
-    missing = [key for key in expected if key not in state]
-    unexpected = [key for key in state if key not in expected]
-    reshaped = [
-        f"{key} {state[key].shape} instead of {tuple(shape)}"
-        for key, shape in expected.items()
-        if key in state and state[key].shape != tuple(shape)
-    ]
-    for what, keys in (("lacks", missing), ("has", unexpected), ("has", reshaped)):
-        if keys:
-            more = f" and {len(keys) - 3} more" if len(keys) > 3 else ""
-            listed = ", ".join(keys[:3]) + more
-            raise WeightsError(f"{path}: not weights of {name}: it {what} {listed}")
-    for key, value in state.items():
-        if value.dtype.kind != "f":
-            raise WeightsError(f"{path}: {key} holds {value.dtype}, not real floating point values")
-        if not np.isfinite(value).all():
-            raise WeightsError(f"{path}: {key} has values that are not finite")
+    expected = {key: tuple(shape) for key, shape in wanted.items() if not key.endswith(COUNTER)}
+    for key in [*expected, *state]:
+        value, shape = state.get(key), expected.get(key)
+        if value is None:
+            fault = f"lacks {key}"
+        elif value.shape != shape:
+            fault = f"has {key} {value.shape}" + (f" instead of {shape}" if shape else "")
+        elif value.dtype.kind != "f":
+            fault = f"has {key} of {value.dtype}, not real floats"
+        elif not np.isfinite(value).all():
+            fault = f"has {key} with values that are not finite"
+        else:
+            continue
+        raise WeightsError(f"{path}: not weights of {name}: it {fault}")
 
 
 def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:

@@ -2,15 +2,14 @@
 
 import pickle
 import zipfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.network.config import DEFAULT_WEIGHTS, preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.stored import (
@@ -20,6 +19,7 @@ from dgc_pose.network.stored import (
     find_weights,
     read_safetensors,
     read_tensors,
+    reading,
 )
 
 
@@ -29,19 +29,20 @@ def load_network(
     """A network with its weights, in evaluation mode and frozen.
 
     weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;
-    `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first keys that
-    differ, if it is missing, unreadable or of another network.
+    `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first key that
+    differs, if it is missing, unreadable or of another network.
     """
     path = find_weights(weights)
     if path.suffix == SUFFIX:
-        name, state = read_safetensors(path, "pt")
+        name, state = read_safetensors(path)
     else:
-        state = {key.removeprefix("module."): value for key, value in read_state(path).items()}
-        state = {key: value for key, value in state.items() if not key.endswith(COUNTER)}
+        stored = read_state(path).items()
+        state = {k.removeprefix("module."): v for k, v in stored if not k.endswith(COUNTER)}
         name = "dgcm" if any(key.startswith("matchability_net.") for key in state) else "dgc"
     net = DGCNet(preset(name))
-    check_tensors(path, name, state, net.state_dict())
-    net.load_state_dict({k: v.float() for k, v in state.items()}, strict=False)
+    check_state(path, name, state, {key: value.shape for key, value in net.state_dict().items()})
+    tensors = {key: torch.from_numpy(value.astype(np.float32)) for key, value in state.items()}
+    net.load_state_dict(tensors, strict=False)
     return net.eval().requires_grad_(False).to(device)
 
 
@@ -67,46 +68,32 @@ def choose_device(name: str = "auto") -> torch.device:
 def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     """The content of a torch.save file of tensors and plain values. Raises WeightsError, with the
     path, for any other file."""
-    try:
-        require_regular(path, WeightsError)
-        with read_as("a checkpoint", path, WeightsError):
-            if zipfile.is_zipfile(path):
-                with zipfile.ZipFile(path) as archive:
-                    # A packed one could need any amount of memory; torch packs none.
-                    if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                        raise WeightsError(
-                            f"{path}: not a checkpoint of torch: its archive is packed"
-                        )
-            try:
-                return torch.load(path, map_location=device, weights_only=True)
-            except pickle.UnpicklingError as error:
-                # torch's own message advises to load the file as code: unsafe.
-                what = "not a checkpoint of tensors and plain values"
-                raise WeightsError(f"{path}: {what}") from error
-    except OSError as error:
-        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
+    with reading("a checkpoint", path):
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                # A packed one could need any amount of memory; torch packs none.
+                if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
+                    raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
+        try:
+            return torch.load(path, map_location=device, weights_only=True)
+        except pickle.UnpicklingError as error:
+            # torch's own message advises to load the file as code: unsafe.
+            what = "not a checkpoint of tensors and plain values"
+            raise WeightsError(f"{path}: {what}") from error
 
 
-def read_state(path: Path) -> dict[str, Tensor]:
-    """The tensors of a .safetensors, or of a checkpoint's state_dict, whatever their keys.
+def read_state(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a .safetensors, or of a checkpoint's state_dict, whatever their keys.
 
     Raises WeightsError, with the path, for any other file.
     """
     if path.suffix == SUFFIX:
-        return read_tensors(path, "pt")[1]
+        return read_tensors(path)[1]
     content = load_checkpoint(path)
     state = content.get("state_dict", content) if isinstance(content, dict) else None
     if not isinstance(state, dict) or not all(
         isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
     ):
         raise WeightsError(f"{path}: holds no state_dict")
-    return state
-
-
-def check_tensors(
-    path: Path, name: str, state: Mapping[str, Tensor], wanted: Mapping[str, Tensor]
-) -> None:
-    """As `check_state`, of tensors."""
-    with read_as("weights", path, WeightsError):  # NumPy cannot hold every tensor, a sparse one
-        arrays = {k: (v.float() if v.is_floating_point() else v).numpy() for k, v in state.items()}
-    check_state(path, name, arrays, {key: value.shape for key, value in wanted.items()})
+    with reading("weights", path):  # NumPy cannot hold every tensor, a sparse one
+        return {k: (v.float() if v.is_floating_point() else v).numpy() for k, v in state.items()}

@@ -35,18 +35,16 @@ def load_engine(
     if the runtime is not installed or cannot do what is asked for.
     """
     path = find_weights(weights)
-    by_default = "torch" if half_precision else default_runtime(weights, device)
-    if runtime == "onnx" or (runtime == "auto" and by_default == "onnx"):
-        if device not in ("auto", "cpu"):
-            raise InputError(f"ONNX Runtime is used on the CPU, not on {device}: choose torch")
-        if half_precision:
-            raise InputError("ONNX Runtime has no half_precision here: choose torch for that")
+    if runtime == "auto":
+        runtime = "torch" if half_precision else default_runtime(weights, device)
+    if runtime == "onnx":
+        if half_precision or device not in ("auto", "cpu"):
+            asked = "in half_precision" if half_precision else f"on {device}"
+            raise InputError(f"ONNX Runtime runs on the CPU, not {asked}: choose torch")
         from dgc_pose.runtime.onnx_engine import OnnxEngine
 
         return OnnxEngine(path)
-    asked = {"runtime torch": runtime == "torch", "half_precision": half_precision}
-    asked |= {f"device {device}": device not in ("auto", "cpu"), path.name: path.suffix != SUFFIX}
-    require({what: "torch" for what, needed in asked.items() if needed})
+    require({f"{path.name} with these options": "torch"})
     from dgc_pose.network.weights import choose_device, load_network
     from dgc_pose.runtime.torch_engine import TorchEngine
 

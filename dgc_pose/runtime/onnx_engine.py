@@ -5,7 +5,7 @@ import os
 import threading
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -35,15 +35,6 @@ from dgc_pose.system.threads import in_threads
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
-class _Begun(NamedTuple):
-    """A map that is decoded to a level."""
-
-    source: MapFeatures
-    target: MapFeatures
-    level: int
-    state: np.ndarray  # (1, 3, h, w), the map and the mask logit
-
-
 class OnnxEngine:
     """Weights of a safetensors file of ours, of a preset that has graphs, as an `Engine`.
 
@@ -55,7 +46,7 @@ class OnnxEngine:
     concurrent = True  # each thread computes on, instead of waiting for the others at each layer
 
     def __init__(self, path: Path) -> None:
-        name, self._stored = read_safetensors(path, "np")
+        name, self._stored = read_safetensors(path)
         if name != DEFAULT_WEIGHTS:
             raise InputError(f"{path}: there are no ONNX graphs of {name}: run it by torch")
         self.config = preset(name)
@@ -65,7 +56,8 @@ class OnnxEngine:
         self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
         self._names = names["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
-        self._begun: _Begun | None = None  # the last map, which a finer one goes on from
+        # Source, target, level and state (1, 3, h, w) of the last map: a finer one goes on from it
+        self._begun: tuple[MapFeatures, MapFeatures, int, np.ndarray] | None = None
 
     @cached_property
     def fingerprint(self) -> str:
@@ -92,8 +84,8 @@ class OnnxEngine:
 
     def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
         last, begun = LEVEL_SIZES.index(finest), self._begun
-        if begun and begun.source is source and begun.target is target and begun.level >= last:
-            above, state = begun.level, begun.state
+        if begun and begun[0] is source and begun[1] is target and begun[2] >= last:
+            above, state = begun[2:]
         else:
             above, state = COARSEST + 1, self._start(source, target)
         for level in range(above - 1, last - 1, -1):
@@ -108,7 +100,7 @@ class OnnxEngine:
             cell = np.array([2 / columns, 2 / rows, 1], np.float32)[:, None, None]
             decoder = self._session(f"reg_{level}.onnx")
             (state,) = decoder(warped, features2, local[None], previous, cell[None])
-        self._begun = _Begun(source, target, last, state)
+        self._begun = source, target, last, state
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2
         return DecodedMap(points, 1 / (1 + np.exp(-state[0, 2])), source.size)

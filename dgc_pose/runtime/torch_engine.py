@@ -9,11 +9,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
-from dgc_pose.network.coordinates import to_pixels
-from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.net import DGCNet, normalise, to_pixels
 from dgc_pose.network.stored import fingerprint
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 
@@ -29,13 +27,13 @@ class TorchEngine:
         weights = ((key, value.cpu().numpy()) for key, value in net.state_dict().items())
         self.fingerprint = fingerprint(weights)
         self.net = for_inference(net)
-        self.config = net.config
+        self.config, self._device = net.config, next(self.net.parameters()).device
         self.correlation_scales = net.get_buffer("correlation_scales").float().cpu().numpy()
 
     @torch.inference_mode()
     def encode(self, pixels: np.ndarray) -> MapFeatures:
         size = self.config.input_size((pixels.shape[1], pixels.shape[0]))
-        return MapFeatures(self.net.features(self._input(pixels, size)), size)
+        return MapFeatures(self.net.features(network_input(pixels, size, self._device)), size)
 
     @torch.inference_mode()
     def coarsest(self, features: MapFeatures) -> np.ndarray:
@@ -53,12 +51,9 @@ class TorchEngine:
 
     @torch.inference_mode()
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
-        planes = self._input(pixels, (cells[0] * STRIDE, cells[1] * STRIDE))
+        planes = network_input(pixels, (cells[0] * STRIDE, cells[1] * STRIDE), self._device)
         fine, middle, coarse = map(_unit, self.net.coarse_features(planes))
         return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
-
-    def _input(self, pixels: np.ndarray, size: Size) -> Tensor:
-        return network_input(pixels, size, next(self.net.parameters()).device)
 
 
 def for_inference(net: Net) -> Net:

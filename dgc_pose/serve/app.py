@@ -26,7 +26,6 @@ from dgc_pose.serve.options import (
     DECODE_SECONDS,
     IMAGES,
     UPLOAD_SECONDS,
-    WAITING,
     ServeOptions,
 )
 from dgc_pose.serve.worker import Unavailable, Worker
@@ -60,7 +59,7 @@ class Server:
         self._bundled_images: list[dict[str, Any]] = []  # of the example, once they are asked for
         self._store = ImageStore(folder, IMAGES)
         # A photograph need not wait for a pose.
-        self._decoding, self._estimating = Worker(WAITING), Worker(WAITING)
+        self._decoding, self._estimating = Worker(), Worker()
         self.app = Starlette(
             routes=[
                 Route("/", self._page),

@@ -7,7 +7,6 @@ from dgc_pose.system.options import option
 UPLOAD_SECONDS = 60.0  # for sending one image
 DECODE_SECONDS = 10.0  # for reading one image
 IMAGES = 16  # that are stored; the oldest is dropped first
-WAITING = 4  # requests of a worker; more are turned away
 
 
 @dataclass(frozen=True)

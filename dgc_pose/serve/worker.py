@@ -24,16 +24,16 @@ class WorkError(DgcPoseError):
 
 
 class Unavailable(WorkError):
-    """Too many requests wait already, the client has left, or the server ends."""
+    """The client has left, or the server ends."""
 
     status = 503
 
 
 class Worker:
-    """The thread. waiting: calls at a time; more are turned away."""
+    """The thread."""
 
-    def __init__(self, waiting: int) -> None:
-        self._pool, self._most = ThreadPoolExecutor(1), waiting
+    def __init__(self) -> None:
+        self._pool = ThreadPoolExecutor(1)
         self._waits: set[asyncio.Future[Any]] = set()
         self._closed = False
 
@@ -46,8 +46,6 @@ class Worker:
         """
         if self._closed:
             raise Unavailable("the server is ending")
-        if len(self._waits) >= self._most:
-            raise Unavailable("the server is busy: try again in a moment")
         wait = asyncio.wrap_future(self._pool.submit(_outcome, function, *arguments))
         self._waits.add(wait)
         try:

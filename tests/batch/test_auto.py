@@ -1,12 +1,10 @@
 """Batches of cameras whose focal length is not known: pooled, and estimated again."""
 
-import numpy as np
 import pytest
 from batch_runs import run_sift
 from multi_view import K
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.cameras.calibration import read_calibration
 
 COUNT = 4
 FOCAL = float(K[0, 0] + K[1, 1]) / 2
@@ -35,16 +33,6 @@ def test_each_image_has_a_camera(views, tmp_path):
     cameras = run_sift(views, tmp_path / "out", K="auto:two").summary["cameras"]
     assert [camera["first_image"] for camera in cameras] == [f"view{i}.png" for i in range(COUNT)]
     assert all(camera["images"] == 1 and camera["pairs"] < COUNT for camera in cameras)
-
-
-def test_the_cameras_serve_as_K(views, whole, tmp_path):
-    cameras = read_batch(whole).plan.final_cameras
-    again = read_calibration(str(whole / "cameras.csv"))
-    for name, camera in cameras.items():
-        np.testing.assert_array_equal(again.by_name[name].K, camera.K)
-        assert again.by_name[name].focal_std == camera.focal_std
-    batch = run_sift(views, tmp_path / "out", K=str(whole / "cameras.csv"))
-    assert batch.summary["cameras"][0]["focal_px"] == pytest.approx(FOCAL, rel=0.01)
 
 
 def test_known_cameras_are_not_pooled(views, tmp_path):

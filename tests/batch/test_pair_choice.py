@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from dgc_pose.batch.pair_choice import (
-    default_pair_choice,
     most_similar,
     parse_pair_choice,
     similarities,
@@ -25,13 +24,6 @@ from dgc_pose.errors import InputError
 )
 def test_the_pairs_of_a_choice(text, count, pairs):
     assert parse_pair_choice(text).pairs(count) == pairs
-
-
-@pytest.mark.parametrize(
-    ("count", "text"), [(2, "exhaustive"), (20, "exhaustive"), (21, "auto:10")]
-)
-def test_the_pairs_of_a_folder_of_which_nothing_is_said(count, text):
-    assert default_pair_choice(count) == parse_pair_choice(text)
 
 
 @pytest.mark.parametrize("text", ["all", "auto", "auto:0", "auto:-1", "sequential:x", "", "a:1"])

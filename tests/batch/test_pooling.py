@@ -8,7 +8,6 @@ import pytest
 from dgc_pose.batch.pooling import (
     CameraFit,
     by_image,
-    centre_moved,
     pool,
     pooled_fit,
     write_cameras,
@@ -134,12 +133,6 @@ def test_each_camera_has_its_pairs():
     backwards = by_image(pool(cameras, pairs[::-1]))
     for name, camera in pooled.items():
         np.testing.assert_array_equal(backwards[name].K, camera.K)
-
-
-@pytest.mark.parametrize(("shift", "far"), [(7.4, False), (-7.6, True)])
-def test_a_principal_point_far_from_its_prior(shift, far):
-    moved = replace(_camera("x"), K=K + [[0, 0, 0], [0, 0, shift], [0, 0, 0]])
-    assert centre_moved({"a": _camera("x")}, {"a": moved}) == far
 
 
 def test_images_of_two_sizes_share_no_principal_point():

@@ -13,7 +13,7 @@ from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.source import open_source
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 
 COUNT, PAIRS = 4, 6
 LAST = f"view{COUNT - 1}.png"
@@ -51,7 +51,6 @@ CHANGES = {
         {},
         "photos/view2.png has gone since that batch: ",
     ),
-    "way": (None, {"pairs": "sequential:1"}, 'had the option pairs way "exhaustive"'),
     "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }
 

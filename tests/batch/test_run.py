@@ -12,8 +12,7 @@ from batch_runs import run_sift, view_folder
 from multi_view import K, K_text, render_views
 from results import ambiguous_pose
 
-from dgc_pose.batch.matches_file import group_name
-from dgc_pose.batch.result import read_batch
+from dgc_pose.batch.result import group_name, read_batch
 from dgc_pose.colmap.export import pair_geometries
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose

@@ -120,17 +120,6 @@ def test_one_K_serves_photographs_that_are_turned(tmp_path, form, orientation):
     assert turned.warnings == () and turned.distortion == cameras["a.jpg"].distortion
 
 
-@pytest.mark.parametrize(("orientation", "identities"), [(1, {"K", None}), (6, {"K"})])
-def test_photographs_that_are_turned_share_the_focal_length_that_is_fitted(
-    tmp_path, orientation, identities
-):
-    """In a sense that is not known they have a principal point, and so a camera, of their own."""
-    source = _two(tmp_path, (64, 48), (48, 64), orientations=(1, orientation))
-    cameras, _, _ = survey(source, read_calibration("50,52,33,23", "K", KDetails(focal_std=0.02)))
-    assert {c.focal_std for c in cameras.values()} == {0.02}
-    assert {c.identity for c in cameras.values()} == identities
-
-
 def test_a_lens_is_turned_with_its_photograph(tmp_path):
     """A point of the upright image is a quarter turn around the axis from that as stored."""
     source = _two(tmp_path, (64, 48), (64, 48), orientations=(1, 6))
@@ -145,12 +134,6 @@ def test_a_lens_is_turned_with_its_photograph(tmp_path):
     prism = "THIN_PRISM_FISHEYE,64,48,50,52,33.5,23.5,0,0,0,0,0,0,0.01,0"
     with pytest.raises(InputError, match="a prism or a cylinder, which are not turned"):
         survey(source, read_calibration(prism))
-
-
-def test_a_K_of_upright_photographs_that_are_all_stored_turned(tmp_path):
-    source = _two(tmp_path, (64, 48), (64, 48), orientations=(6, 6))
-    cameras, _, _ = survey(source, read_calibration("PINHOLE,48,64,52,50,24,33"))
-    np.testing.assert_allclose(cameras["a.jpg"].K, [[52, 0, 23.5], [0, 50, 32.5], [0, 0, 1]])
 
 
 @pytest.mark.parametrize(

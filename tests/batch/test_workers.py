@@ -3,15 +3,17 @@
 import multiprocessing
 import os
 import signal
-from concurrent.futures import Future
 from contextlib import contextmanager
+from functools import lru_cache
 
+import numpy as np
 import pytest
 from batch_runs import assert_same_result, run_sift
 
+from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.source import STORE
 from dgc_pose.batch.work import Job, Worker
-from dgc_pose.batch.workers import CoreWorker, in_spans, local_workers, ray_workers
+from dgc_pose.batch.workers import CoreWorker, local_workers, ray_workers, tile_order
 from dgc_pose.errors import DgcPoseError, WeightsError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -56,23 +58,6 @@ def test_what_a_worker_raises_is_raised_here(views, monkeypatch):
         list(run(Worker.describe, [(["view0.png"],), (["view1.png"],)]))
 
 
-def test_a_worker_takes_neighbours_then_from_the_end_of_the_longest_run():
-    """Worker 1 is busy with its first task until all others are dealt."""
-    dealt, busy = [], Future()
-
-    def submit(worker, task):
-        dealt.append((worker, task))
-        future = busy if worker == 1 else Future()
-        if worker == 0:
-            future.set_result(task)
-        if len(dealt) == 10:
-            busy.set_result(5)
-        return future
-
-    assert sorted(in_spans(range(10), 2, submit)) == list(range(10))
-    assert dealt == [(0, 0), (1, 5), *((0, task) for task in (1, 2, 3, 4, 9, 8, 7, 6))]
-
-
 def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
     views, tmp_path, monkeypatch
 ):
@@ -104,3 +89,24 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
         assert ray.is_initialized()
     finally:
         ray.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("way", "count", "capacity", "loads"),
+    [
+        ("sequential:3", 60, 12, 60),
+        # In tiles of 5 images, each of 8 tiles is loaded with each other: some 8 * 8 / 2 * 5.
+        ("exhaustive", 40, 10, 200),
+        ("exhaustive", 9, 1, 81),
+        ("exhaustive", 1, 4, 0),
+    ],
+)
+def test_pairs_are_worked_through_in_tiles(way: str, count: int, capacity: int, loads: int) -> None:
+    pairs = np.array(parse_pair_choice(way).pairs(count), np.int64).reshape(-1, 2)
+    pairs = np.random.default_rng(1).permutation(pairs)
+    order = tile_order(pairs, capacity)
+    assert sorted(order) == list(range(len(pairs)))
+    load = lru_cache(capacity)(lambda image: None)
+    for image in pairs[order].ravel().tolist():
+        load(image)
+    assert load.cache_info().misses <= loads

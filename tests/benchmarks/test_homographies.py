@@ -46,7 +46,7 @@ def test_nothing_beyond_the_horizon_is_valid() -> None:
 
 def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
     scene.write_annotated(tmp_path, "wall")
-    ((pair,), _) = find_homography_pairs(tmp_path)
+    (pair,) = find_homography_pairs(tmp_path)
     pairs = load_pair(pair)
     assert pairs.image1.shape == pairs.image2.shape == (1, 3, 240, 240)
     normalised = (2 * pairs.map + 1) / 240 - 1
@@ -63,24 +63,22 @@ def test_the_source_at_the_map_is_the_target(tmp_path) -> None:
     assert (pairs.image1[0] - expected).abs().mean() < 0.01
 
 
-def test_pairs_of_every_layout_are_found_and_those_without_files_named(tmp_path) -> None:
+def test_pairs_of_every_layout_are_found_if_their_files_are_there(tmp_path) -> None:
     for name in ("v_wall", "v_adam", "i_dome"):
         scene.write_sequence(tmp_path / name)
     (tmp_path / "v_wall" / "3.ppm").unlink()
     (tmp_path / "v_wall" / "H_1_5").unlink()
     scene.write_vgg(tmp_path / "graf")
     scene.write_annotated(tmp_path / "homogr", "tower", "city")
-    pairs, missing = find_homography_pairs(tmp_path)
+    pairs = find_homography_pairs(tmp_path)
     groups = ["graf", "graf", "homogr", "homogr", *VIEWPOINTS, "I", "III", "V"]
     assert [pair.group for pair in pairs] == groups
     names = ["graf 1-2", "graf 1-3", "homogr/city", "homogr/tower", "v_adam 1-2", "v_adam 1-3"]
     assert [pair.name for pair in pairs[:6]] == names
-    graf = [f"graf 1-{k}" for k in (4, 5, 6)]
-    assert missing == [*graf, "v_wall 1-3", "v_wall 1-5"]
     np.testing.assert_array_equal(pairs[0].H, scene.H)
     data = homography_set(tmp_path)
-    assert (data.total, data.facts["sequences"]) == (12, 2) and "graf 1-4" in data.title
-    assert len(find_homography_pairs(tmp_path / "homogr")[0]) == 2
+    assert (data.total, data.facts["sequences"]) == (12, 2)
+    assert len(find_homography_pairs(tmp_path / "homogr")) == 2
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from dgc_pose.benchmarks.files import finite_data
-from dgc_pose.benchmarks.scores import PairScore
+from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.benchmarks.summary import (
     columns,
     summarise,

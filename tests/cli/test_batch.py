@@ -12,7 +12,7 @@ from command_line import assert_refused, run
 from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 

@@ -92,8 +92,8 @@ def test_the_help_has_texts_choices_defaults_and_sections() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--limit", "0"], "'--limit': 0.0 is not in the range x>0."),
-        (["--limit", "nan"], "'--limit': nan is no number"),
+        (["--limit", "0"], "--limit must be above 0, not 0.0"),
+        (["--limit", "nan"], "--limit must be a number, not nan"),
         (["--size", "big"], "--size must be WxH, not big"),
         (["--names", "c"], "--names has c"),
     ],

@@ -1,4 +1,4 @@
-"""What the progress of a long command writes: lines into a file, a bar on a terminal."""
+"""What the progress of a long command writes into a file: lines."""
 
 from types import SimpleNamespace
 
@@ -7,18 +7,12 @@ import pytest
 from dgc_pose.cli.progress import progress_bars
 
 
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
-    """A clock that the test sets."""
-    clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
-    monkeypatch.setattr("dgc_pose.cli.progress.time", clock)
-    return clock
-
-
 def test_a_log_file_gets_a_line_a_minute(
-    clock: SimpleNamespace, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Of 780 pairs 60 are of the run before; six take a second."""
+    clock = SimpleNamespace(seconds=0.0, monotonic=lambda: clock.seconds)
+    monkeypatch.setattr("dgc_pose.cli.progress.time", clock)
     with progress_bars() as progress:
         for done in range(60, 781, 6):
             progress("pairs", done, 780)

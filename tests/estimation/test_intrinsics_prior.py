@@ -15,7 +15,6 @@ from dgc_pose.estimation.intrinsics_prior import (
     SIZE,
     IntrinsicsPrior,
     error_slopes,
-    normaliser,
     renormalised,
     with_parameters,
 )
@@ -73,9 +72,14 @@ def test_the_errors_are_those_of_points_that_the_deviating_cameras_normalise():
     scene = two_view_scene("skew", count=50, outliers=0.0)
     problem = scene.problem()
     errors, _, _ = error_slopes(problem, scene.R, scene.t, IntrinsicsPrior(BASIS), DEVIATIONS)
-    A1, A2 = normaliser(DEVIATIONS[:SIZE]), normaliser(DEVIATIONS[SIZE:])
-    F = A2.T @ essential_from_pose(scene.R, scene.t) @ A1
-    expected = sampson_distance(problem.points1, problem.points2, F)
+    moved = [
+        renormalised(points, None, own)
+        for points, own in zip(
+            (problem.points1, problem.points2), np.split(DEVIATIONS, 2), strict=True
+        )
+    ]
+    expected = sampson_distance(*moved, essential_from_pose(scene.R, scene.t))
+    expected *= np.exp(DEVIATIONS[[0, SIZE]].mean())
     np.testing.assert_allclose(np.abs(errors), expected, atol=1e-14)
 
 

@@ -13,9 +13,9 @@ from results import GOOD_EVIDENCE
 from scipy.stats import norm
 
 from dgc_pose import load_matcher
-from dgc_pose.estimation.competition import CHOICE_FEATURES
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
+    CHOICE_FEATURES,
     FEATURES,
     match_kind,
     of_right,

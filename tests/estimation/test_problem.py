@@ -1,22 +1,18 @@
-"""The problem made of matches and cameras: what is dropped, the threshold, the grid cells."""
+"""The problem made of matches and cameras: what is dropped, the threshold, the grid cells; points
+in pixels of another image than their camera's."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import two_view_scene
+from scenes import K1, SIZE1, two_view_scene
 
 from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import TwoViewProblem, odd_extent
 from dgc_pose.matches import Matches
-
-
-def as_matches(points1, points2):
-    return Matches(points1, points2, np.ones(len(points1)), 1.0)
-
-
-def estimate(scene, matches):
-    return estimate_pose(matches, *scene.cameras)
 
 
 def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_length():
@@ -26,7 +22,8 @@ def test_bad_and_double_matches_are_dropped_and_counted_and_the_mask_keeps_its_l
     points1[300] = scene.points1[0]  # rows 300 to 306 are copies, 307 to 309 not finite
     points1[307, 0], points1[308, 1], points2[309, 0] = np.nan, np.inf, -np.inf
     order = np.random.default_rng(0).permutation(310)
-    pose = estimate(scene, as_matches(points1[order], points2[order]))
+    matches = Matches(points1[order], points2[order], np.ones(310), 1.0)
+    pose = estimate_pose(matches, *scene.cameras)
     assert pose.success
     assert pose.num_matches == 300
     assert pose.inliers.shape == (310,)
@@ -53,7 +50,7 @@ def test_points_whose_distortion_cannot_be_undone_are_dropped_and_counted():
 def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length():
     scene = two_view_scene(count=30)
     cameras = scene.cameras
-    matches = as_matches(scene.points1, scene.points2)
+    matches = replace(scene.matches, error_px=0.7)
 
     def threshold(**options):
         return TwoViewProblem.of(matches, *cameras, EstimationOptions(**options)).threshold
@@ -73,3 +70,50 @@ def test_a_cell_is_a_24th_of_the_longer_side():
     # Without a size the principal point, (810, 590), counts as the middle.
     unknown = TwoViewProblem.of(dense, Camera(scene.K1), camera2)
     assert unknown.cells[0] == pytest.approx(1621 / 24 / 1695)
+
+
+POINTS = two_view_scene(count=300).points1  # of 1600 x 1200 pixels
+FEW = ["less than half of the 1600 x 1200", "less than half of the 1621 x 1181"]
+MANY = ["refused", "lie outside the 1621 x 1181"]
+
+
+@pytest.mark.parametrize(
+    ("points", "said"),  # of a camera of 1600 x 1200 pixels, and of one without a size
+    [
+        (0.4 * POINTS, FEW),
+        (POINTS[:, ::-1], MANY),
+        (POINTS / (800, 600) - 1, FEW),  # from -1 to 1
+        (2 * POINTS, MANY),
+        (POINTS + 0.5, ["", ""]),  # COLMAP's convention
+        (np.vstack([POINTS[:290], np.full((10, 2), 1700.0)]), ["", ""]),
+        (np.vstack([POINTS, np.full((30, 2), np.nan), [[np.inf, 0]]]), ["", ""]),
+        (POINTS, ["", ""]),
+        (POINTS[POINTS[:, 0] < 533], ["", ""]),
+        (0.1 * POINTS[:19], ["", ""]),
+        (POINTS[:0], ["", ""]),
+    ],
+)
+def test_points_of_another_size_are_told_and_real_ones_are_not(points, said):
+    for camera, text in zip((Camera(K1, SIZE1), Camera(K1)), said, strict=True):
+        if text == "refused":
+            with pytest.raises(InputError, match="of 300 lie outside the 1600 x 1200 pixels"):
+                odd_extent(points, camera, 2)
+            continue
+        texts = odd_extent(points, camera, 2)
+        assert len(texts) == bool(text)
+        if texts:
+            left, right = points[:, 0].min(), points[:, 0].max()
+            assert texts[0].startswith(f"points2 have x from {left:.0f} to {right:.0f} and y from ")
+            assert text in texts[0] and "pixels of camera2" in texts[0]
+    assert odd_extent(Camera(K1).normalise(POINTS), Camera(np.eye(3)), 1) == ()
+
+
+def test_a_pose_has_the_warnings_of_both_images():
+    scene = two_view_scene(count=300)
+    matches = replace(scene.matches, points2=0.4 * scene.points2)
+    pose = estimate_pose(matches, *scene.cameras)
+    assert [w.split(" have ")[0] for w in pose.warnings if w.startswith("points")] == ["points2"]
+    for name in ("points1", "points2"):
+        matches = replace(scene.matches, **{name: 2 * getattr(scene, name)})
+        with pytest.raises(InputError, match=f"^{name} have "):
+            estimate_pose(matches, *scene.cameras)

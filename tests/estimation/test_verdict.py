@@ -39,12 +39,7 @@ def verdict(**changes):
         ("behind_cameras", {"cheirality_ratio": 0.55}),
         ("planar", {"homography_ratio": 0.9}),
         ("panorama", {"camera_model": "cylinder"}),
-        ("rotation_only", ROTATES),
-        ("rotation_only", {"still_ratio": 0.91, **SECOND, "second_rotation_deg": 2.9}),
-        ("ambiguous", {"still_ratio": 0.91, **SECOND}),
-        ("rotation_only", {**ROTATES, **SECOND, "second_rotation_deg": 2.9}),
         ("rotation_only", {**ROTATES, **SECOND, "num_second_inliers": 0}),
-        ("ambiguous", {**ROTATES, **SECOND}),
         ("ambiguous", {**ROTATES, **SECOND, "second_rotation_deg": 3.1}),
         # What comes first: chance before all, then the camera, a rotation before cheirality and
         # planes.

@@ -13,7 +13,6 @@ from dgc_pose.geometry.radial import (
     undistorted,
     undistorted_slopes,
     unprojected,
-    unprojected_slopes,
 )
 
 POINTS = np.random.default_rng(0).uniform(-0.55, 0.55, (200, 2))
@@ -23,7 +22,6 @@ ANGLES = np.radians(np.random.default_rng(1).uniform(0, 80, 200))
 TURNS = np.random.default_rng(2).uniform(0, 2 * np.pi, 200)
 WIDE = np.tan(ANGLES)[:, None] * np.column_stack([np.cos(TURNS), np.sin(TURNS)])
 WIDE[0] = 0
-PROJECTIONS: list[Projection] = ["plane", "angles", "cylinder"]
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -57,12 +55,6 @@ def test_a_cylinder_is_that_of_its_rays() -> None:
     np.testing.assert_allclose(Distortion("CYLINDER").apply(points), seen, atol=1e-9)
 
 
-@pytest.mark.parametrize("projection", PROJECTIONS)
-def test_what_is_projected_is_unprojected(projection: Projection) -> None:
-    again = unprojected(projected(WIDE, projection), projection)
-    np.testing.assert_allclose(again, WIDE, rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize("lens", LENSES)
 def test_the_slopes(lens: tuple[float, float]) -> None:
     seen, step = distorted(POINTS, lens), 1e-6
@@ -72,15 +64,6 @@ def test_the_slopes(lens: tuple[float, float]) -> None:
         np.testing.assert_allclose(by_seen[:, :, k], of_point / (2 * step), atol=1e-6)
         of_lens = undistorted(seen, lens + unit) - undistorted(seen, lens - unit)
         np.testing.assert_allclose(by_lens[:, :, k], of_lens / (2 * step), atol=1e-6)
-
-
-@pytest.mark.parametrize("projection", PROJECTIONS)
-def test_the_slopes_of_a_projection(projection: Projection) -> None:
-    seen, step = projected(WIDE, projection), 1e-6
-    slopes = unprojected_slopes(seen, projection)
-    for k, unit in enumerate(step * np.eye(2)):
-        expected = unprojected(seen + unit, projection) - unprojected(seen - unit, projection)
-        np.testing.assert_allclose(slopes[:, :, k], expected / (2 * step), rtol=1e-5, atol=1e-6)
 
 
 def test_beyond_the_largest_radius_nothing_is_undone() -> None:

@@ -8,11 +8,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.geometry.triangulation import (
-    depths,
-    epipolar_angles,
-    triangulation_angles_deg,
-)
+from dgc_pose.geometry.triangulation import depths, epipolar_angles, triangulation_angles_deg
 
 R = Rotation.from_rotvec([0.1, -0.3, 0.05]).as_matrix()
 T = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])

@@ -134,23 +134,3 @@ def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(folder)
     assert search_images(link).names == images.names
-
-
-def test_unreadable_folders_are_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By a fault that root meets too."""
-    for name in ("a.jpg", "sub/b/c.jpg", "sub/d/e.jpg"):
-        _save(tmp_path / name)
-    listdir = os.listdir
-
-    def list_some(path: Path) -> list[str]:
-        if Path(path).parent.name == "sub":
-            raise PermissionError(13, "Permission denied", str(path))
-        return listdir(path)
-
-    monkeypatch.setattr("dgc_pose.images.folder.os.listdir", list_some)
-    images = search_images(tmp_path)
-    assert images.names == ("a.jpg",)
-    assert images.left_out == ("2 folders left out (first: sub/b): Permission denied",)
-    for folder in ("sub/b", "nowhere"):
-        with pytest.raises(OSError, match=folder):
-            search_images(tmp_path / folder)

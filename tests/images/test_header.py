@@ -48,20 +48,15 @@ WRITERS = {"jpg": jfif, "png": phys, "tiff": resolutions, "webp": resolutions, "
         ("jpg", 0, 4, 3, 4 / 3),  # ffmpeg's frames of a video of 4:3 pixels
         ("jpg", 0, 1, 1, 1),
         ("jpg", 1, 72, 96, 4 / 3),  # dots an inch: the pixel is the wider the fewer there are
-        ("jpg", 2, 30, 20, 2 / 3),
-        ("jpg", 1, 300, 300, 1),
         ("jpg", 0, 0, 3, 1),
         ("jpg", 0, 65535, 1, 1),
         ("png", 0, 4, 3, 4 / 3),  # ffmpeg's too
         ("png", 1, 3000, 4000, 4 / 3),
-        ("png", 1, 2835, 2835, 1),
         ("png", 1, 100, 401, 1),
         ("tiff", 1, 3, 4, 4 / 3),
         ("tiff", 2, 204, 98, 98 / 204),  # a fax
-        ("tiff", 2, 300, 300, 1),
         ("webp", 2, 150, 300, 2),
         ("jpeg", 2, 150, 300, 2),  # EXIF data where JFIF states nothing
-        ("jpeg", 2, 300, 72, 1),
     ],
 )
 def test_the_shape_of_a_pixel(

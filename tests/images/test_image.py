@@ -14,7 +14,6 @@ import torch
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.image import (
-    Image,
     image_size,
     load_image,
     read_pixels,
@@ -252,14 +251,6 @@ def test_a_few_pixels_far_off_do_not_decide_of_the_range(value: float, share: fl
     assert set(np.unique(shown[off])) <= ({255} if value > 9000 else {0})
 
 
-def test_an_image_of_8_bit_rgb_is_returned_as_it_is(rgb: np.ndarray) -> None:
-    image = Image(rgb, "mine")
-    assert load_image(image, "image1") is image
-    for pixels in (rgb[:, :, 0], rgb / 255, rgb[:0]):
-        with pytest.raises(InputError, match="mine: pixels"):
-            Image(pixels, "mine")
-
-
 def test_resize_follows_the_half_pixel_rule() -> None:
     """A ramp stays that of the half-pixel rule: shrunk, enlarged, or each along one axis."""
     height, width = 300, 480
@@ -298,16 +289,11 @@ def test_channels_may_come_first(rgb: np.ndarray, channels: int) -> None:
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        (None, "is None, as cv2.imread returns it for a file that it cannot read"),
-        (b"\xff\xd8\xff\xe0", "is bytes, not a path, an array or a tensor"),
-        ("s3://a/b.png", "is a URL, which is not fetched: s3://a/b.png"),
+        (None, "is not an array of real numbers but NoneType"),
         (np.zeros((5, 20, 30), np.uint8), "must have shape"),
-        (np.zeros((2, 3, 20, 30), np.uint8), "must have shape"),
-        (np.zeros(20, np.uint8), "must have shape"),
         (np.zeros((20, 0), np.float32), "must have shape"),
         (np.array([[0, np.inf], [1, 2]]), "has values that are not finite"),
         (np.zeros((4, 4), complex), "is not an array of real numbers"),
-        (torch.zeros(2, 3, 20, 30), "must have shape"),
     ],
 )
 def test_what_is_no_image_names_the_argument(source: Any, words: str) -> None:

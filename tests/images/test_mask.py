@@ -8,10 +8,10 @@ import PIL.Image
 import pytest
 import torch
 
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.images.header import Exif
 from dgc_pose.images.image import Image, flipped, load_image, turned
-from dgc_pose.images.mask import mask_file, masked
+from dgc_pose.images.mask import masked
 
 USED = np.random.default_rng(0).random((40, 60)) < 0.6
 IMAGE = Image(np.random.default_rng(1).integers(0, 256, (40, 60, 3), np.uint8))
@@ -100,24 +100,6 @@ def test_what_is_no_mask_of_the_image_is_refused(source: object, words: str) -> 
         _mask(source)
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ImageError, match="nowhere.png"):
-        _mask(tmp_path / "nowhere.png")
-    (tmp_path / "text.png").write_text("a letter")
-    with pytest.raises(ImageError, match="text.png"):
-        _mask(str(tmp_path / "text.png"))
-    black = _file(tmp_path / "black.png", np.zeros((40, 60), np.uint8))
-    with pytest.raises(InputError, match="black.png leaves no pixel"):
-        masked(IMAGE, black)
-
-
-def test_the_masks_of_a_folder_are_those_of_colmap(tmp_path: Path) -> None:
-    (tmp_path / "sub").mkdir()
-    path = _file(tmp_path / "sub" / "a.jpg.png", np.ones((4, 4), np.uint8))
-    assert mask_file(tmp_path, "sub/a.jpg") == path
-    assert mask_file(tmp_path, "a.jpg") is None and mask_file(None, "sub/a.jpg") is None
-
-
 def test_points_on_masked_pixels() -> None:
     """A pixel reaches half a pixel around its centre. Nothing outside the image is masked."""
     image = masked(IMAGE, USED)
@@ -142,9 +124,3 @@ def test_a_mask_is_turned_with_its_pixels(orientation: int) -> None:
         assert shown.mask is not None and shown.pixels.flags.c_contiguous
         left_out = shown.pixels[~shown.mask]
         assert (shown.pixels[shown.mask][:, 0] == 255).all() and (left_out == left_out[0]).all()
-
-
-@pytest.mark.parametrize("mask", [USED.astype(np.uint8), USED[1:]])
-def test_an_image_has_a_mask_of_its_size(mask: np.ndarray) -> None:
-    with pytest.raises(InputError, match=r"mask must be a bool array \(40, 60\)"):
-        Image(IMAGE.pixels, mask=mask)

@@ -50,8 +50,9 @@ def test_a_mask_network_has_no_coarser_level() -> None:
     assert masked.coarse(_image(100, 100), _image(100, 100)) is None
     with pytest.raises(InputError, match="finest"):
         NetworkMatcher(TorchEngine(DGCNet(preset("dgcm"))), MatchingOptions(finest=120))
-    with pytest.raises(InputError, match="finest"):
-        MatchingOptions(finest=100)  # type: ignore[arg-type]
+    for name, value in (("finest", 100), ("aligned", "nothing")):
+        with pytest.raises(InputError, match=name):
+            MatchingOptions(**{name: value})  # type: ignore[arg-type]
 
 
 def test_nothing_is_nan_whatever_the_network_says() -> None:

@@ -72,10 +72,7 @@ def test_factors_make_the_scales_equal(
 
 
 def _match(
-    engine: TorchEngine,
-    first: np.ndarray,
-    second: np.ndarray,
-    guide: CorrespondenceMap,
+    engine: TorchEngine, first: np.ndarray, second: np.ndarray, guide: CorrespondenceMap
 ) -> Matches:
     return feature_matches(engine, Image(first), Image(second), guide, image_cache(), 192)
 

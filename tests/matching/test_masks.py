@@ -1,13 +1,11 @@
 """No match on a masked pixel, in any step of any matcher."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import dense_scene
 import numpy as np
 import pytest
-import tiny_onnx
 
 from dgc_pose import load_matcher
 from dgc_pose.cameras.camera import Camera, TwoViews
@@ -88,31 +86,16 @@ def test_no_step_of_the_network_matches_masked_pixels(
         assert _on_masked(other.matches.points2, images[1]).mean() > 0.2
 
 
-@pytest.mark.parametrize("name", ["sift", "dis", "map", "none", "onnx"])
-def test_no_other_matcher_does(
-    name: str, plain: list[Image], images: list[Image], tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("name", ["sift", "dis", "map", "none"])
+def test_no_other_matcher_does(name: str, plain: list[Image], images: list[Image]) -> None:
     if name in ("map", "none"):
         matcher = load_matcher(matching=MatchingOptions(aligned=name))  # type: ignore[arg-type]
     else:
-        matcher = load_matcher(_patches(tmp_path) if name == "onnx" else name)
+        matcher = load_matcher(name)
     matches = matcher.match(*images).matches
     _assert_none_masked(matches, *images)
     assert len(matches) > 20
     assert _on_masked(matcher.match(*plain).matches.points2, images[1]).mean() > 0.2
-
-
-def _patches(folder: Path) -> Path:
-    """A model with a key point in each cell of 8x8 pixels, where its brightest one is."""
-    cut = np.eye(64, dtype=np.float32).reshape(64, 1, 8, 8)
-    weights = {"cut": cut, "logit": np.concatenate([20 * cut, np.zeros((1, 1, 8, 8), np.float32)])}
-    nodes = [("Conv", ["image", cut], out, {"strides": [8, 8]}) for cut, out in _PATCH_OUTPUTS]
-    outputs = {"logits": (1, 65, "h", "w"), "descriptors": (1, 64, "h", "w")}
-    path = folder / "patches.onnx"
-    return tiny_onnx.write_model(path, nodes, weights, {"image": (1, 1, "h", "w")}, outputs)
-
-
-_PATCH_OUTPUTS = (("logit", "logits"), ("cut", "descriptors"))
 
 
 def test_masked_cells_take_no_matches_from_the_others(images: list[Image]) -> None:

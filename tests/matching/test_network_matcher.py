@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from dgc_pose.cameras.camera import Camera, TwoViews
-from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
@@ -159,8 +158,3 @@ def test_without_features_there_is_no_coarse_pass_and_no_more_matches(
         matcher = _noisy(aligned)
         assert matcher.coarse(*images) is None
         assert matcher.guided(*images, matcher.match(*images), _HYPOTHESES) is None
-
-
-def test_a_source_that_there_is_not_is_named() -> None:
-    with pytest.raises(InputError, match="aligned"):
-        MatchingOptions(aligned="nothing")  # type: ignore[arg-type]

@@ -5,11 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
-from dgc_pose.matching.selection import (
-    MatchingOptions,
-    even_subsample,
-    select_matches,
-)
+from dgc_pose.matching.selection import MatchingOptions, select_matches
 
 
 def _map(seed: int = 0, side: int = 60) -> CorrespondenceMap:
@@ -40,19 +36,18 @@ def test_filters_against_a_loop() -> None:
     assert found.confidence.min() >= 0.6
 
 
-def test_subsample_is_even_takes_the_confident_and_never_exceeds() -> None:
-    rng = np.random.default_rng(2)
-    for share in (0.02, 0.3, 0.9):
-        keep = rng.random((80, 80)) < share
-        confidence = rng.random((80, 80))
-        for most in (1, 7, 100, 2000):
-            chosen = even_subsample(keep, confidence, most)
-            assert 1 <= chosen.sum() <= most or chosen.sum() == keep.sum() <= most
-            assert not (chosen & ~keep).any()
-    assert np.array_equal(even_subsample(keep, confidence, 6400), keep)
-    chosen = even_subsample(np.ones((80, 80), dtype=bool), confidence, 400)
-    quarters = chosen.reshape(4, 20, 4, 20).sum((1, 3))
-    assert quarters.min() > 0.7 * quarters.max() and confidence[chosen].mean() > 0.8
+def test_at_most_so_many_are_taken_evenly_spread_and_the_confident_first() -> None:
+    dense = _map()
+    for least in (0.98, 0.7, 0.1):
+        for most in (1, 7, 100, 3600):
+            found = select_matches(dense, MatchingOptions(matchability=least, max_matches=most))
+            count = int((dense.matchability >= least).sum())
+            assert 1 <= len(found) <= most and (len(found) > 0.9 * count or count > 0.9 * most)
+    sure = replace(dense, map=dense.grid)
+    found = select_matches(sure, MatchingOptions(matchability=0.0, max_matches=225))
+    quarters = np.unique(found.points2 // 150, axis=0, return_counts=True)[1]
+    assert len(quarters) == 16 and quarters.min() > 0.7 * quarters.max()
+    assert found.confidence.mean() > 0.8
 
 
 def test_a_small_patch_is_no_match() -> None:

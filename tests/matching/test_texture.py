@@ -13,7 +13,7 @@ from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher, MatchingOptions
-from dgc_pose.matching.sift import SiftMatcher
+from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
 
 SIZE = (320, 240)

@@ -28,7 +28,7 @@ Library = tuple[Callable[[np.ndarray], Any], Callable[[Any], np.ndarray]]
 
 
 @pytest.fixture(params=LIBRARIES)
-def library(request: pytest.FixtureRequest) -> Library:
+def library(request):
     return LIBRARIES[request.param]
 
 
@@ -36,7 +36,7 @@ def _noise(seed: int, *shape: int) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal(shape).astype(np.float32)
 
 
-def test_unit_length_over_channels_and_local_correlation(library: Library) -> None:
+def test_unit_length_over_channels_and_local_correlation(library):
     to, back = library
     warped, target = _noise(3, 5, 6, 7), _noise(4, 5, 6, 7)
     module: Any = onnx_engine if isinstance(to(warped), np.ndarray) else None
@@ -53,7 +53,7 @@ def test_unit_length_over_channels_and_local_correlation(library: Library) -> No
             assert values[channel, y, x] == pytest.approx(expected, abs=1e-5)
 
 
-def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
+def test_evidence_is_the_weighted_sum_of_the_levels(library):
     """Of a finer level: the best inside the source's cell, on the mean inside the target's."""
     to, back = library
     scales = np.array([2.0, 5.0, 0.5], np.float32)
@@ -73,7 +73,7 @@ def test_evidence_is_the_weighted_sum_of_the_levels(library: Library) -> None:
         assert values[xs * 2 + ys, yt * 3 + xt] == pytest.approx(expected, abs=1e-4)
 
 
-def test_evidence_is_pooled_over_pairs_of_scales(library: Library) -> None:
+def test_evidence_is_pooled_over_pairs_of_scales(library):
     to, back = library
     first, second = ([[_noise(seed + k, 3, 4, 5)] for k in range(2)] for seed in (0, 5))
     source, target = (
@@ -88,7 +88,7 @@ def test_evidence_is_pooled_over_pairs_of_scales(library: Library) -> None:
         assert values[xs * 4 + ys, yt * 5 + xt] == pytest.approx(3 * max(products), abs=1e-4)
 
 
-def test_scores_are_the_product_of_both_softmaxes(library: Library) -> None:
+def test_scores_are_the_product_of_both_softmaxes(library):
     to, back = library
     raw = 3 * _noise(6, 12, 10).astype(float)
     expected = 2 * raw - np.log(np.exp(raw).sum(0)) - np.log(np.exp(raw).sum(1))[:, None]
@@ -118,7 +118,7 @@ def _belief(scores: np.ndarray, passes: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("passes", [0, 1, 3])
-def test_consensus_is_belief_propagation(library: Library, passes: int) -> None:
+def test_consensus_is_belief_propagation(library, passes):
     to, back = library
     scores = 4 * _noise(3, 12, 10)
     values = back(consensus(to(scores), passes, (3, 4), (2, 5)))
@@ -126,7 +126,7 @@ def test_consensus_is_belief_propagation(library: Library, passes: int) -> None:
     np.testing.assert_allclose(values.reshape(4, 3, 2, 5), expected, atol=1e-4)
 
 
-def test_a_far_second_peak_does_not_move_the_place(library: Library) -> None:
+def test_a_far_second_peak_does_not_move_the_place(library):
     to, back = library
     correlation = np.zeros((50, 4))
     correlation[3 * 5 + 4, 1] = 1.0

@@ -8,12 +8,12 @@ from dgc_pose.network.efficientnet import EfficientPyramid
 
 
 @pytest.fixture
-def pyramid() -> EfficientPyramid:
+def pyramid():
     torch.manual_seed(0)
     return EfficientPyramid().eval().requires_grad_(False)
 
 
-def test_features_of_a_rotated_image_lie_in_the_rotated_cells(pyramid: EfficientPyramid) -> None:
+def test_features_of_a_rotated_image_lie_in_the_rotated_cells(pyramid):
     """By 180 degrees, kernels too. With odd kernels of stride 2 they would be half a cell off."""
     image = torch.randn(1, 3, 96, 64)
     upright = pyramid(image)

@@ -7,11 +7,16 @@ import torch
 from map_nets import SMALL
 
 from dgc_pose.errors import InputError
-from dgc_pose.network.config import PRESETS, NetworkConfig, preset
-from dgc_pose.network.coordinates import to_normalised, to_pixels
-from dgc_pose.network.net import DGCNet
+from dgc_pose.network.config import PRESETS, preset
+from dgc_pose.network.net import DGCNet, to_normalised, to_pixels
 
-_DECODERS = {0: 335_618, 1: 335_618, 2: 483_074, 3: 925_826, 4: 595_202}
+_DECODERS = (  # parameters and dilations
+    (335_618, [1, 4, 12, 16]),
+    (335_618, [1, 4, 6, 8]),
+    (483_074, [1, 2, 3, 4]),
+    (925_826, [1] * 5),
+    (595_202, [1] * 5),
+)
 
 
 def _count(module: torch.nn.Module) -> int:
@@ -39,30 +44,23 @@ def _published_keys(mask: bool) -> set[str]:
     return keys
 
 
-def test_parameter_counts_are_the_published_ones() -> None:
+def test_parameters_and_dilations_are_the_published_ones():
     dgc, dgcm = DGCNet(preset("dgc")), DGCNet(preset("dgcm"))
-    assert _count(dgc) == 10_310_602
-    assert _count(dgcm) == 10_407_723
-    assert _count(dgcm.pyramid) == 7_635_264
-    assert _count(dgcm.matchability_net) == 97_121
-    for level, count in _DECODERS.items():
-        assert _count(dgcm.get_submodule(f"reg_{level}")) == count
+    parts = dgc, dgcm, dgcm.pyramid, dgcm.matchability_net
+    assert [_count(part) for part in parts] == [10_310_602, 10_407_723, 7_635_264, 97_121]
+    for level, (count, dilations) in enumerate(_DECODERS):
+        decoder = dgcm.get_submodule(f"reg_{level}")
+        assert _count(decoder) == count
+        assert [block[0].dilation[0] for block in list(decoder)[:-1]] == dilations
 
 
-@pytest.mark.parametrize(("name", "mask"), [("dgc", False), ("dgcm", True)])
-def test_keys_are_the_published_ones(name: str, mask: bool) -> None:
-    assert set(DGCNet(preset(name)).state_dict()) == _published_keys(mask)
-
-
-def test_dilations_of_the_decoders() -> None:
-    net = DGCNet(preset("dgcm"))
-    for level, dilations in enumerate(([1, 4, 12, 16], [1, 4, 6, 8], [1, 2, 3, 4], [1] * 5)):
-        blocks = list(net.get_submodule(f"reg_{level}").children())[:-1]
-        assert [block[0].dilation[0] for block in blocks] == dilations
+def test_keys_are_the_published_ones():
+    for name, mask in (("dgc", False), ("dgcm", True)):
+        assert set(DGCNet(preset(name)).state_dict()) == _published_keys(mask)
 
 
 @pytest.mark.parametrize("name", sorted(PRESETS))
-def test_maps_come_at_five_sizes(name: str) -> None:
+def test_maps_come_at_five_sizes(name):
     net = DGCNet(preset(name)).eval()
     image = torch.randn(1, 3, 240, 240, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():
@@ -72,7 +70,7 @@ def test_maps_come_at_five_sizes(name: str) -> None:
     assert [m.shape[1:] for m in prediction.logits] == [(1, s, s) for s in masks]
 
 
-def test_align_corners_modes_sample_at_their_points() -> None:
+def test_align_corners_modes_sample_at_their_points():
     """A map made from pixels by either convention fetches exactly those pixels' features."""
     features = torch.randn(1, 4, 60, 60, generator=torch.Generator().manual_seed(0))
     pixels = torch.tensor([[3.0, 5.0], [0.0, 59.0], [17.0, 41.0]])
@@ -87,7 +85,7 @@ def test_align_corners_modes_sample_at_their_points() -> None:
 
 
 @pytest.mark.parametrize("config", [SMALL, preset("dgcm-lite0")])
-def test_a_part_of_a_level_decodes_as_the_whole_does(config: NetworkConfig) -> None:
+def test_a_part_of_a_level_decodes_as_the_whole_does(config):
     """Away from the part's border, as training needs it."""
     net = DGCNet(config).eval()
     generator = torch.Generator().manual_seed(5)
@@ -105,6 +103,6 @@ def test_a_part_of_a_level_decodes_as_the_whole_does(config: NetworkConfig) -> N
     torch.testing.assert_close(found[:, :, inner, inner], expected, atol=1e-5, rtol=1e-4)
 
 
-def test_unknown_presets_are_refused() -> None:
+def test_unknown_presets_are_refused():
     with pytest.raises(InputError, match="no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"):
         preset("vgg")

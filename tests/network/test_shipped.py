@@ -14,7 +14,7 @@ from dgc_pose.network.weights import load_network
 
 
 @pytest.mark.parametrize("name", shipped())
-def test_each_loads_and_has_a_card(name: str) -> None:
+def test_each_loads_and_has_a_card(name):
     folder = resources.files("dgc_pose") / "weights"
     net = load_network(name)
     assert name in PRESETS and net.config == PRESETS[name]

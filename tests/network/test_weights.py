@@ -1,7 +1,5 @@
 """Weights: our files, the authors' layout, and errors that name the file and the keys."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -24,7 +22,7 @@ def _random_net(name: str) -> DGCNet:
 
 
 @pytest.mark.parametrize(("name", "prefix"), [("dgc", "module."), ("dgcm", "")])
-def test_authors_checkpoints_load_and_give_the_same(tmp_path: Path, name: str, prefix: str) -> None:
+def test_authors_checkpoints_load_and_give_the_same(tmp_path, name, prefix):
     """Those of one have no counters of batches."""
     net = _random_net(name)
     counter = "num_batches_tracked"
@@ -41,7 +39,7 @@ def test_authors_checkpoints_load_and_give_the_same(tmp_path: Path, name: str, p
         assert torch.equal(a, b)
 
 
-def test_own_weights_survive_the_disk_at_half_precision(tmp_path: Path) -> None:
+def test_own_weights_survive_the_disk_at_half_precision(tmp_path):
     net = _random_net("dgcm-lite0")
     save_weights(net, tmp_path / "a.safetensors")
     loaded = load_network(str(tmp_path / "a.safetensors"))
@@ -53,7 +51,7 @@ def test_own_weights_survive_the_disk_at_half_precision(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.safetensors"]
 
 
-def test_missing_and_unreadable_files_are_named(tmp_path: Path) -> None:
+def test_missing_and_unreadable_files_are_named(tmp_path):
     with pytest.raises(WeightsError, match="nowhere.pth"):
         load_network(tmp_path / "nowhere.pth")
     for name in ("a.pth", "b.safetensors"):
@@ -64,7 +62,7 @@ def test_missing_and_unreadable_files_are_named(tmp_path: Path) -> None:
             assert "\n" not in str(caught.value)
 
 
-def test_the_first_differing_keys_are_named(tmp_path: Path) -> None:
+def test_the_first_differing_keys_are_named(tmp_path):
     state = dict(_random_net("dgc").state_dict())
     key = "reg_4.conv0.0.weight"
     for value, words in ((None, f"lacks {key}"), (torch.zeros(2), rf"has {key} \(2,\) instead of")):
@@ -77,7 +75,7 @@ def test_the_first_differing_keys_are_named(tmp_path: Path) -> None:
         state[key] = torch.zeros(2)
     ours = {k: v.half() for k, v in _random_net("dgcm-lite0").state_dict().items()}
     for metadata, words in (
-        ({"preset": "dgcm"}, "not weights of dgcm: it lacks"),
+        ({"preset": "dgcm"}, "not weights of dgcm: it has pyramid"),
         ({}, "no preset"),
     ):
         save_file(ours, tmp_path / "x.safetensors", metadata=metadata)
@@ -86,6 +84,6 @@ def test_the_first_differing_keys_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["mps", "meta", "a GPU"])
-def test_devices_that_no_part_runs_on_are_refused(name: str) -> None:
+def test_devices_that_no_part_runs_on_are_refused(name):
     with pytest.raises(InputError, match=f"device must be auto, cpu, cuda or cuda:N, not '{name}'"):
         choose_device(name)

@@ -4,7 +4,6 @@ import json
 import multiprocessing
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,13 +27,13 @@ Engines = tuple[OnnxEngine, TorchEngine]
 
 
 @pytest.fixture(scope="module")
-def engines() -> Engines:
+def engines():
     path = find_weights("dgcm-lite0")
     return OnnxEngine(path), load_engine(path, device="cpu", runtime="torch")
 
 
 @pytest.fixture(scope="module")
-def pictures() -> list[np.ndarray]:
+def pictures():
     folder = resources.files("dgc_pose") / "data" / "rendered"
     return [load_image(str(folder / f"image{number}.jpg")).pixels for number in (1, 2)]
 
@@ -51,7 +50,7 @@ def _crops(pictures: list[np.ndarray], shape: str) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("shape", ["as they are", "wide and upright", "small"])
-def test_the_map_is_torch_s(engines: Engines, pictures: list[np.ndarray], shape: str) -> None:
+def test_the_map_is_torch_s(engines, pictures, shape):
     crops = _crops(pictures, shape)
     onnx, by_torch = ([engine.encode(crop) for crop in crops] for engine in engines)
     for finest in (240, 60, 240):  # the last goes on from that before
@@ -66,7 +65,7 @@ def test_the_map_is_torch_s(engines: Engines, pictures: list[np.ndarray], shape:
         assert wanted.points.std() > 1  # a map that is the same everywhere would show nothing
 
 
-def test_features_are_torch_s(engines: Engines, pictures: list[np.ndarray]) -> None:
+def test_features_are_torch_s(engines, pictures):
     onnx, by_torch = engines
     assert onnx.config == by_torch.config and onnx.fingerprint == by_torch.fingerprint
     coarsest, wanted = (engine.coarsest(engine.encode(pictures[0])) for engine in engines)
@@ -80,7 +79,7 @@ def test_features_are_torch_s(engines: Engines, pictures: list[np.ndarray]) -> N
         np.testing.assert_allclose(own, other, atol=1e-4)
 
 
-def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np.ndarray]) -> None:
+def test_one_s_own_weights_of_a_preset_run_too(tmp_path, pictures):
     """Batch norms whose statistics and factors are not 0 and 1 are folded as torch folds them."""
     torch.manual_seed(3)
     net = DGCNet(preset("dgcm-lite0")).eval()
@@ -102,7 +101,7 @@ def test_one_s_own_weights_of_a_preset_run_too(tmp_path: Path, pictures: list[np
     assert np.isfinite(onnx.decode(*features, 60).points).all()
 
 
-def test_the_graphs_hold_no_weights_and_know_their_preset() -> None:
+def test_the_graphs_hold_no_weights_and_know_their_preset():
     files = list(GRAPHS.iterdir())
     assert sum(file.stat().st_size for file in files) < 100_000
     named = json.loads((GRAPHS / WEIGHTS).read_text())
@@ -112,7 +111,7 @@ def test_the_graphs_hold_no_weights_and_know_their_preset() -> None:
     assert named["stored"] == shapes
 
 
-def test_the_same_in_threads_and_in_a_forked_process(pictures: list[np.ndarray]) -> None:
+def test_the_same_in_threads_and_in_a_forked_process(pictures):
     engine = OnnxEngine(find_weights("dgcm-lite0"))
     small = [resize(one, (96, 64)) for one in pictures]
     alone = [engine.native(one, (6, 4)).fine for one in small]
@@ -127,16 +126,14 @@ def test_the_same_in_threads_and_in_a_forked_process(pictures: list[np.ndarray])
     assert child.exitcode == 0 and queue.get() == alone[0].sum()
 
 
-def test_threads_are_opencv_s_and_no_more_than_openmp_allows(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_threads_are_opencv_s_and_no_more_than_openmp_allows(monkeypatch):
     monkeypatch.setattr("dgc_pose.runtime.session.cv2.getNumThreads", lambda: 4)
     for allowed, expected in (("", 4), ("1", 1), ("3,2", 3), ("6", 4), ("many", 4), ("0", 4)):
         monkeypatch.setenv("OMP_NUM_THREADS", allowed)
         assert session_threads() == expected
 
 
-def test_weights_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_weights_that_do_not_fit_are_refused(tmp_path):
     weights = load_file(find_weights("dgcm-lite0"))
     for preset_name, error, words in (
         ("dgcm-lite0", WeightsError, "it lacks reg_0.final.bias"),

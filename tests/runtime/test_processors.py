@@ -55,12 +55,12 @@ def _apart_deg(one: Pose, other: Pose) -> float:
 
 
 @pytest.fixture(scope="module")
-def here() -> Pose:
+def here():
     """By the default runtime, with all that the processor has."""
     return _pose({})
 
 
-def test_the_runtimes_give_the_same_pose(here: Pose) -> None:
+def test_the_runtimes_give_the_same_pose(here):
     assert _apart_deg(here, _pose({}, runtime="torch")) < TOLERANCE_DEG
 
 
@@ -69,11 +69,11 @@ def test_the_runtimes_give_the_same_pose(here: Pose) -> None:
     reason="the processor has no AVX2",
 )
 @pytest.mark.parametrize("runtime", ["auto", "torch"])
-def test_a_processor_without_avx512_gives_the_same_pose(here: Pose, runtime: str) -> None:
+def test_a_processor_without_avx512_gives_the_same_pose(here, runtime):
     assert _apart_deg(here, _pose(AVX2, runtime=runtime)) < TOLERANCE_DEG
 
 
-def test_half_precision_gives_a_pose_as_right_on_any_processor() -> None:
+def test_half_precision_gives_a_pose_as_right_on_any_processor():
     """Under the variables of this run, whatever they are."""
     pair = rendered_pair()
     assert _apart_deg((pair.R, pair.t), _pose(dict(os.environ), half_precision=True)) < 1.0

@@ -13,7 +13,7 @@ from dgc_pose.runtime.torch_engine import TorchEngine
 
 
 @pytest.fixture(scope="module", params=[False, True], ids=["single", "half"])
-def net(request: pytest.FixtureRequest) -> DGCNet:
+def net(request):
     """In either precision; a processor without bfloat16 computes it the slow way."""
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite0")).eval().requires_grad_(False)
@@ -25,7 +25,7 @@ def _noise(width: int, height: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
+def test_half_precision_hardly_changes_the_features(net):
     pixels, half = _noise(96, 64), net.half_precision
     found = TorchEngine(net).native(pixels, (6, 4))
     planes = torch.from_numpy(pixels).permute(2, 0, 1)[None].double() / 255
@@ -40,7 +40,7 @@ def test_half_precision_hardly_changes_the_features(net: DGCNet) -> None:
         assert half == bool(cosine.min() < 1 - 1e-6)  # rounded where it is asked for alone
 
 
-def test_every_tensor_is_on_the_device_of_the_network(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_tensor_is_on_the_device_of_the_network(monkeypatch):
     """Operations on tensors of two devices are refused, on one without numbers too."""
     monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
     with torch.inference_mode():

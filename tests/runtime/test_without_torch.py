@@ -2,7 +2,6 @@
 
 import json
 from importlib import resources
-from pathlib import Path
 
 import pytest
 from hidden_packages import EXTRAS, run_in, without
@@ -14,7 +13,7 @@ _K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
 _PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg") for k in (1, 2)]
 
 
-def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path: Path) -> None:
+def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path):
     """In processes of their own, in which torch and all packages of the extras are missing."""
     environment = without(tmp_path / "site", *EXTRAS)
 

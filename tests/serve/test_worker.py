@@ -24,7 +24,7 @@ def test_a_failure_is_one_line_and_the_next_call_works():
         raise error
 
     async def calls():
-        worker = Worker(1)
+        worker = Worker()
         for error, message in (
             (InputError("this\n will not do"), "^this will not do$"),
             (ZeroDivisionError(), "^the server failed: ZeroDivisionError$"),
@@ -40,7 +40,7 @@ def test_a_failure_is_one_line_and_the_next_call_works():
 
 def test_what_takes_too_long_is_given_up_and_the_next_call_waits_for_it(held):
     async def calls():
-        worker = Worker(2)
+        worker = Worker()
         with pytest.raises(WorkError, match=r"^stopped after 0\.1 seconds$"):
             await worker.call(held.wait, seconds=0.1)
         # The time of the next call passes before it begins, and it never does.
@@ -54,13 +54,11 @@ def test_what_takes_too_long_is_given_up_and_the_next_call_waits_for_it(held):
     asyncio.run(calls())
 
 
-def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them(held):
+def test_closing_ends_all_calls(held):
     async def calls():
-        worker = Worker(2)
+        worker = Worker()
         waiting = [asyncio.create_task(worker.call(held.wait, seconds=SECONDS)) for _ in "ab"]
         await asyncio.sleep(0)  # until both have begun
-        with pytest.raises(Unavailable, match="busy"):
-            await worker.call(sum, [], seconds=SECONDS)
         worker.close()
         errors = await asyncio.gather(*waiting, return_exceptions=True)
         with pytest.raises(Unavailable) as late:
@@ -73,7 +71,7 @@ def test_more_calls_than_may_wait_are_turned_away_and_closing_ends_them(held):
 
 def test_a_call_that_is_cancelled_gives_up_its_place(held):
     async def calls():
-        worker, begun = Worker(2), threading.Event()
+        worker, begun = Worker(), threading.Event()
         calls = [worker.call(function, seconds=SECONDS) for function in (held.wait, begun.set)]
         left = [asyncio.create_task(call) for call in calls]
         await asyncio.sleep(0)

@@ -12,7 +12,7 @@ def _images() -> list[np.ndarray]:
     return [rng.integers(0, 256, (h, w, 3), dtype=np.uint8) for h, w in ((20, 33), (31, 17))]
 
 
-def test_samples_between_pixels_are_bilinear_ones_of_the_right_image() -> None:
+def test_samples_between_pixels_are_bilinear_ones_of_the_right_image():
     images, rng = _images(), np.random.default_rng(1)
     bank = ImageBank.of(images)
     assert len(bank.start) == 2 and bank.size(torch.tensor(1)).tolist() == [17, 31]
@@ -25,7 +25,7 @@ def test_samples_between_pixels_are_bilinear_ones_of_the_right_image() -> None:
         assert np.abs(255 * found.numpy() - expected.reshape(-1, 3)).mean() < 1.5
 
 
-def test_an_image_goes_on_as_its_mirror_image() -> None:
+def test_an_image_goes_on_as_its_mirror_image():
     bank = ImageBank.of(_images()[:1])
     inside = torch.tensor([[2.0, 3.0], [5.5, 1.0]])
     for outside in (
@@ -36,7 +36,7 @@ def test_an_image_goes_on_as_its_mirror_image() -> None:
         torch.testing.assert_close(samples[0], samples[1], atol=1e-4, rtol=0)
 
 
-def test_wide_spacing_takes_the_mean_of_the_pixels() -> None:
+def test_wide_spacing_takes_the_mean_of_the_pixels():
     image = _images()[0][:, :32]
     bank = ImageBank.of([image])
     y, x = torch.meshgrid(torch.arange(5.0), torch.arange(8.0), indexing="ij")

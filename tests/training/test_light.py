@@ -7,7 +7,7 @@ from dgc_pose.training.draw import Draw
 from dgc_pose.training.light import _kernels, other_light
 
 
-def test_views_stay_in_range_and_differ_from_each_other() -> None:
+def test_views_stay_in_range_and_differ_from_each_other():
     images = procedural_textures(1, 48, seed=3).repeat(60, 1, 1, 1)
     changed = other_light(images, Draw("cpu", 0))
     assert changed.shape == images.shape and 0 <= changed.min() and changed.max() <= 1
@@ -18,7 +18,7 @@ def test_views_stay_in_range_and_differ_from_each_other() -> None:
     assert alike.median() > 0.75 and alike.min() > 0.2
 
 
-def test_blurs_keep_the_light_and_the_place() -> None:
+def test_blurs_keep_the_light_and_the_place():
     kernels = _kernels(400, Draw("cpu", 1)).double()
     axis = torch.arange(-3, 4).double()
     assert (kernels.sum((1, 2)) - 1).abs().max() < 1e-5

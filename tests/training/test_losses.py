@@ -23,7 +23,7 @@ def _identity(size: int) -> torch.Tensor:
     return torch.stack(torch.meshgrid(axis, axis, indexing="xy"), -1)[None]
 
 
-def test_level_truth_is_the_map_at_the_cells_centres() -> None:
+def test_level_truth_is_the_map_at_the_cells_centres():
     """Of an affine map, the truth at a level is that map of the cells' centres, exactly."""
     truth = 0.8 * _identity(48) + 3.0
     for cells in (48, 24, 12, 3):
@@ -35,7 +35,7 @@ def test_level_truth_is_the_map_at_the_cells_centres() -> None:
         torch.testing.assert_close(found[0, :, 1, 1], 0.8 * centres + 3.0)
 
 
-def test_level_truth_leaves_out_edges_and_holes() -> None:
+def test_level_truth_leaves_out_edges_and_holes():
     truth, valid = _identity(16), torch.ones(1, 16, 16, dtype=torch.bool)
     valid[0, 3, 3] = False
     truth[0, :, 12:] += 50.0  # another surface, whose edge runs between cells
@@ -49,7 +49,7 @@ def test_level_truth_leaves_out_edges_and_holes() -> None:
     assert not whole[0, :, 2].any() and whole[0, :, [0, 1, 3]].all()
 
 
-def test_the_likelihood_of_matches_equals_its_definition() -> None:
+def test_the_likelihood_of_matches_equals_its_definition():
     generator = torch.Generator().manual_seed(0)
     (rows, columns), stride, scale = (4, 5), 8, 7.0
     source, target = l2_normalise(torch.randn(2, 6, rows, columns, generator=generator))[:, None]
@@ -83,7 +83,7 @@ def test_the_likelihood_of_matches_equals_its_definition() -> None:
     assert math.isclose(float(share), near / count, rel_tol=1e-6)
 
 
-def test_the_window_loss_is_least_for_features_that_find_the_truth() -> None:
+def test_the_window_loss_is_least_for_features_that_find_the_truth():
     """Of a shift by whole cells of the means, against a loop; and by less than with another."""
     generator = torch.Generator().manual_seed(1)
     wide = l2_normalise(torch.randn(1, 32, 28, 36, generator=generator))
@@ -115,7 +115,7 @@ def test_the_window_loss_is_least_for_features_that_find_the_truth() -> None:
     assert losses[1] > 2 * losses[0]
 
 
-def test_map_loss_is_a_mean_over_valid_cells_of_logarithms() -> None:
+def test_map_loss_is_a_mean_over_valid_cells_of_logarithms():
     error = torch.tensor([[[[1.0, -2.0], [3.0, 0.0]], [[torch.nan, 1.0], [0.5, 0.5]]]])
     valid = torch.tensor([[[True, True], [False, True]]])
     expected = sum(4 * math.log1p(e / 4) for e in (3, 3, 1)) / 3
@@ -124,7 +124,7 @@ def test_map_loss_is_a_mean_over_valid_cells_of_logarithms() -> None:
     assert math.isclose(float(absolute_map_loss(error, valid)), 7 / 3, rel_tol=1e-6)
 
 
-def test_nothing_flows_back_from_what_is_not_valid() -> None:
+def test_nothing_flows_back_from_what_is_not_valid():
     """NaN in the truth where it does not hold reaches neither the loss nor the gradient."""
     source, target = torch.randn(2, 1, 6, 4, 4, requires_grad=True)
     truth, valid = 31 * torch.rand(1, 16, 2), torch.rand(1, 16) < 0.5
@@ -135,7 +135,7 @@ def test_nothing_flows_back_from_what_is_not_valid() -> None:
     assert loss.isfinite() and share.isfinite() and gradient.isfinite().all()
 
 
-def test_mask_loss_is_cross_entropy_where_the_truth_is_known() -> None:
+def test_mask_loss_is_cross_entropy_where_the_truth_is_known():
     logits = torch.tensor([[[[0.3, -1.2, 5.0]]]])
     target = torch.tensor([[[True, False, False]]])
     known = torch.tensor([[[True, True, False]]])

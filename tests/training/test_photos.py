@@ -1,7 +1,5 @@
 """Photographs in memory: which are held back, and places in other light."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from dgc_pose.training.photos import load_held_back, load_photos
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     rng, folder = np.random.default_rng(0), tmp_path / "photos"
     folder.mkdir()
     for index in range(60):
@@ -22,7 +20,7 @@ def folder(tmp_path: Path) -> Path:
     return folder
 
 
-def test_the_name_alone_decides_who_validates(folder: Path) -> None:
+def test_the_name_alone_decides_who_validates(folder):
     (folder / "broken.jpg").write_bytes(b"no photograph")
     training, held_back = load_photos(folder)
     assert training.single + held_back.single == 60 and 1 <= held_back.single < 12
@@ -31,7 +29,7 @@ def test_the_name_alone_decides_who_validates(folder: Path) -> None:
     assert load_held_back(folder, side=10).bank.size(torch.tensor(0)).tolist() == [15, 10]
 
 
-def test_places_give_two_of_their_photographs(folder: Path, tmp_path: Path) -> None:
+def test_places_give_two_of_their_photographs(folder, tmp_path):
     for place, count in enumerate((2, 3)):
         (tmp_path / "light" / str(place)).mkdir(parents=True)
         for k in range(count):
@@ -48,7 +46,7 @@ def test_places_give_two_of_their_photographs(folder: Path, tmp_path: Path) -> N
         load_photos(folder, tmp_path / "light")
 
 
-def test_a_folder_without_any_is_named(folder: Path) -> None:
+def test_a_folder_without_any_is_named(folder):
     for path in folder.glob("*.png"):
         if path.name != "p000.png":
             path.unlink()

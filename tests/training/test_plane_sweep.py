@@ -13,7 +13,7 @@ from dgc_pose.training.views import Cameras
 pytestmark = pytest.mark.slow
 
 
-def test_depths_are_those_of_the_scene() -> None:
+def test_depths_are_those_of_the_scene():
     views = multi_view.render_views(5, step=0.5)
     textures, K = multi_view.draw_textures(), multi_view.K
     bank = ImageBank.of([view.pixels for view in views])
@@ -31,7 +31,7 @@ def test_depths_are_those_of_the_scene() -> None:
         assert np.median(error) < 0.01 and (error < 0.03).mean() > 0.95
 
 
-def test_views_of_many_pixels_have_the_depths_of_a_wall() -> None:
+def test_views_of_many_pixels_have_the_depths_of_a_wall():
     """Their neighbours hang upside down, where a principal point that is off counts twice."""
     rng = np.random.default_rng(0)
     blots = rng.integers(0, 256, (60, 200, 3), dtype=np.uint8)

@@ -1,6 +1,5 @@
 """Folders of posed photographs: what is read, and what is refused."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,7 +13,7 @@ from dgc_pose.training.posed_frames import read_rgbd, read_scene, read_scenes
 
 
 @pytest.fixture(scope="module")
-def pair() -> RenderedPair:
+def pair():
     return rendered(0, (60, 48))
 
 
@@ -38,9 +37,7 @@ def write_listed(root: Path, pair: RenderedPair, *, depth: bool) -> Path:
 
 
 @pytest.mark.parametrize("write", [write_rgbd, lambda r, p: write_listed(r, p, depth=True)])
-def test_sensors_depths_are_read_in_order_and_in_metres(
-    pair: RenderedPair, tmp_path: Path, write: Callable[[Path, RenderedPair], Path]
-) -> None:
+def test_sensors_depths_are_read_in_order_and_in_metres(pair, tmp_path, write):
     write(tmp_path / "walk", pair)
     (tmp_path / "no_scene").mkdir()
     (frames,) = read_scenes(tmp_path).values()
@@ -51,15 +48,7 @@ def test_sensors_depths_are_read_in_order_and_in_metres(
         np.testing.assert_allclose(frame.camera.K, pair.K1)
 
 
-def test_frames_without_depth_have_their_reach(pair: RenderedPair, tmp_path: Path) -> None:
-    path = write_listed(tmp_path / "walk", pair, depth=False) / "cameras.txt"
-    path.write_text(path.read_text() + "\n")  # a blank line is no frame
-    frames = read_scene(tmp_path / "walk")
-    assert [frame.reach for frame in frames] == [(0.5, 9.0)] * 2
-    assert [frame.depth for frame in frames] == [None, None]
-
-
-def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path: Path) -> None:
+def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path):
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(
         camera_id=1, model="SIMPLE_RADIAL", width=64, height=48, params=[60, 32, 24, 0.1]
@@ -92,51 +81,43 @@ def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path: Path) -> None:
         assert 0.7 * (2 + k) < nearest < 2 + k and 3 + k < farthest < 1.3 * (3 + k)
 
 
-def _scaled_pose(root: Path, factor: float) -> None:
-    poses = np.loadtxt(root / "poses.txt")
-    poses[1, :11] *= factor
-    np.savetxt(root / "poses.txt", poses)
-
-
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
         (lambda r: (r / "depth/00017.png").unlink(), "2 images, 1 depths and 2 poses"),
         (lambda r: (r / "poses.txt").write_text("1 2 3"), "rows of 16 numbers"),
-        (lambda r: _scaled_pose(r, 1.1), r"00017.png: its pose is no rotation"),
+        (
+            lambda r: np.savetxt(r / "poses.txt", [np.eye(4).ravel(), 2 * np.eye(4).ravel()]),
+            "00017.png: its pose",
+        ),
         (lambda r: np.savetxt(r / "K.txt", [[9, 1, 5], [0, 9, 5], [0, 0, 1]]), "without skew"),
     ],
 )
-def test_a_damaged_folder_is_named(
-    pair: RenderedPair, tmp_path: Path, damage: Callable[[Path], object], message: str
-) -> None:
+def test_a_damaged_folder_is_named(pair, tmp_path, damage, message):
     root = write_rgbd(tmp_path / "walk", pair)
     damage(root)
     with pytest.raises((InputError, OSError), match=message):
         read_rgbd(root)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda text: text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
-        (lambda text: text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: the depths must"),
-        (lambda text: text.replace("png ", "png -", 1), "cameras.txt:1: fx fy cx cy must"),
-        (lambda text: "\n" + text.splitlines()[0], "walk: 1 frames of known pose and depth"),
-    ],
-)
-def test_a_wrong_line_of_cameras_is_named(
-    pair: RenderedPair, tmp_path: Path, change: Callable[[str], str], message: str
-) -> None:
+def test_a_wrong_line_of_cameras_is_named(pair, tmp_path):
     path = write_listed(tmp_path / "walk", pair, depth=False) / "cameras.txt"
-    path.write_text(change(path.read_text()))
-    with pytest.raises(InputError, match=message):
-        read_scene(tmp_path / "walk")
+    text = path.read_text()
+    path.write_text(text + "\n")  # a blank line is no frame
+    frames = read_scene(tmp_path / "walk")
+    assert [(frame.reach, frame.depth) for frame in frames] == [((0.5, 9.0), None)] * 2
+    for changed, message in (
+        (text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
+        (text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: .* the depths must"),
+        (text.replace("png ", "png -", 1), "cameras.txt:1: fx fy must"),
+        ("\n" + text.splitlines()[0], "walk: 1 frames of known pose and depth"),
+    ):
+        path.write_text(changed)
+        with pytest.raises(InputError, match=message):
+            read_scene(tmp_path / "walk")
 
 
-def test_a_folder_without_scenes_and_depths_of_another_kind_are_refused(
-    pair: RenderedPair, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_scenes_and_depths_of_another_kind_are_refused(pair, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="holds no scenes"):
         read_scenes(tmp_path)
     root = write_rgbd(tmp_path / "walk", pair)

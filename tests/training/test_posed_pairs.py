@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from rendered import RenderedPair, rendered, write_rgbd
+from rendered import rendered, write_rgbd
 from textures import coordinates
 
 from dgc_pose.cameras.camera import Camera
@@ -18,8 +18,6 @@ from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
 from dgc_pose.training.posed_pairs import (
-    FramePairs,
-    PosedScenes,
     frame_pairs,
     load_posed,
     posed_pairs,
@@ -31,12 +29,12 @@ LEVELS = (50, 200)  # blue of either frame
 
 
 @pytest.fixture(scope="module")
-def pair() -> RenderedPair:
+def pair():
     return rendered(3, SIZE)
 
 
 @pytest.fixture(scope="module")
-def scenes(pair: RenderedPair, tmp_path_factory: pytest.TempPathFactory) -> PosedScenes:
+def scenes(pair, tmp_path_factory):
     images = [coordinates(*SIZE, level) for level in LEVELS]
     folder = tmp_path_factory.mktemp("rgbd") / "walk"
     write_rgbd(folder, replace(pair, image1=images[0], image2=images[1]))
@@ -44,14 +42,12 @@ def scenes(pair: RenderedPair, tmp_path_factory: pytest.TempPathFactory) -> Pose
 
 
 @pytest.fixture(scope="module")
-def frames(scenes: PosedScenes) -> FramePairs:
+def frames(scenes):
     return frame_pairs(scenes, ["walk"])
 
 
 @pytest.mark.parametrize("shape", [(96, 96), (80, 144)])
-def test_the_map_is_the_reprojection_of_the_depth(
-    pair: RenderedPair, frames: FramePairs, shape: tuple[int, int]
-) -> None:
+def test_the_map_is_the_reprojection_of_the_depth(pair, frames, shape):
     pairs = posed_pairs(frames, 8, shape, Draw("cpu", shape))
     place = (2 * pairs.map + 1) / pairs.map.new_tensor(shape[::-1]) - 1
     sources = 255 * F.grid_sample(pairs.image1, place, align_corners=False).movedim(1, -1)
@@ -76,7 +72,7 @@ def test_the_map_is_the_reprojection_of_the_depth(
     assert not (pairs.valid & ~pairs.known).any() and pairs.map.isfinite().all()
 
 
-def test_hidden_pixels_are_known_and_pixels_without_depth_are_not(frames: FramePairs) -> None:
+def test_hidden_pixels_are_known_and_pixels_without_depth_are_not(frames):
     pairs = posed_pairs(frames, 6, (96, 96), Draw("cpu", 1))
     assert pairs.known.float().mean() > 0.8 and (pairs.known & ~pairs.valid).float().mean() > 0.05
     blind = replace(frames.scenes, depth=torch.zeros_like(frames.scenes.depth))
@@ -84,7 +80,7 @@ def test_hidden_pixels_are_known_and_pixels_without_depth_are_not(frames: FrameP
     assert not pairs.known.any() and not pairs.valid.any()
 
 
-def test_the_lens_is_undone(tmp_path: Path) -> None:
+def test_the_lens_is_undone(tmp_path):
     lens = Distortion("SIMPLE_RADIAL", (-0.15,))
     camera = Camera(np.array([[200.0, 0, 118], [0, 200, 92], [0, 0, 1]]), distortion=lens)
     cv2.imwrite(str(tmp_path / "a.png"), coordinates(*SIZE, 0)[..., ::-1])
@@ -96,7 +92,7 @@ def test_the_lens_is_undone(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, camera.project(normalised), atol=0.6)
 
 
-def test_frames_of_many_pixels_are_made_smaller_with_their_depth(tmp_path: Path) -> None:
+def test_frames_of_many_pixels_are_made_smaller_with_their_depth(tmp_path):
     x, y = np.meshgrid(np.arange(1280), np.arange(320))
     image = np.stack([x / 5, y / 5, np.zeros_like(x)], -1).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), image[..., ::-1])
@@ -129,7 +125,7 @@ def _wall(folder: Path, count: int, step: float) -> list[PosedFrame]:
     return frames
 
 
-def test_pairs_share_enough_and_far_ones_are_likelier(tmp_path: Path) -> None:
+def test_pairs_share_enough_and_far_ones_are_likelier(tmp_path):
     pairs = frame_pairs(load_posed({"wall": _wall(tmp_path, 10, 0.4)}, "cpu", tmp_path), ["wall"])
     apart = (pairs.frames[:, 0] - pairs.frames[:, 1]).abs()
     # A frame sees 3.2 of the wall across.
@@ -143,7 +139,7 @@ def test_pairs_share_enough_and_far_ones_are_likelier(tmp_path: Path) -> None:
     assert (pairs.middles[to_the_right, 1, 0] < 31.5).all()
 
 
-def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path: Path) -> None:
+def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path):
     for name in "ab":
         (tmp_path / name).mkdir()
     walls = {"a": _wall(tmp_path / "a", 4, 0.2), "b": _wall(tmp_path / "b", 10, 0.2)}
@@ -155,9 +151,7 @@ def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path: Path) -> None:
     assert ratio == pytest.approx((first / (len(pairs.frames) - first)) ** 0.5)
 
 
-def test_swept_depths_are_kept_for_their_own_poses_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_swept_depths_are_kept_for_their_own_poses_alone(tmp_path, monkeypatch):
     swept: list[int] = []
 
     def counted(bank: ImageBank, views: Cameras, reach: torch.Tensor) -> list[torch.Tensor]:

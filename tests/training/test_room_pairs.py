@@ -8,7 +8,6 @@ import torch
 from textures import drawn_photos
 
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.photos import Photos
 from dgc_pose.training.room_pairs import (
     RoomOptions,
     RoomPairs,
@@ -23,12 +22,12 @@ SHAPE = (48, 64)
 
 
 @pytest.fixture(scope="module")
-def photos() -> Photos:
+def photos():
     return drawn_photos(9, 96)
 
 
 @pytest.fixture(scope="module")
-def pairs(photos: Photos) -> RoomPairs:
+def pairs(photos):
     return room_pairs(photos, 6, SHAPE, Draw("cpu", 0))
 
 
@@ -66,7 +65,7 @@ def first_hit(rooms: Rooms, room: int, origin: np.ndarray, ray: np.ndarray) -> t
     return nearest, which
 
 
-def test_rays_meet_what_a_loop_finds(photos: Photos) -> None:
+def test_rays_meet_what_a_loop_finds(photos):
     rooms, look = random_rooms(3, photos, Draw("cpu", 1), RoomOptions(boxes=6, ellipsoids=5))
     rng = np.random.default_rng(0)
     origin = look.numpy() + rng.uniform(-0.5, 0.5, (3, 3)).astype(np.float32)
@@ -93,30 +92,20 @@ def _points_in_source(pairs: RoomPairs, k: int) -> tuple[np.ndarray, np.ndarray]
     return there[..., :2] / there[..., 2:] * K1[:2] + K1[2:], there[..., 2]
 
 
-def test_the_map_is_the_projection_of_the_surface_point(pairs: RoomPairs) -> None:
-    for k in range(len(pairs.depth2)):
-        points, depth = _points_in_source(pairs, k)
-        ahead = (depth > 0.05) & (np.abs(points).max(-1) < 1000)
-        assert np.abs(pairs.maps.map[k].numpy() - points)[ahead].max() < 0.02
-        assert not pairs.maps.valid[k].numpy()[depth < 0].any()
-
-
-def test_visible_means_that_the_source_shows_the_same_surface(pairs: RoomPairs) -> None:
+def test_the_map_is_the_projection_of_the_surface_point_and_visible_means_seen(pairs):
     """The source's depth at the pixels around agrees if visible, and is nearer if hidden."""
     seen = hidden = wrong_seen = wrong_hidden = 0
-    for k in range(len(pairs.depth2)):
+    for k, depth1 in enumerate(pairs.depth1.numpy()):
         points, depth = _points_in_source(pairs, k)
+        shown = pairs.maps.valid[k].numpy()
+        ahead = (depth > 0.05) & (np.abs(points).max(-1) < 1000)
+        assert np.abs(pairs.maps.map[k].numpy() - points)[ahead].max() < 0.02
+        assert not shown[depth < 0].any()
         inside = (depth > 0.05) & (points > 0).all(-1)
         inside &= (points < np.array(SHAPE[::-1]) - 1).all(-1)
-        corner = np.floor(points[inside]).astype(int)
-        around = np.stack(
-            [
-                pairs.depth1[k].numpy()[corner[:, 1] + i, corner[:, 0] + j]
-                for i in (0, 1)
-                for j in (0, 1)
-            ]
-        )
-        valid, z = pairs.maps.valid[k].numpy()[inside], depth[inside]
+        x, y = np.floor(points[inside]).astype(int).T
+        around = np.stack([depth1[y + i, x + j] for i in (0, 1) for j in (0, 1)])
+        valid, z = shown[inside], depth[inside]
         near, far = 0.97 * around.min(0), 1.03 * around.max(0)
         wrong_seen += (valid & ((z < near) | (z > far))).sum()
         wrong_hidden += (~valid & (z < around.min(0))).sum()
@@ -125,7 +114,7 @@ def test_visible_means_that_the_source_shows_the_same_surface(pairs: RoomPairs) 
     assert wrong_seen < 0.005 * seen and wrong_hidden < 0.02 * hidden
 
 
-def test_cameras_are_as_far_apart_as_asked_and_share_enough(photos: Photos) -> None:
+def test_cameras_are_as_far_apart_as_asked_and_share_enough(photos):
     options = RoomOptions(orbit_deg=(20.0, 30.0), roll_deg=0.0, enough=0.3, tries=6)
     pairs = room_pairs(photos, 8, SHAPE, Draw("cpu", 4), options)
     R = pairs.target.seen_by(pairs.source).pose[:, :, :3].double()

@@ -35,7 +35,7 @@ def _losses(stage: nn.Module, pairs: MapPairs, steps: int, rate: float) -> tuple
     return losses, set(figures)
 
 
-def test_the_encoders_loss_falls_on_views_that_are_no_squares() -> None:
+def test_the_encoders_loss_falls_on_views_that_are_no_squares():
     torch.manual_seed(0)
     net = DGCNet(preset("dgcm-lite0"))
     stage = EncoderStage(net)
@@ -50,7 +50,7 @@ def test_the_encoders_loss_falls_on_views_that_are_no_squares() -> None:
     assert not any(k.startswith(("reg_", "pyramid.level_")) for k in changed)
 
 
-def test_a_trained_encoder_passes_through_its_stage_unchanged() -> None:
+def test_a_trained_encoder_passes_through_its_stage_unchanged():
     torch.manual_seed(2)
     net = DGCNet(preset("dgcm-lite0"))
     net.get_buffer("correlation_scales").copy_(torch.tensor([33.0, 12.0]))
@@ -62,7 +62,7 @@ def test_a_trained_encoder_passes_through_its_stage_unchanged() -> None:
 
 
 @pytest.mark.parametrize(("name", "shape"), [("dgcm-lite0", (176, 336)), ("dgcm", (240, 240))])
-def test_the_decoders_loss_falls_and_the_pyramid_stays(name: str, shape: Shape) -> None:
+def test_the_decoders_loss_falls_and_the_pyramid_stays(name, shape):
     torch.manual_seed(0)
     net = DGCNet(preset(name))
     before = {key: value.clone() for key, value in net.pyramid.state_dict().items()}
@@ -73,7 +73,7 @@ def test_the_decoders_loss_falls_and_the_pyramid_stays(name: str, shape: Shape) 
         assert torch.equal(value, before[key])
 
 
-def test_only_the_papers_decoders_learn_from_the_levels_after_them() -> None:
+def test_only_the_papers_decoders_learn_from_the_levels_after_them():
     for net, reached in ((DGCNet(preset("dgcm-lite0")), False), (DGCNet(SMALL), True)):
         stage = DecoderStage(net).train()
         gradients = []
@@ -85,7 +85,7 @@ def test_only_the_papers_decoders_learn_from_the_levels_after_them() -> None:
         assert torch.equal(*gradients) != reached
 
 
-def test_the_noised_truth_is_near_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_noised_truth_is_near_the_truth(monkeypatch):
     """With the true map as input and untrained corrections, fine levels start within two cells."""
     net = DGCNet(preset("dgcm-lite0")).eval()
     for level in range(5):
@@ -97,7 +97,7 @@ def test_the_noised_truth_is_near_the_truth(monkeypatch: pytest.MonkeyPatch) -> 
     assert 0.2 < errors["epe240"] < 4 and 0.4 < errors["epe120"] < 8 and errors["epe15"] > 20
 
 
-def test_the_finest_levels_are_decoded_everywhere_in_turn() -> None:
+def test_the_finest_levels_are_decoded_everywhere_in_turn():
     shape, covered = (128, 448), torch.zeros(128, 448, dtype=torch.bool)
     for seed in range(60):
         draw = Draw("cpu", seed)

@@ -8,14 +8,13 @@ from textures import coordinates
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.views import Shape
 from dgc_pose.training.warped_pairs import occluded, warped_pairs
 
 WIDTH, HEIGHT = 250, 190
 
 
 @pytest.fixture(scope="module")
-def photos() -> Photos:
+def photos():
     """Occluders are of the same blue, and only the half of it in the second of the place."""
     first, second = (coordinates(WIDTH, HEIGHT, level) for level in (200, 100))
     return Photos.of([first], [[first, second]])
@@ -29,9 +28,7 @@ def sampled(pairs: MapPairs) -> torch.Tensor:
 
 @pytest.mark.parametrize("shape", [(96, 96), (64, 160)])
 @pytest.mark.parametrize("light", [False, True])
-def test_both_ends_of_the_map_show_one_point_of_the_photograph(
-    photos: Photos, shape: Shape, light: bool
-) -> None:
+def test_both_ends_of_the_map_show_one_point_of_the_photograph(photos, shape, light):
     pairs = warped_pairs(photos, 24, shape, Draw("cpu", "warp", light), light)
     assert pairs.image1.shape == (24, 3, *shape) and pairs.map.isfinite().all()
     assert not (pairs.valid & ~pairs.known).any()
@@ -44,7 +41,7 @@ def test_both_ends_of_the_map_show_one_point_of_the_photograph(
     assert ((blue - 100).abs() < 2).any() == light
 
 
-def test_occluders_are_not_visible(photos: Photos) -> None:
+def test_occluders_are_not_visible(photos):
     views = torch.zeros(40, 64, 80, 3)
     shown, hidden = occluded(photos, views, Draw("cpu", 1), share=0.5)
     assert 0.2 < hidden.flatten(1).any(1).float().mean() < 0.8

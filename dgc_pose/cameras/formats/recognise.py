@@ -98,7 +98,6 @@ def _read_file(path: Path) -> Calibration:
 
 
 def _of_mapping(data: Any, path: Path) -> Calibration:
-    """The cameras of what JSON, YAML or XML holds."""
     if not isinstance(data, dict):
         return Calibration(common=numbers_camera(data))
     if (rig := keyed.camchain(data, path)) is not None:
@@ -150,7 +149,6 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
 
 
 def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
-    """Intrinsics of a file or frame."""
     width, height = data.get("w"), data.get("h")
     size = None if width is None or height is None else (int(width), int(height))
     fx, fy = (_focal(data, axis, size and size[side]) for side, axis in enumerate("xy"))

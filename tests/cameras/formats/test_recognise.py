@@ -237,14 +237,3 @@ def test_each_frame_of_record3d_has_its_camera(tmp_path: Path) -> None:
         camera = _read(tmp_path, data, name)
         assert (camera.K[0, 0], camera.size) == (fx, SIZE)
     assert _read(tmp_path, data, "a.jpg").K[0, 2] == 320.25
-
-
-def test_a_4x4_matrix_as_text(tmp_path: Path) -> None:
-    """ScanNet's intrinsic_color.txt."""
-    rows = np.block([[K, np.zeros((3, 1))], [0, 0, 0, 1]])
-    np.savetxt(tmp_path / "K.txt", rows)
-    np.testing.assert_allclose(parse_camera(str(tmp_path / "K.txt")).K, K)
-    rows[0, 3] = 1
-    np.savetxt(tmp_path / "K.txt", rows)
-    with pytest.raises(InputError, match=r"K\.txt: K must have shape .*, not \(4, 4\)"):
-        parse_camera(str(tmp_path / "K.txt"))

@@ -5,6 +5,7 @@ import os
 
 import cv2
 import dense_scene
+import numpy as np
 import pytest
 from command_line import assert_refused, run
 
@@ -57,20 +58,12 @@ def test_the_table_and_out_hold_the_same_summary(folder):
     assert cv2.imread("run/new/errors.png").std() > 1
 
 
-def test_some_pairs_of_a_list_are_evenly_chosen(folder):
-    dense_scene.write_pair_list(folder, pairs=7)
-    lines = (folder / "pairs.txt").read_text().splitlines()
-    for number in (0, 3, 6):
-        (folder / f"{number}.png").write_bytes((folder / "two.png").read_bytes())
-        lines[number] = lines[number].replace("two.png", f"{number}.png")
-    (folder / "elsewhere").mkdir()
-    (folder / "elsewhere/list.txt").write_text("\n".join(lines))
-    words = ("elsewhere/list.txt", "--root", ".", "--every", "3", "--limit", "2", "--out", "run")
-    result = bench(*words)
+def test_the_first_pairs_of_a_list_that_lies_elsewhere(folder):
+    os.makedirs("elsewhere")
+    os.rename("pairs.txt", "elsewhere/pairs.txt")
+    result = bench("elsewhere/pairs.txt", "--root", ".", "--limit", "2", "--out", "run")
     assert result.exit_code == 0, result.stderr
-    rows = [(row["method"], row["image2"]) for row in rows_of("run")]
-    names = (DEFAULT_WEIGHTS, "sift")
-    assert rows == [(name, image) for image in ("0.png", "3.png") for name in names]
+    assert [row["method"] for row in rows_of("run")] == 2 * [DEFAULT_WEIGHTS, "sift"]
 
 
 def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypatch):
@@ -118,9 +111,32 @@ def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
     assert float(wrong["rotation_error_deg"]) > 10 * float(known["rotation_error_deg"])
 
 
+@pytest.mark.parametrize("protocol", ["paper", "native"])
+def test_the_maps_of_another_program_give_the_true_poses(folder, protocol):
+    """All the way from files to errors: cameras, scales and the direction of the map are right."""
+    found = dense_scene.true_map()
+    arrays = {"map": found.map, "grid": found.grid, "matchability": found.matchability}
+    (folder / "maps").mkdir()
+    np.savez(folder / "maps/one.png_two.png.npz", **arrays)
+    words = ("--methods", "other/all,other", "--matches", "other=maps", "--protocol", protocol)
+    result = bench("pairs.txt", *words, "--limit", "1", "--out", "run")
+    assert result.exit_code == 0, result.stderr
+    every, chosen = rows_of("run")
+    for row in (every, chosen):
+        assert row["success"] == "True" and float(row["rotation_error_deg"]) < 0.5
+        assert float(row["translation_error_deg"]) < 1.5
+        assert float(row["epipolar_confident_px"]) < 0.02
+    assert int(every["num_matches"]) > int(chosen["num_matches"]) > 1500
+    assert (int(chosen["num_matches"]) <= 2000) == (protocol == "native")
+    words = (*words[:-1], "native" if protocol == "paper" else "paper")
+    again = bench("pairs.txt", *words, "--limit", "1", "--out", "run", "--resume")
+    assert_refused(again, "that run had methods")
+
+
 @pytest.mark.parametrize(
     "arguments, words",
     [
+        (("pairs.txt", "--methods", "sift", "--matches", "raft=nowhere"), "nowhere/one.png_two"),
         (("pairs.txt", "--methods", "sift", "--resume"), "--out"),
         (("pairs.txt", "--methods", "true", "--K", "auto", "--K-scale", "2"), "cannot be changed"),
         ((), "LIST"),

@@ -3,7 +3,7 @@ import os
 import numpy as np
 import pytest
 from command_line import assert_refused, run
-from dtu_layout import grey_scan, write_raw
+from dtu_layout import write_scan
 
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.metrics import rotation_error_deg
@@ -16,8 +16,8 @@ def dtu_pairs(*arguments):
 @pytest.fixture
 def root(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    write_raw(tmp_path / "dtu", grey_scan(np.arange(0, 60, 6.0)), extension="jpg")
-    (tmp_path / "dtu/Rectified/scan65/rect_003_3_r5000.jpg").unlink()
+    write_scan(tmp_path / "dtu", np.arange(0, 60, 6.0))
+    (tmp_path / "dtu/Rectified/scan65/rect_003_3_r5000.png").unlink()
     return tmp_path
 
 
@@ -34,7 +34,7 @@ def test_a_list_is_written_that_reads_back(root):
 
 
 def test_fewer_pairs_than_asked_for_are_told(root):
-    result = dtu_pairs("dtu", "list.txt", "--scan", "65", "--pairs", "900")
+    result = dtu_pairs("dtu", "list.txt", "--pairs", "900")
     assert result.exit_code == 0
     assert "warning: 900 pairs were asked for" in result.stderr
     assert len(read_pairs("list.txt", root="dtu")) < 40

@@ -1,8 +1,5 @@
 """`dgc-pose train`: a run from a folder of photographs, its progress line, and its refusals."""
 
-import json
-from pathlib import Path
-
 import pytest
 from click.testing import CliRunner
 from rendered import rendered, write_rgbd
@@ -10,27 +7,25 @@ from textures import write_photos
 
 from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
-from dgc_pose.training import run
-from dgc_pose.training.run import Trainer
 
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def photos(tmp_path_factory):
     folder = tmp_path_factory.mktemp("photos")
     write_photos(folder, 40)
     return folder
 
 
-def test_a_run_ends_with_weights_and_is_not_overwritten(photos: Path, tmp_path: Path) -> None:
+def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkeypatch):
+    monkeypatch.setattr("dgc_pose.training.run._VALIDATION", 1)
     out = tmp_path / "run"
     for seed, scene in ((3, "hall"), (4, "yard")):
         write_rgbd(tmp_path / "posed" / scene, rendered(seed, (96, 72)))
     words = ["train", "--photos", str(photos), "--posed", str(tmp_path / "posed")]
     words += ["--held", "yard"]
     words += ["--out", str(out), "--seconds", "1", "--batch", "1"]
-    words += ["--validation-pairs", "1"]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 0, done.stderr
     assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
@@ -45,30 +40,6 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos: Path, tmp_path: 
     assert refused.exit_code == 2 and "--seed is 5, and 0 in the run of " in refused.stderr
 
 
-def test_a_run_that_is_killed_goes_on(
-    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "run"
-    words = ["train", "--photos", str(photos), "--out", str(out), "--steps", "3", "--batch", "1"]
-    words += ["--shares", "100,0,0,0", "--validation-pairs", "1", "--encoder-share", "0"]
-    save = Trainer.save
-
-    def saved_and_killed(trainer: Trainer) -> None:
-        save(trainer)
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched:
-        patched.setattr(Trainer, "save", saved_and_killed)
-        patched.setattr(run, "_STEPS_A_ROW", 1)
-        patched.setattr(run, "_SAVE_SECONDS", 0.0)
-        assert CliRunner().invoke(main, words).exit_code == 130
-    assert not list(out.glob("*.safetensors"))
-    done = CliRunner().invoke(main, [*words, "--resume"])
-    assert done.exit_code == 0, done.stderr
-    assert [json.loads(line)["step"] for line in (out / "log.jsonl").open()] == [1, 3]
-    assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
-
-
 @pytest.mark.parametrize(
     ("words", "named"),
     [
@@ -80,12 +51,10 @@ def test_a_run_that_is_killed_goes_on(
         (["--seconds", "3"], "in seconds or in steps, and one of them only"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(
-    photos: Path, tmp_path: Path, words: list[str], named: str
-) -> None:
+def test_wrong_words_are_refused_in_one_line(photos, tmp_path, words, named):
     out = tmp_path / "run"
     base = ["train", "--photos", str(photos), "--out", str(out), "--steps", "1"]
-    refused = CliRunner().invoke(main, [*base, "--validation-pairs", "1", *words])
+    refused = CliRunner().invoke(main, [*base, *words])
     assert refused.exit_code == 2
     assert named in refused.stderr
     assert not out.exists() or "no data" in named

@@ -4,7 +4,7 @@ import numpy as np
 from rendered import render_scene_pair
 
 from dgc_pose.images.image import Image
-from dgc_pose.matching.sift import RATIO, SiftMatcher
+from dgc_pose.matching.key_points import RATIO, SiftMatcher
 
 
 def test_matches_lie_on_the_true_map() -> None:

@@ -14,12 +14,8 @@ from scipy.special import softmax
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, Hypothesis, estimate_pose
-from dgc_pose.estimation.competition import (
-    choice_shares,
-    compared,
-    ranked,
-    utility,
-)
+from dgc_pose.estimation.candidates import compared, ranked
+from dgc_pose.estimation.probability import choice_shares, utility
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
