@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -18,11 +17,7 @@ from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model
 from dgc_pose.training.posed_frames import read_rgbd
 
-Item = TypeVar("Item")
-# Of a location that is right: degrees of R, per cent of the extent of the position.
-RIGHT = (5.0, 5.0)
-SHARES = ((0.5, 0.05), (0.5, 0.25), (2.0, 1.0), RIGHT)
-CLAIMS = (0.5, 0.9, 0.99)  # probabilities of which the precision is reported
+_CLAIMS = (0.5, 0.9, 0.99)  # probabilities of which the precision is reported
 
 
 @dataclass(frozen=True)
@@ -43,9 +38,10 @@ class LocationScore:
     position_error_90: float = np.nan
     focal_percent: float = np.nan  # error of the focal length
 
-    def within(self, rotation_deg: float, percent: float) -> bool:
-        """Whether it is located within these bounds."""
-        return self.rotation_deg < rotation_deg and self.position_percent < percent
+    @property
+    def is_right(self) -> bool:
+        """Whether R is within 5 degrees, and the position within 5 % of the extent."""
+        return self.rotation_deg < 5 and self.position_percent < 5
 
 
 def true_model(path: Path, images: Path | None) -> Model:
@@ -64,25 +60,20 @@ def true_model(path: Path, images: Path | None) -> Model:
     return load_model(path, images or path / "images")
 
 
-def left_out(names: Sequence[str], apart: int) -> Iterator[tuple[str, Sequence[str]]]:
-    """Each image as a query, and the images that are not matched with it: within fewer than `apart`
-    names."""
-    for i, name in enumerate(names):
-        yield name, names[max(0, i - apart + 1) : i + apart]
-
-
-def thinned(items: Sequence[Item], count: int | None) -> list[Item]:
+def thinned(items: Sequence[str], count: int | None) -> list[str]:
     """So many of the items, evenly chosen; all without a number."""
     most = len(items) if count is None else min(count, len(items))
     return [items[int(i)] for i in np.linspace(0, len(items) - 1, most)]
 
 
 def placed(
-    locator: Locator, name: str, out: Sequence[str], withheld: WithheldCameras | None
+    locator: Locator, name: str, apart: int, withheld: WithheldCameras | None
 ) -> LocationScore:
-    """The score of an image of the model as a query."""
+    """The score of an image of the model as a query, without those near it in their order."""
     model, start = locator.model, time.perf_counter()
-    camera = model.cameras[name]
+    camera, names = model.cameras[name], sorted(model.poses)
+    number = names.index(name)
+    out = names[max(0, number - apart + 1) : number + apart]
     location = locator.locate(model.root / name, withheld or camera, left_out=out)
     seconds = time.perf_counter() - start
     likely = np.nan if location.probability is None else location.probability
@@ -106,19 +97,25 @@ def placed(
 def report(scores: Sequence[LocationScore]) -> list[tuple[str, str]]:
     """What is measured, and its figures."""
     located = [score for score in scores if score.status == "located"]
-    counted = {"located": [score.status == "located" for score in scores]}
-    for deg, percent in SHARES:
-        within = [score.within(deg, percent) for score in scores]
-        counted[f"within {deg:g} deg and {percent:g} % of the extent"] = within
-    near = [score.rotation_deg < 2 and score.position < 0.05 for score in scores]
-    counted["within 2 deg and 0.05 of the unit"] = near
-    for least in CLAIMS:
-        claims = [score.within(*RIGHT) for score in scores if score.probability >= least]
-        counted[f"right of those at {least:g} or more"] = claims
-    expected = [score.rotation_deg < score.rotation_error_90_deg for score in located]
-    counted["R within its expected error"] = expected
-    expected = [score.position < score.position_error_90 for score in located]
-    counted["position within its expected error"] = expected
+    counted = {
+        "located": [score.status == "located" for score in scores],
+        "right: within 5 deg and 5 % of the extent": [score.is_right for score in scores],
+        "within 2 deg and 0.05 of the unit": [
+            score.rotation_deg < 2 and score.position < 0.05 for score in scores
+        ],
+        **{
+            f"right of those at {least:g} or more": [
+                score.is_right for score in scores if score.probability >= least
+            ]
+            for least in _CLAIMS
+        },
+        "R within its expected error": [
+            score.rotation_deg < score.rotation_error_90_deg for score in located
+        ],
+        "position within its expected error": [
+            score.position < score.position_error_90 for score in located
+        ],
+    }
     medians = {
         "R, median, deg": [score.rotation_deg for score in located],
         "position, median, % of the extent": [score.position_percent for score in located],

@@ -89,7 +89,7 @@ def estimate(
 
             points = result.points3d  # in camera 1's axes
             known = np.isfinite(points).all(axis=1)
-            write_points(stage(outputs.ply), points[known], result.colours[known], outputs.ply)
+            write_points(stage(outputs.ply), points[known], result.colours[known])
     if cameras.k is None and cameras.k1 is None and cameras.fov is None:
         name = "K" if cameras.k2 is None else "K1"
         say(f"{name} is not stated: the focal length is estimated (--{name} auto)")

@@ -79,7 +79,6 @@ def locate(
     Prints cam_from_world, x = R X + t, and the centre of the camera, in the frame and unit of the
     model, with their expected errors. Exits with 3 and the reason if a query is not located.
     """
-    from dgc_pose.localization.adding import require_addable, write_model_with
     from dgc_pose.localization.locate import Locator
     from dgc_pose.model import load_model
     from dgc_pose.viz.figure import save_figure
@@ -93,7 +92,7 @@ def locate(
         image_header(Path(query))
     model = load_model(place.model, place.images)
     if place.add is not None:
-        require_addable(place.add, model, list(dict.fromkeys(queries)))
+        model.require_addable(place.add, dict.fromkeys(queries))
     for warning in model.warnings:
         say(f"warning: {warning}")
     locator = Locator(model, matcher.load(image_cache()), estimation, place.masks)
@@ -115,7 +114,12 @@ def locate(
     if place.json == STDOUT:
         click.echo(data, nl=False)
     if place.add is not None:  # last: a model of COLMAP holds not every camera
-        write_model_with(place.add, model, locations)
+        added = {
+            Path(query): (location.camera, location.cam_from_world)
+            for query, location in locations.items()
+            if location.camera is not None and location.cam_from_world is not None
+        }
+        model.write(place.add, added)
     return 0 if all(location.success for location in locations.values()) else NO_POSE
 
 

@@ -6,7 +6,7 @@ COLMAP has (0.5, 0.5) at the centre of the top-left pixel, a `Model` (0, 0).
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -17,16 +17,15 @@ from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as
-from dgc_pose.files.outputs import replaced_folder
+from dgc_pose.files.outputs import replaced_folder, writing
 from dgc_pose.geometry.pixels import exif_turn, turn_points
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.image import image_header, size_in_file
 from dgc_pose.system.colmap_library import pycolmap
 
 HALF_PIXEL = 0.5  # that COLMAP's pixels are more
-_POINT_BYTES = 15  # of a PLY: three floats and three colours
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 _NO_POINTS = np.zeros((0, 3))
 
@@ -91,12 +90,22 @@ class Model:
         centres = np.stack([self.centre(name) for name in self.poses])
         return float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
 
-    @property
-    def names(self) -> set[str]:
-        """The names of all images that the model has, also of those that are not in the folder."""
-        return {*self.poses} | {
-            i.name for i in (self.colmap.images.values() if self.colmap else ())
-        }
+    def require_addable(self, out: Path, paths: Iterable[str | Path]) -> None:
+        """Raise InputError if the folder `out` holds other files than a model's, an image of these
+        paths has the name of another or of one of the model, also of one that is not in its folder,
+        or its pixels as stored are a mirror image."""
+        require_model_folder(out)
+        known = self.colmap.images.values() if self.colmap else ()
+        names = {*self.poses} | {image.name for image in known}
+        for path in map(Path, paths):
+            orientation = image_header(path).exif.orientation
+            if path.name in names:
+                known_name = f"has an image {path.name} already, not {path} too"
+                raise InputError(ArgumentName("add"), known_name)
+            if np.linalg.det(exif_turn(orientation)) < 0:
+                mirrored = f"by EXIF orientation {orientation} its pixels are a mirror image"
+                raise InputError(f"{path}: {mirrored}")
+            names.add(path.name)
 
     def write(self, folder: Path, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> None:
         """Write COLMAP's binary files, of the pixels as stored, over what is there: with all that
@@ -254,16 +263,11 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
     return converted
 
 
-def write_points(file: Path, points: np.ndarray, colours: np.ndarray, name: str | Path) -> None:
-    """Write points (N, 3) and their colours (N, 3) uint8 RGB as PLY, as COLMAP does.
-
-    Raises DgcPoseError, with the output's name, if the file is not whole: COLMAP raises nothing for
-    a full disk.
-    """
-    model = pycolmap.Reconstruction()
-    for point, colour in zip(points, colours, strict=True):
-        model.add_point3D(point, pycolmap.Track(), colour)
-    model.export_PLY(file)
-    size, least = file.stat().st_size, _POINT_BYTES * len(points)
-    if size < least:
-        raise DgcPoseError(f"{name}: {size} of {least} bytes were written")
+def write_points(file: Path, points: np.ndarray, colours: np.ndarray) -> None:
+    """Write points (N, 3) and their colours (N, 3) uint8 RGB as PLY. Raises OSError."""
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
+    rows = np.hstack([points.astype("<f4", order="C").view(np.uint8), colours])
+    with writing(file):
+        file.write_bytes("\n".join([*lines, "end_header\n"]).encode() + rows.tobytes())

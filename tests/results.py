@@ -1,16 +1,13 @@
 """Results of pairs whose poses are made up or known."""
 
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 from multi_view import SIZE, K
-from scenes import project
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.colmap.shared import PairGeometry
 from dgc_pose.estimation import Hypothesis, RelativePose
 from dgc_pose.estimation.evidence import Evidence
 
@@ -86,21 +83,3 @@ def true_row(
 def camera() -> Camera:
     """Of all views of `multi_view`."""
     return Camera(K, SIZE)
-
-
-def cloud_pairs(
-    poses: list[tuple[np.ndarray, np.ndarray]], *, count: int, noise_px: float, seed: int = 0
-) -> list[PairGeometry]:
-    """All pairs of views as a batch would find them, each with matches of the same points and noise
-    of its own."""
-    rng = np.random.default_rng(seed)
-    points = rng.uniform(-1, 1, (count, 3)) * (1.5, 1.0, 0.8) + (0, 0.1, 4.6)
-    seen = [project(points, K, R, t) for R, t in poses]
-    pairs = []
-    for i, j in combinations(range(len(poses)), 2):
-        (R1, t1), (R2, t2) = poses[i], poses[j]
-        R = R2 @ R1.T
-        row = true_row((f"view{i}.png", f"view{j}.png"), R, t2 - R @ t1, count=count)
-        noisy = [seen[k] + noise_px * rng.standard_normal((count, 2)) for k in (i, j)]
-        pairs.append(PairGeometry(row, (camera(), camera()), *noisy, np.linspace(1, 0.5, count)))
-    return pairs

@@ -14,8 +14,6 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.rotation import quaternion_wxyz
-from dgc_pose.localization.adding import require_addable, write_model_with
-from dgc_pose.localization.location import Location
 from dgc_pose.model import load_model
 
 SCENE = world_scene(count=20)
@@ -117,34 +115,9 @@ def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["binary", "table"])
-def test_a_located_photograph_is_added(kind: str, images: Path, tmp_path: Path) -> None:
-    is_colmap = kind == "binary"
-    source = (
-        write_colmap(SCENE, tmp_path / "m") if is_colmap else _table(SCENE, tmp_path / "poses.csv")
-    )
-    photo = tmp_path / "new.png"
-    cv2.imwrite(str(photo), np.zeros((480, 640), np.uint8))
-    camera = Camera(np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]]))
-    location = Location(
-        "located", "", (), SCENE.R, SCENE.centre, covariance=np.eye(6), camera=camera
-    )
-    model = load_model(source, images)
-    out = tmp_path / "out"
-    require_addable(out, model, [str(photo)])
-    write_model_with(out, model, {str(photo): location})
-    written = pycolmap.Reconstruction(tmp_path / "out")
-    added = written.find_image_with_name("new.png")
-    assert added is not None and written.num_images() == 6
-    np.testing.assert_allclose(added.cam_from_world().matrix(), location.cam_from_world, atol=1e-12)
-    assert written.cameras[added.camera_id].params.tolist() == [500, 500, 320.5, 240.5]
-    assert written.num_points3D() == (20 if is_colmap else 0)
-    again = load_model(tmp_path / "out", images)
-    assert sorted(again.poses) == SCENE.names  # the photograph is in another folder
-
-
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
-    orientation: int, images: Path, tmp_path: Path
+    orientation: int, kind: str, images: Path, tmp_path: Path
 ) -> None:
     """Points of the world are where they are in the file, by Pillow's own turn of the pixels."""
     stored = PIL.Image.fromarray(np.arange(120 * 160, dtype=np.int32).reshape(120, 160))
@@ -157,25 +130,26 @@ def test_a_turned_photograph_is_added_for_its_pixels_as_stored(
     lens = Distortion("OPENCV", (0.05, -0.02, 0.01, -0.02))
     matrix = np.array([[100.0, 0, 70], [0, 110, 65], [0, 0, 1]])
     camera = Camera(matrix, upright.shape[::-1], lens)
-    location = Location("located", "", (), SCENE.R, SCENE.centre, camera=camera)
-    source = load_model(write_colmap(SCENE, tmp_path / "m"), images)
-    require_addable(tmp_path / "out", source, [str(photo)])
-    write_model_with(tmp_path / "out", source, {str(photo): location})
+    pose = np.column_stack([SCENE.R, -SCENE.R @ SCENE.centre])
+    table = _table(SCENE, tmp_path / "poses.csv")
+    source = load_model(write_colmap(SCENE, tmp_path / "m") if kind == "binary" else table, images)
+    source.require_addable(tmp_path / "out", [str(photo)])
+    source.write(tmp_path / "out", {photo: (camera, pose)})
     model = pycolmap.Reconstruction(tmp_path / "out")
+    assert model.num_images() == 6 and model.num_points3D() == (20 if kind == "binary" else 0)
     added = model.find_image_with_name("new.jpg")
     assert added is not None
     as_stored = model.cameras[added.camera_id]
     assert (as_stored.width, as_stored.height) == (160, 120)
     for point in SCENE.points:
-        seen = SCENE.R @ (point - SCENE.centre)
-        at = camera.project(seen[None, :2] / seen[2])[0]
+        x, y, z = pose[:, :3] @ point + pose[:, 3]
+        at = camera.project(np.array([[x / z, y / z]]))[0]
         in_file = as_stored.img_from_cam(added.cam_from_world() * point) - 0.5
         column, line = np.round(at).astype(int)
         if 0 <= column < upright.shape[1] and 0 <= line < upright.shape[0]:
             y, x = divmod(int(upright[line, column]), 160)
             assert np.abs(in_file - (x, y)).max() <= 0.5 + 1e-6
     again = load_model(tmp_path / "out", images)
-    pose = np.column_stack([SCENE.R, -SCENE.R @ SCENE.centre])
     np.testing.assert_allclose(again.poses["new.jpg"], pose, atol=1e-9)
     np.testing.assert_allclose(again.cameras["new.jpg"].K, matrix)
 
@@ -197,5 +171,5 @@ def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path)
         ([tmp_path / "mirrored.jpg"], "by EXIF orientation 5 its pixels are a mirror image"),
     ):
         with pytest.raises(InputError, match=words):
-            require_addable(tmp_path / "out", model, list(map(str, paths)))
-    require_addable(tmp_path / "out", model, [str(first)])
+            model.require_addable(tmp_path / "out", paths)
+    model.require_addable(tmp_path / "out", [first])

@@ -7,7 +7,7 @@ import click
 
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.files import finite_data
-from dgc_pose.benchmarks.locations import left_out, placed, report, thinned, true_model
+from dgc_pose.benchmarks.locations import placed, report, thinned, true_model
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.errors import ArgumentName, InputError
@@ -65,10 +65,9 @@ def bench_locate(
         above = sum((location.probability or 0) > 0.5 for location in locations)
         click.echo(f"{above} of {len(locations)} placed above 0.5")
         return
-    cases = [*left_out(sorted(model.poses), bench.apart)]
     scores = []
-    for name, without in thinned(cases, bench.count):
-        scores.append(placed(locator, name, without, bench.k))
+    for name in thinned(sorted(model.poses), bench.count):
+        scores.append(placed(locator, name, bench.apart, bench.k))
         score = scores[-1]
         click.echo(
             f"{name}: {score.status}, {score.rotation_deg:.3f} deg, {score.position_percent:.3f} %",

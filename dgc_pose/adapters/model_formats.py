@@ -41,7 +41,7 @@ def nerfstudio(model: pycolmap.Reconstruction, images: Path | None, out: Path, a
         values = zip(camera.params_info.split(", "), camera.params.tolist(), strict=True)
         frames.append(frame | {_KEYS.get(name, name): value for name, value in values})
     cloud = Model.of_colmap(model, Path())
-    write_points(out / "points.ply", cloud.points, cloud.colours, "points.ply")
+    write_points(out / "points.ply", cloud.points, cloud.colours)
     lens = "OPENCV" if lenses <= _PERSPECTIVE else "OPENCV_FISHEYE"
     data = {"camera_model": lens, "ply_file_path": "points.ply", "frames": frames}
     write_json(out / "transforms.json", data)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.batch.result import Batch
-from dgc_pose.colmap.export import share, write_shared
+from dgc_pose.colmap.database import share, write_shared
 from dgc_pose.colmap.mapping import MappingError, map_database, refine_centres
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.shared import SharedMatches
+from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.files.json_files import write_json
@@ -68,7 +68,7 @@ def reconstruct(
                 model.write_binary(folder / str(number or ""))
         models = [load_model(out / MODEL / str(n or ""), plan.root) for n in range(len(found))]
         with replaced(out / POINTS) as temporary:
-            write_points(temporary, models[0].points, models[0].colours, out / POINTS)
+            write_points(temporary, models[0].points, models[0].colours)
     return models, shared, metric
 
 

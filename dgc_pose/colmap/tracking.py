@@ -1,13 +1,14 @@
-"""Shared key points by tracking: a corner of one image is located anew in each of its pairs.
+"""Key points that all pairs of an image share, by tracking.
 
-For each image, corners are chosen that many of its pairs have matches at. In each pair the local
-affinity of the matches predicts where a corner lies in the other image, and alignment of patches
-locates it there to a fraction of a pixel. A corner and its locations are one track: nothing is
-merged, so no match is moved.
+A reconstruction needs points that are seen in three views and more, and matches of a dense matcher
+lie at fresh places in each pair. So for each image corners are chosen that many of its pairs have
+matches at. In each pair the local affinity of the matches predicts where a corner lies in the other
+image, and alignment of patches locates it there to a fraction of a pixel. A corner and its
+locations are one track: nothing is merged, so no match is moved.
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -15,7 +16,8 @@ import cv2
 import numpy as np
 
 from dgc_pose.batch.poses import epipolar_error_px
-from dgc_pose.colmap.shared import Names, PairGeometry, SharedMatches, one_to_one
+from dgc_pose.batch.rows import PairRow
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
@@ -31,12 +33,21 @@ _MAX_ERROR_PX = 1.0  # Sampson distance to the pose of the pair
 
 
 @dataclass(frozen=True, eq=False)
-class Transferred:
-    """Corners of image 2 in image 1."""
+class PairGeometry:
+    """A pair whose images show the same scene."""
 
-    corner: np.ndarray  # (M,) int, which corners
-    points: np.ndarray  # (M, 2) float64, pixels of image 1
-    zncc: np.ndarray  # (M,) float64
+    row: PairRow  # of status ok, planar or rotation_only
+    cameras: tuple[Camera, Camera]  # that the pose is of
+    matches: Matches  # that fit the pose
+
+
+@dataclass(frozen=True, eq=False)
+class SharedMatches:
+    """Key points of images, and matches between them."""
+
+    key_points: Mapping[str, np.ndarray]  # (N, 2) float64 by image, (0, 0) the first pixel's centre
+    # (M, 2) uint32, indices of key points, by pair; a pair that shares none is absent
+    pairs: Mapping[tuple[str, str], np.ndarray]
 
 
 def track_corners(
@@ -50,14 +61,15 @@ def track_corners(
     load: an image by its name; it is called for neighbouring images again and again, and should
     cache the latest ones. per_image: most corners of an image, evenly spread.
     """
-    by_names = {pair.names: pair for pair in pairs}
+    by_names = {pair.row.names: pair for pair in pairs}
     pairs_of: defaultdict[str, list[PairGeometry]] = defaultdict(list)
     for pair in pairs:
-        for name in pair.names:
+        for name in pair.row.names:
             pairs_of[name].append(pair)
     key_points: defaultdict[str, list[np.ndarray]] = defaultdict(list)
     # By pair: indices of key points and scores.
-    matches: dict[Names, list[tuple[np.ndarray, np.ndarray]]] = {names: [] for names in by_names}
+    matches: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]]
+    matches = {names: [] for names in by_names}
 
     def numbered(name: str, points: np.ndarray) -> np.ndarray:
         """The indices (N,) of new key points."""
@@ -67,27 +79,27 @@ def track_corners(
 
     for number, (name, its_pairs) in enumerate(pairs_of.items(), start=1):
         corners, tracks = _tracks_of(name, its_pairs, load, per_image)
-        seen = np.isin(np.arange(len(corners)), np.concatenate([t.corner for t in tracks.values()]))
+        seen = np.isin(np.arange(len(corners)), np.concatenate([t[0] for t in tracks.values()]))
         key_point = np.full(len(corners), -1)
         key_point[seen] = numbered(name, corners[seen])
-        indices = {other: numbered(other, track.points) for other, track in tracks.items()}
-        for other, track in tracks.items():
-            ends = key_point[track.corner], indices[other]
+        indices = {other: numbered(other, points) for other, (_, points, _) in tracks.items()}
+        for other, (corner, _, zncc) in tracks.items():
+            ends = key_point[corner], indices[other]
             names = (name, other) if (name, other) in matches else (other, name)
             ends = ends if names[0] == name else ends[::-1]
-            matches[names].append((np.column_stack(ends), track.zncc))
+            matches[names].append((np.column_stack(ends), zncc))
         # Two images that share a corner of a third are matched there too, if they are a pair.
         for names in permutations(tracks, 2):
             if names in by_names:
-                track1, track2 = (tracks[name] for name in names)
+                (corner1, points1, zncc1), (corner2, points2, zncc2) = (tracks[n] for n in names)
                 _, in1, in2 = np.intersect1d(
-                    track1.corner, track2.corner, assume_unique=True, return_indices=True
+                    corner1, corner2, assume_unique=True, return_indices=True
                 )
-                pair, points = by_names[names], (track1.points[in1], track2.points[in2])
-                fits = epipolar_error_px(pair.row, pair.cameras, *points) <= _MAX_ERROR_PX
-                in1, in2 = in1[fits], in2[fits]
+                pair = by_names[names]
+                error = epipolar_error_px(pair.row, pair.cameras, points1[in1], points2[in2])
+                in1, in2 = in1[error <= _MAX_ERROR_PX], in2[error <= _MAX_ERROR_PX]
                 ends = indices[names[0]][in1], indices[names[1]][in2]
-                scores = np.minimum(track1.zncc[in1], track2.zncc[in2])
+                scores = np.minimum(zncc1[in1], zncc2[in2])
                 matches[names].append((np.column_stack(ends), scores))
         progress(number, len(pairs_of))
     shared = {}
@@ -98,51 +110,65 @@ def track_corners(
     return SharedMatches({k: np.concatenate(v) for k, v in key_points.items()}, shared)
 
 
+def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Matches among (M, 2) in which no key point occurs twice: the best scored ones, in their
+    order."""
+    best = np.ones(len(index), dtype=bool)
+    order = np.argsort(-scores, kind="stable")
+    for side in (0, 1):
+        order = order[best[order]]
+        _, first = np.unique(index[order, side], return_index=True)
+        best &= np.isin(np.arange(len(index)), order[first])
+    return index[best]
+
+
 def _tracks_of(
     name: str, pairs: Sequence[PairGeometry], load: Callable[[str], Image], per_image: int
-) -> tuple[np.ndarray, dict[str, Transferred]]:
-    """The corners (N, 2) of an image, and where each other image of a pair has them."""
+) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """The corners (N, 2) of an image, and by other images of its pairs which of these they have,
+    where, and their ZNCC."""
     image = load(name)
     grey = _grey(image)
     matches_of_pairs = []  # with the image `name` as image 2
     for pair in pairs:
-        _, points1, points2 = pair.towards(name)
-        raw = Matches(points1, points2, pair.scores, pair.row.error_px or 1.0)
+        raw = pair.matches if name == pair.row.name2 else _swapped(pair.matches)
         matches_of_pairs.append(consistent(raw, _AFFINITY_MATCHES))
     corners = _choose(grey, matches_of_pairs, per_image)
     corners = corners[~image.is_masked(corners)]
     tracks = {}
     for pair, matches in zip(pairs, matches_of_pairs, strict=True):
-        other, *_ = pair.towards(name)
-        moved, scale = transferred(image, load(other), matches, corners)
-        points1, points2 = moved.points, corners[moved.corner]
-        if pair.row.name1 == name:
-            points1, points2 = points2, points1
+        is_first = pair.row.name1 == name
+        other = pair.row.name2 if is_first else pair.row.name1
+        corner, points, zncc, scale = _transferred(image, load(other), matches, corners)
+        ends = (corners[corner], points) if is_first else (points, corners[corner])
         tolerance = _MAX_ERROR_PX * max(1.0, scale)
-        good = epipolar_error_px(pair.row, pair.cameras, points1, points2) <= tolerance
-        tracks[other] = Transferred(moved.corner[good], moved.points[good], moved.zncc[good])
+        good = epipolar_error_px(pair.row, pair.cameras, *ends) <= tolerance
+        tracks[other] = corner[good], points[good], zncc[good]
     return corners, tracks
 
 
-def transferred(
+def _transferred(
     image2: Image, image1: Image, matches: LocalMatches, corners: np.ndarray
-) -> tuple[Transferred, float]:
-    """Where corners (N, 2) of image 2 lie in image 1: of those that have a match near, and whose
-    patches can be aligned; and the scale of image 1 over image 2. matches: consistent ones of both
-    images."""
-    start = _predicted(corners, matches, _MAX_DISTANCE_TO_MATCH * max(image2.size))
-    if len(start.index) == 0:
-        return Transferred(start.index, start.points1, np.zeros(0)), 1.0
-    scale = float(np.median(np.sqrt(np.linalg.det(start.affinity))))
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Where corners (N, 2) of image 2 lie in image 1: which have a match near and patches that can
+    be aligned (M,), where (M, 2), their ZNCC (M,); and the scale of image 1 over image 2. matches:
+    consistent ones of both images."""
+    distance, nearest = nearest_to(corners, matches.points2)
+    index = np.flatnonzero(distance <= _MAX_DISTANCE_TO_MATCH * max(image2.size))
+    if len(index) == 0:
+        return index, np.zeros((0, 2)), np.zeros(0), 1.0
+    near = matches.subset(nearest[index])
+    begin = near.points1 + np.einsum("nij,nj->ni", near.affinity, corners[index] - near.points2)
+    scale = float(np.median(np.sqrt(np.linalg.det(near.affinity))))
     aligned = locate(
         _smoothed(_grey(image1), scale),
         _smoothed(_grey(image2), 1 / scale),
-        start,
+        LocalMatches(begin, corners[index], near.affinity, index),
         radius=PATCH_RADIUS,
         max_shift=_MAX_SHIFT_PX * max(1.0, scale),
     )
     good = aligned.converged & (aligned.zncc >= MIN_ZNCC) & ~image1.is_masked(aligned.points1)
-    return Transferred(aligned.index[good], aligned.points1[good], aligned.zncc[good]), scale
+    return index[good], aligned.points1[good], aligned.zncc[good], scale
 
 
 def points_in(
@@ -152,10 +178,12 @@ def points_in(
 
     matches: points1 in the reference, points2 in the image.
     """
-    turned = replace(matches, points1=matches.points2, points2=matches.points1)
-    local = consistent(turned, _AFFINITY_MATCHES)
-    moved, _ = transferred(reference, image, local, corners)
-    return moved.corner, moved.points
+    local = consistent(_swapped(matches), _AFFINITY_MATCHES)
+    return _transferred(reference, image, local, corners)[:2]
+
+
+def _swapped(matches: Matches) -> Matches:
+    return replace(matches, points1=matches.points2, points2=matches.points1)
 
 
 def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: int) -> np.ndarray:
@@ -176,16 +204,6 @@ def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: in
     points = rows[np.sort(first), :2]
     rank = np.argsort(np.argsort(strength)) / len(strength)  # below 1: support decides first
     return points[spread(points, support + rank, grey.shape[::-1], most)]
-
-
-def _predicted(corners: np.ndarray, matches: LocalMatches, reach: float) -> LocalMatches:
-    """Where corners of image 2 are expected in image 1, of those with a match within `reach`;
-    `index` is that of the corners."""
-    distance, nearest = nearest_to(corners, matches.points2)
-    index = np.flatnonzero(distance <= reach)
-    near = matches.subset(nearest[index])
-    start = near.points1 + np.einsum("nij,nj->ni", near.affinity, corners[index] - near.points2)
-    return LocalMatches(start, corners[index], near.affinity, index)
 
 
 def _grey(image: Image) -> np.ndarray:

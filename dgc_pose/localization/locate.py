@@ -91,7 +91,13 @@ class Locator:
         start, seconds = time.perf_counter(), dict[str, float]()
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
-        names, warnings = self._candidates(image, left_out)
+        same = [n for n in self.model.poses if _same_file(self.model.root / n, Path(image.name))]
+        names = [n for n in self.model.poses if n not in {*left_out, *same}]
+        if not names:
+            raise InputError("the model has no other image than the query")
+        warnings = list[str]()
+        if same and same[0] not in left_out:
+            warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
         camera = image_camera(K, image, "K", details or KDetails())
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
@@ -120,19 +126,6 @@ class Locator:
         return replace(
             location, warnings=(*warnings, *camera.warnings, *location.warnings), seconds=seconds
         )
-
-    def _candidates(
-        self, image: Image, left_out: Sequence[str]
-    ) -> tuple[list[str], tuple[str, ...]]:
-        """The images of the model that may be matched, and a warning of others."""
-        root = self.model.root
-        same = [n for n in self.model.poses if _same_file(root / n, Path(image.name))]
-        names = [n for n in self.model.poses if n not in {*left_out, *same}]
-        if not names:
-            raise InputError("the model has no other image than the query")
-        if same and same[0] not in left_out:
-            return names, (f"{image.name} is in the model as {same[0]}, which is not matched",)
-        return names, ()
 
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches

@@ -75,10 +75,9 @@ class LocationSearch:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting = camera, list(names)
         self.pairs: list[Pair] = []
-        self.correspondences: dict[
-            str, PairCorrespondences
-        ] = {}  # of the pairs that have hypotheses
-        self.agreeing: dict[str, PairCorrespondences] = {}  # with the pose of all
+        # By name: of the pairs that have hypotheses, and of those that agree with the pose of all.
+        self.correspondences: dict[str, PairCorrespondences] = {}
+        self.agreeing: dict[str, PairCorrespondences] = {}
         self.pose: WorldPose | None = None
         self.fitted = camera
         self.covariance: np.ndarray | None = None

@@ -19,11 +19,7 @@ from dgc_pose.matching.warp import shown_size, shrunk, warp_image
 Pair = tuple[float, float]
 _GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
 _WIDE = 4.0  # sum of the images' width over height: from there on image 2 stands below image 1
-MATCHABILITY_COLOURS = "viridis"
-RESIDUAL_COLOURS = "cool"  # cyan to magenta: both stand out from a photograph, dark or light
-CONFIDENCE_COLOURS = "cool_r"
 _HALO = [withStroke(linewidth=1.6, foreground="black", alpha=0.5)]  # of lines, for bright images
-LINE_COLOURS = "hsv"
 
 
 def draw_image(axes: Axes, pixels: np.ndarray) -> None:
@@ -53,7 +49,7 @@ def draw_matches(
     left, top, right, bottom, scale = second_place(pixels1, pixels2)
     _show(axes, shrunk(pixels1), pixels1.shape[1::-1])
     _show(axes, shrunk(pixels2), (right, bottom), (left, top))
-    colours = colours or ScalarMappable(Normalize(0, 1), CONFIDENCE_COLOURS)
+    colours = colours or ScalarMappable(Normalize(0, 1), "cool_r")
     shades = colours.to_rgba(values)
     lines = np.stack([points1, (points2 + 0.5) * scale + (left - 0.5, top - 0.5)], axis=1)
     drawn = LineCollection(list(lines), colors=shades, linewidths=0.8, path_effects=_HALO)
@@ -77,7 +73,8 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
     """Colours from 0 to the 95 % quantile of the finite residuals (N,), for `draw_matches`."""
     finite = residuals[np.isfinite(residuals)]
     most = float(np.quantile(finite, 0.95)) if len(finite) else 1.0
-    return ScalarMappable(Normalize(0, max(most, 1e-3)), RESIDUAL_COLOURS)
+    # Cyan to magenta: both stand out from a photograph, dark or light.
+    return ScalarMappable(Normalize(0, max(most, 1e-3)), "cool")
 
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
@@ -95,7 +92,7 @@ def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
 def draw_matchability(axes: Axes, pixels2: np.ndarray, matchability: np.ndarray) -> ScalarMappable:
     """Draw the matchability (H', W') in [0, 1] over image 2. Returns what a colour bar needs."""
     grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY)
-    colours = ScalarMappable(Normalize(0, 1), MATCHABILITY_COLOURS)
+    colours = ScalarMappable(Normalize(0, 1), "viridis")
     shown = cv2.resize(matchability.astype(np.float32), grey.shape[::-1])
     shaded = colours.to_rgba(shown)[..., :3] * (0.35 + 0.65 * grey[..., None] / 255)
     _show(axes, shaded, pixels2.shape[1::-1])
@@ -130,5 +127,5 @@ def _show(axes: Axes, picture: np.ndarray, end: Pair, start: Pair = (0.0, 0.0)) 
 
 def line_colours(count: int) -> np.ndarray:
     """Colours (N, 4) of as many lines or cameras, around the circle of hues."""
-    shades = ScalarMappable(Normalize(0, max(count, 1)), LINE_COLOURS)
+    shades = ScalarMappable(Normalize(0, max(count, 1)), "hsv")
     return shades.to_rgba(np.arange(count))

@@ -1,8 +1,11 @@
 """One figure that shows what a pose was estimated from."""
 
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.cameras.camera import Camera
@@ -13,7 +16,7 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matching.align import spread
 from dgc_pose.pair_result import PairResult
-from dgc_pose.viz.figure import WIDTH, panel_rows, row_height
+from dgc_pose.viz.figure import WIDTH, new_figure
 from dgc_pose.viz.panels import (
     draw_curves,
     draw_image,
@@ -31,6 +34,9 @@ _CURVE_POINTS = 500  # of an epipolar line through a lens
 # Ends of the rows of panels, the largest panels first.
 _ARRANGEMENTS = ((1, 2, 3, 4, 5), (1, 3, 5), (1, 5), (5,))
 _MAX_HEIGHT = 1.4  # of all rows, as a share of the width
+# Inches: between the panels of a row; around the figure; of a line of text; the mean character of a
+# title; the height of a row at most.
+_GAP, _MARGIN, _LINE, _CHARACTER, _MAX_PANEL = 0.1, 0.08, 0.19, 0.078, 20.0
 _NAME = 28  # characters of a file's name
 
 
@@ -42,12 +48,8 @@ def plot_pose(result: PairResult) -> Figure:
     is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
     lens with distortion an epipolar line is a curve.
     """
-    pose, image1, image2, dense = (
-        result.pose,
-        result.image1,
-        result.image2,
-        result.correspondence_map,
-    )
+    pose, dense = result.pose, result.correspondence_map
+    image1, image2 = result.image1, result.image2
     chosen = np.flatnonzero(pose.inliers) if pose.inliers.any() else np.arange(len(result.matches))
     shown = _spread(result, chosen, DRAWN_MATCHES)
     matches, values, colours = result.matches.subset(shown), result.matches.confidence[shown], None
@@ -57,12 +59,7 @@ def plot_pose(result: PairResult) -> Figure:
         colours = residual_colours(values)
         legend = f"cyan to magenta: residuals of 0 to {colours.get_clim()[1]:.2g} px"
     panels = _panels(result, f"{len(shown)} of {len(chosen)}", legend)
-    for ends in _ARRANGEMENTS:
-        rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
-        heights = [row_height([aspect for aspect, _ in row], WIDTH) for row in rows]
-        if sum(heights) <= _MAX_HEIGHT * WIDTH:
-            break
-    figure, (lines_axes, left, right, *map_axes) = panel_rows(rows, _headline(pose))
+    figure, (lines_axes, left, right, *map_axes) = _panels_in_rows(panels, _headline(pose))
     points = matches.points1, matches.points2
     draw_matches(lines_axes, image1.pixels, image2.pixels, *points, values, colours=colours)
     matches = result.matches.subset(_spread(result, chosen, DRAWN_LINES))
@@ -111,6 +108,50 @@ def _panels(result: PairResult, counts: str, legend: str) -> list[tuple[float, s
         (aspect2, f"{name1} warped onto {name2}, pale if not matchable"),
     ]
     return panels[: 3 if result.correspondence_map is None else 5]
+
+
+def _panels_in_rows(
+    panels: Sequence[tuple[float, str]], headline: str
+) -> tuple[Figure, list[Axes]]:
+    """A figure `WIDTH` wide and the axes of its panels, of which each is given by its aspect and
+    its title. The panels of a row have one height and fill the width, so that no band stays blank.
+    Titles are broken where their panel is narrow; the headline stands above all."""
+    for ends in _ARRANGEMENTS:
+        rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
+        free = [WIDTH - 2 * _MARGIN - _GAP * (len(row) - 1) for row in rows]
+        wide = [sum(aspect for aspect, _ in row) for row in rows]
+        heights = [min(f / w, _MAX_PANEL) for f, w in zip(free, wide, strict=True)]
+        if sum(heights) <= _MAX_HEIGHT * WIDTH:
+            break
+    head = _wrapped(headline, WIDTH - 2 * _MARGIN)
+    titles = [
+        [_wrapped(title, aspect * height) for aspect, title in row]
+        for row, height in zip(rows, heights, strict=True)
+    ]
+    strips = [0.14 + _LINE * max(map(len, of_row)) for of_row in titles]
+    top = _MARGIN + _LINE * len(head)
+    total = top + sum(heights) + sum(strips) + _MARGIN
+    figure = new_figure(WIDTH, total)
+    figure.set_layout_engine("none")
+    corner = _MARGIN / WIDTH, 1 - _MARGIN / total
+    # Without mathematics: the name of a file may be what would be a formula.
+    figure.text(*corner, "\n".join(head), va="top", fontsize=10, parse_math=False)
+    drawn = []
+    for row, of_row, height, strip in zip(rows, titles, heights, strips, strict=True):
+        top += strip + height
+        sizes = [aspect * height for aspect, _ in row]
+        left = (WIDTH - sum(sizes) - _GAP * (len(row) - 1)) / 2
+        for size, title in zip(sizes, of_row, strict=True):
+            box = (left / WIDTH, 1 - top / total, size / WIDTH, height / total)
+            drawn.append(figure.add_axes(box))
+            drawn[-1].set_title("\n".join(title), fontsize=10, loc="left", parse_math=False, pad=4)
+            left += size + _GAP
+    return figure, drawn
+
+
+def _wrapped(text: str, width: float) -> list[str]:
+    most = max(8, int(width / _CHARACTER))
+    return [line for part in text.splitlines() for line in textwrap.wrap(part, most)]
 
 
 def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:

@@ -13,7 +13,7 @@ from multi_view import K, K_text, render_views
 from results import ambiguous_pose
 
 from dgc_pose.batch.result import group_name, read_batch
-from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.colmap.database import pair_geometries
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.geometry.rotation import rotation_angle_deg
@@ -95,7 +95,7 @@ def test_an_ambiguous_pair_is_counted_and_has_no_geometry(photos, tmp_path, monk
     assert ambiguous.pose is not None and len(ambiguous.pose.alternatives) == 2
     assert batch.summary["by_status"] == {"ambiguous": 1, "bad_input": 3, "ok": 2}
     assert batch.summary["poses"] == 2
-    exported = [pair.names for pair in pair_geometries(batch)]
+    exported = [pair.row.names for pair in pair_geometries(batch)]
     assert len(exported) == 2 and (ambiguous.name1, ambiguous.name2) not in exported
 
 

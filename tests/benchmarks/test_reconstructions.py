@@ -52,10 +52,8 @@ def test_a_list_is_chained(scene: tuple[Path, Path, list[View]]) -> None:
     found = views_of_list(path, folder)
     assert sorted(found.poses) == [f"view{i}.png" for i in range(4)]
     true = {f"view{i}.png": np.column_stack([v.R, v.t]) for i, v in enumerate(views)}
-    for a, b in (("view0.png", "view3.png"), ("view3.png", "view1.png")):
-        np.testing.assert_allclose(
-            _relative(dict(found.poses), a, b), _relative(true, a, b), atol=1e-9
-        )
+    ends = "view0.png", "view3.png"
+    np.testing.assert_allclose(_relative(dict(found.poses), *ends), _relative(true, *ends))
     assert found.cameras["view0.png"].size == SIZE
     lines = path.read_text().splitlines()
     (folder.parent / "broken.txt").write_text("\n".join([lines[0], lines[2]]))
@@ -131,8 +129,6 @@ def test_the_command(
     summary = json.loads((out / "summary.json").read_text())["methods"]
     assert [one["method"] for one in summary] == ["sift", "colmap-sift"]
     for one in summary:
-        assert one["registered"] == 4
-        assert one["position_percent"] < 2
-        assert (one["focal_percent"] < 1e-9) == (not withheld)
-        assert one["focal_percent"] < 5
+        assert one["registered"] == 4 and one["position_percent"] < 2
+        assert one["focal_percent"] < (5 if withheld else 1e-9)
     assert "track length" in done.output

@@ -36,7 +36,7 @@ def test_a_folder_may_have_any_name(views: Path, tmp_path: Path, name: str) -> N
     assert (done.exit_code, done.stderr) == (0, ""), done.output
     assert read_batch(out).summary["poses"] == 3
     database = out.parent / f"{name}.db"
-    exported = run("export-colmap", out, "--database", database)
+    exported = run("export-colmap", out, "--database", database, "--hloc", out.parent / "hloc")
     assert exported.exit_code == 0, exported.output
     shutil.copy(database, tmp_path / "plain.db")
     with pycolmap.Database.open(tmp_path / "plain.db") as opened:

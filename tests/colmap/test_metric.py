@@ -21,22 +21,15 @@ NAMES = [f"view{n}.png" for n in range(6)]
 GPS = ReconstructionOptions(gps=True)
 
 
-def gps_tags(latitude: float, longitude: float, altitude: float) -> PIL.Image.Exif:
-    exif = PIL.Image.Exif()
-    exif[271] = "Maker"  # Pillow writes no block of GPS alone
-    angles = [(int(a), int(a * 60) % 60, a * 3600 % 60) for a in (abs(latitude), abs(longitude))]
-    exif.get_ifd(34853).update(
-        {1: "NS"[int(latitude < 0)], 2: angles[0], 3: "EW"[int(longitude < 0)], 4: angles[1], 5: 0}
-        | {6: altitude}
-    )
-    return exif
-
-
 def tag(path: Path, enu: np.ndarray) -> None:
     """Write GPS tags of a place (3,), metres east, north and up, into a photograph."""
-    place = pycolmap.GPSTransform().enu_to_ellipsoid(enu[None], LATITUDE, LONGITUDE, ALTITUDE)[0]
-    image = PIL.Image.open(path) if path.exists() else PIL.Image.new("RGB", (40, 30))
-    image.save(path, exif=gps_tags(*place))
+    of_earth = pycolmap.GPSTransform()
+    *angles, altitude = of_earth.enu_to_ellipsoid(enu[None], LATITUDE, LONGITUDE, ALTITUDE)[0]
+    south, west = ((int(-a), int(-a * 60) % 60, -a * 3600 % 60) for a in angles)
+    exif = PIL.Image.Exif()
+    exif[271] = "Maker"  # Pillow writes no block of GPS alone
+    exif.get_ifd(34853).update({1: "S", 2: south, 3: "W", 4: west, 5: 0, 6: altitude})
+    PIL.Image.new("RGB", (40, 30)).save(path, exif=exif)
 
 
 def places(seed: int = 0) -> np.ndarray:
@@ -65,28 +58,20 @@ def centres_of(model: pycolmap.Reconstruction) -> np.ndarray:
     return np.array([by_name[name] for name in sorted(by_name)])
 
 
-def test_gps_gives_metres_east_north_and_up(tmp_path: Path) -> None:
+@pytest.mark.parametrize("wrong", [0, 300])
+def test_gps_gives_metres_east_north_and_up(tmp_path: Path, wrong: float) -> None:
+    """Also where one position is wrong, which counts as none."""
     true = places()
     noise = np.random.default_rng(1).normal(0, 0.5, true.shape)
-    for name, place in zip(NAMES, true + noise, strict=True):
-        tag(tmp_path / name, place)
+    for number, name in enumerate(NAMES):
+        tag(tmp_path / name, true[number] + noise[number] + (wrong * (number == 4), 0, 0))
     turn = Rotation.from_euler("xyz", [1.0, 0.5, -2.0]).as_matrix()
     model = model_of(0.013 * true @ turn.T + (3, -2, 8))
     facts = to_metres(model, tmp_path, NAMES, GPS)
     assert np.linalg.norm(centres_of(model) - (true - noise[0]), axis=1).max() < 2
     assert facts["unit"] == "m" and facts["frame"].startswith("east, north, up; origin at -33.85")
-    assert 0.1 < facts["median_gps_residual_m"] <= facts["largest_gps_residual_m"] < 2
-
-
-def test_a_wrong_position_counts_as_none(tmp_path: Path) -> None:
-    true = places()
-    for number, name in enumerate(NAMES):
-        tag(tmp_path / name, true[number] + (300 * (number == 4), 0, 0))
-    model = model_of(0.5 * true)
-    facts = to_metres(model, tmp_path, NAMES, GPS)
-    assert np.linalg.norm(centres_of(model) - true, axis=1).max() < 0.1
-    assert facts["largest_gps_residual_m"] == pytest.approx(300, abs=0.1)
-    assert facts["median_gps_residual_m"] < 0.1
+    assert 0.1 < facts["median_gps_residual_m"] < 2
+    assert abs(facts["largest_gps_residual_m"] - wrong) < 2
 
 
 def test_positions_that_do_not_agree_are_told(tmp_path: Path) -> None:
@@ -97,16 +82,17 @@ def test_positions_that_do_not_agree_are_told(tmp_path: Path) -> None:
         to_metres(model_of(rng.standard_normal((6, 3))), tmp_path, NAMES, GPS)
 
 
-def test_few_positions_and_those_on_a_line_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("count", "words"), [(2, "2 of 6 photographs have a GPS position"), (6, "6 positions on one")]
+)
+def test_few_positions_or_a_line_of_them_are_refused(
+    tmp_path: Path, count: int, words: str
+) -> None:
     for number, name in enumerate(NAMES):
         PIL.Image.new("RGB", (40, 30)).save(tmp_path / name)
-        if number < 2:
-            tag(tmp_path / name, places()[number])
-    with pytest.raises(InputError, match="2 of 6 photographs have a GPS position"):
-        known_metres(tmp_path, NAMES, GPS)
-    for number, name in enumerate(NAMES):
-        tag(tmp_path / name, number * np.array([20.0, 5.0, 0.1]))
-    with pytest.raises(InputError, match="6 positions on one line"):
+        if number < count:
+            tag(tmp_path / name, number * np.array([20.0, 5.0, 0.1]))
+    with pytest.raises(InputError, match=words):
         known_metres(tmp_path, NAMES, GPS)
 
 
@@ -118,38 +104,24 @@ def test_the_distance_of_two_cameras_gives_the_scale(tmp_path: Path) -> None:
     facts = to_metres(model, tmp_path, NAMES, options)
     assert facts == {"unit": "m", "frame": "the model's own"}
     np.testing.assert_allclose(centres_of(model), true, atol=1e-6)
+    assert to_metres(model, tmp_path, NAMES, ReconstructionOptions()) == {}
     with pytest.raises(InputError, match="view4.png is not in the model"):
         to_metres(model_of(true[:4]), tmp_path, NAMES, options)
 
 
 def test_the_command(tmp_path: Path) -> None:
     folder = tmp_path / "photos"
-    views = view_folder(folder)
-    true = np.array([view.centre for view in views])
-    for number, place in enumerate(7.5 * (true - true[0])):
-        tag(folder / NAMES[number], place)
+    first, *_, last = (view.centre for view in view_folder(folder))
+    metres = 7.5 * np.linalg.norm(last - first)
     fast = ("--K", K_text(), "--weights", "sift", "--runs", 1, "--workers", 1)
-
-    def reconstruct(*words: object) -> tuple[object, Path]:
-        out = tmp_path / str(len(list(tmp_path.iterdir())))
-        return run("reconstruct", folder, "--out", out, *fast, *words), out
-
-    for words in (("--gps",), ("--scale", f"view0.png,view3.png,{7.5 * apart(true)}")):
-        result, out = reconstruct(*words)
-        assert result.exit_code == 0, result.output  # type: ignore[attr-defined]
-        assert "unit: m\nframe: " in result.stdout  # type: ignore[attr-defined]
-        assert '"unit": "m"' in (out / "summary.json").read_text()
-        centres = centres_of(pycolmap.Reconstruction(out / "sparse"))
-        assert apart(centres) == pytest.approx(7.5 * apart(true), rel=0.02)
-    for words in (
-        ("--scale", "view0.png,nosuch.png,2"),
-        ("--scale", "view0.png,view1.png,2", "--gps"),
-    ):
-        result, out = reconstruct(*words)
-        assert_refused(result, "--scale must be two of the 4 images")  # type: ignore[arg-type]
-        assert not out.exists()
-
-
-def apart(centres: np.ndarray) -> float:
-    """The distance of the first and the last of four."""
-    return float(np.linalg.norm(centres[3] - centres[0]))
+    words = ("reconstruct", folder, "--out", tmp_path / "out", *fast)
+    for scale in (("nosuch.png,2",), ("view1.png,0",), ("view0.png,2",), ("view1.png,2", "--gps")):
+        refused = run(*words, "--scale", f"view0.png,{scale[0]}", *scale[1:])
+        assert_refused(refused, "--scale must be two of the 4 images")
+        assert not (tmp_path / "out").exists()
+    result = run(*words, "--scale", f"view0.png,view3.png,{metres}")
+    assert result.exit_code == 0, result.output
+    assert "unit: m\nframe: " in result.stdout
+    assert '"unit": "m"' in (tmp_path / "out" / "summary.json").read_text()
+    centres = centres_of(pycolmap.Reconstruction(tmp_path / "out" / "sparse"))
+    assert np.linalg.norm(centres[3] - centres[0]) == pytest.approx(metres)

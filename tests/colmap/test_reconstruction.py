@@ -8,6 +8,7 @@ from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -128,27 +129,44 @@ def test_each_scene_of_a_folder_has_a_model(tmp_path: Path) -> None:
         require_model_folder(out / "sparse")
 
 
-@pytest.mark.parametrize("status", ["", "rotation_only"])
-def test_a_background_that_stands_still_is_named(status: str, tmp_path: Path) -> None:
-    """An object that turns before it, whether its pairs have no pose or a rotation of nothing."""
+def test_a_background_that_stands_still_is_named(tmp_path: Path) -> None:
+    """An object that turns before it, whose pairs have no pose."""
     views = render_views(4)
     still = [views[0].pixels.copy() for _ in views]
     for pixels, view in zip(still, views, strict=True):
         pixels[60:120, 80:160] = view.pixels[60:120, 80:160]
     write_views(tmp_path / "photos", [View(p, v.R, v.t) for p, v in zip(still, views, strict=True)])
-    folder = run_sift(tmp_path / "photos", tmp_path / "batch").folder
-
-    def turned(pair: MatchedPair) -> MatchedPair:
-        pose = RelativePose("rotation_only", "", np.ones(len(pair.matches), bool), 9, R=np.eye(3))
-        return replace(pair, row=row_of(pair.row.names, pose, 0.5, pair.row.index))
-
-    if status:
-        change_result(folder, turned)
-    said = "made no model of 3 images" if status else "no pair of this batch has a pose"
+    batch = run_sift(tmp_path / "photos", tmp_path / "batch")
     stay = r" \(in 6 of 6 pairs most matches stay at the same pixels: masks leaves a background"
-    with pytest.raises((InputError, MappingError), match=said + stay):
-        reconstruct(read_batch(folder), tmp_path / "model")
+    with pytest.raises(InputError, match="no pair of this batch has a pose" + stay):
+        reconstruct(batch, tmp_path / "model")
     assert not (tmp_path / "model" / "sparse").exists()
+
+
+def test_the_command_that_exports(batch: Batch, tmp_path: Path) -> None:
+    """To COLMAP, and to hloc's files: with the same matches of key points half a pixel apart."""
+    path, hloc = tmp_path / "database.db", tmp_path / "hloc"
+    arguments = ("export-colmap", batch.folder, "--database", path)
+    assert run(*arguments, "--hloc", hloc).exit_code == 0
+    assert_refused(run(*arguments[:2]), "give --database, or --hloc")
+    assert_refused(run(*arguments), "--overwrite")
+    assert f"{COUNT} images" in run(*arguments, "--overwrite").stdout
+    features, matches = (h5py.File(hloc / f"{name}.h5") for name in ("features", "matches"))
+    with pycolmap.Database.open(path) as exported, features, matches:
+        assert exported.num_images() == COUNT
+        assert exported.num_verified_image_pairs() == 10
+        ids = {image.name: image.image_id for image in exported.read_all_images()}
+        for name, number in ids.items():
+            stored = exported.read_keypoints(number)[:, :2]
+            np.testing.assert_allclose(features[name]["keypoints"], stored - 0.5, atol=5e-5)
+            assert len(features[name]["scores"]) == len(stored)
+        lines = (hloc / "pairs.txt").read_text().splitlines()
+        assert len(lines) == 10
+        for name0, name1 in map(str.split, lines):
+            matches0 = np.asarray(matches[f"{name0}/{name1}/matches0"])
+            index = np.flatnonzero(matches0 != -1)
+            stored = exported.read_matches(ids[name0], ids[name1])
+            assert {*zip(index, matches0[index], strict=True)} == {*map(tuple, stored)}
 
 
 def _without_pose(pair: MatchedPair) -> MatchedPair:

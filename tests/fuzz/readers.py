@@ -20,7 +20,7 @@ from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
-from dgc_pose.colmap.export import pair_geometries
+from dgc_pose.colmap.database import pair_geometries
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet

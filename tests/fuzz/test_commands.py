@@ -115,6 +115,7 @@ EXPORT = ("export-colmap", "batch", "--overwrite")
         ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
         ((*MATCH, "--overwrite", "--weights", "junk", "--out", "junk"), "would be lost"),
         ((*EXPORT, "--database", "views/one.png"), ""),
+        ((*EXPORT, "--hloc", "batch"), ""),
         (RECONSTRUCT, "is there already"),
         ((*RECONSTRUCT, "--resume"), "sparse: holds other files"),
         ((*ESTIMATE, *K, "--json", "junk"), "junk is there already: --overwr"),

@@ -24,6 +24,7 @@ from dgc_pose.model import Model
 from dgc_pose.pose import solve_pair
 from dgc_pose.viz import model_page, pose_page
 
+SIDES = "Width", "Height"
 # Of the upper left, the upper right, the lower right and the lower left quarter of a photograph.
 QUARTERS = {"red": (255, 0, 0), "green": (0, 255, 0), "blue": (0, 0, 255), "yellow": (255, 255, 0)}
 # The mean place and the number of a canvas's pixels near a colour.
@@ -126,16 +127,11 @@ def test_the_cameras_and_points_are_the_models(model):
     assert 0.96 * 300 < len(points) < 300 and (points[:, 2] > shown[:, 2].max()).all()
 
 
-def result_of_dense_scene():
-    images = tuple(map(load_image, dense_scene.pictures()))
-    camera = Camera(dense_scene.K, dense_scene.SIZE)
-    matcher = dense_scene.MapMatcher(dense_scene.true_map())
-    options = EstimationOptions(runs=1, iterations=200)
-    return solve_pair(*images, (camera, camera), matcher, options)
-
-
 def test_a_pair_is_shown_in_camera_1s_axes():
-    result = result_of_dense_scene()
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    matcher, options = dense_scene.MapMatcher(dense_scene.true_map()), EstimationOptions(runs=1)
+    images = map(load_image, dense_scene.pictures())
+    result = solve_pair(*images, (camera, camera), matcher, options)
     page = pose_page(result)
     assert Parts(page).addresses == []
     first, second = (np.array(camera["corners"]) for camera in content_of(page)["cameras"])
@@ -179,3 +175,7 @@ def test_a_browser_shows_the_photographs_upright_and_turns_the_model(opened):
     opened.wait(f"{at['red']}[1] + 5 < {at['yellow']}[1]")
     opened.click("#photographs")
     assert opened.evaluate(at["red"])[2] == 0
+    for width in (390, 1280):
+        opened.resize(width, 844)
+        needed = (opened.evaluate(f"document.scrollingElement.scroll{side}") for side in SIDES)
+        assert next(needed) <= width and next(needed) <= 844
