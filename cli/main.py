@@ -47,6 +47,7 @@ SECTIONS = {
         "export": "Write a COLMAP model for another tool.",
     },
     "Benchmarks": {
+        "bench-dtu": "Repeat the paper's experiment on relative pose over DTU.",
         "bench-pairs": "Score methods on pairs with known poses.",
         "bench-maps": "Score maps on photographs of planes or synthetic pairs.",
         "bench-reconstruct": "Score reconstructions on known cameras.",

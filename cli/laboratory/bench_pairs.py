@@ -23,7 +23,7 @@ from dgc_pose.benchmarks.summary import (
     summarise,
     summary_table,
 )
-from dgc_pose.cameras.pair_list import read_pairs
+from dgc_pose.cameras.pair_list import Pair, read_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import NamedPath, OutputFolder, overwrites
 from dgc_pose.errors import InputError
@@ -38,6 +38,13 @@ from dgc_pose.system.options import option
 _SUMMARY, _ERRORS = "summary.json", "errors.png"
 PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)
 EVERY_MATCH = 2**31  # more than any map has cells
+FILES = (SETTINGS, RESULTS, _SUMMARY, _ERRORS)  # of a run
+Protocol = Literal["native", "paper"]
+PROTOCOL_HELP = (
+    "paper: images squared to 256x256, every match, the best of --runs RANSAC runs (the paper's: 5 "
+    "of 1000 iterations), not refined; native: images as stored, an even subsample of the matches, "
+    "matches and poses refined."
+)
 
 
 @dataclass(frozen=True)
@@ -48,12 +55,7 @@ class PairBenchOptions:
         None, "Folder of the image paths; by default the list's own.", type=NamedPath()
     )
     limit: int | None = option(None, "Only the first N pairs.", metavar="N", min=1, max=10**9)
-    protocol: Literal["native", "paper"] = option(
-        "native",
-        "paper: images squared to 256x256, every match, the best of --runs RANSAC runs (the "
-        "paper's: 5 of 1000 iterations), not refined; native: images as stored, an even subsample "
-        "of the matches, matches and poses refined.",
-    )
+    protocol: Protocol = option("native", PROTOCOL_HELP)
     methods: str = option(
         f"{DEFAULT_WEIGHTS},sift",
         "Comma-separated names or paths of weights or other matchers (sift, dis), each with "
@@ -72,7 +74,7 @@ class PairBenchOptions:
         None,
         "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
         metavar="DIR",
-        type=OutputFolder(SETTINGS, RESULTS, _SUMMARY, _ERRORS, path_type=Path),
+        type=OutputFolder(*FILES, path_type=Path),
     )
     resume: bool = option(False, "Continue the run in --out, if there is one.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
@@ -103,9 +105,21 @@ def bench_pairs(
     NAME:K=auto:shared or NAME:K_scale=0.8, for one of several. Errors are of the true cameras as
     before; a second table has the focal lengths and what the poses state.
     """
-    out, paper = options.out, options.protocol == "paper"
-    if out is None and options.resume:
+    if options.out is None and options.resume:
         raise InputError("--resume needs the --out of the run to continue")
+    listed = read_pairs(pair_list, options.root)[: options.limit]
+    run_bench(listed, options, cameras, matcher, estimation)
+
+
+def run_bench(
+    listed: Sequence[Pair],
+    options: PairBenchOptions,
+    cameras: CameraTrial,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
+) -> None:
+    """Score methods on pairs, and print and write what `bench-pairs` does."""
+    out, paper = options.out, options.protocol == "paper"
     if paper:
         matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
         matcher = replace(matcher, matching=matching)
@@ -113,7 +127,6 @@ def bench_pairs(
     folders = _folders(options.matches)
     names = split_names(options.methods)
     methods = parse_methods(names, matcher, estimation, [*folders], cameras)
-    listed = read_pairs(pair_list, options.root)[: options.limit]
     require_images(listed)
     stored = {name: pair_files(path, listed) for name, path in folders.items()}
     pairs = ListedPairs(listed, size=PAPER_SIZE if paper else None)

@@ -1,3 +1,4 @@
+import csv
 import os
 
 import numpy as np
@@ -38,6 +39,21 @@ def test_fewer_pairs_than_asked_for_are_told(root):
     assert result.exit_code == 0
     assert "warning: 900 pairs were asked for" in result.stderr
     assert len(read_pairs("list.txt", root="dtu")) < 40
+
+
+def test_the_benchmark_on_dtu_is_the_drawn_list_by_the_protocol_of_the_paper(root):
+    drawn = ("--scan", "65", "--pairs", "3")
+    scored = ("--methods", "sift", "--runs", "1", "--iterations", "50", "--out")
+    assert run("bench-dtu", "dtu", *drawn, *scored, "run").exit_code == 0
+    assert dtu_pairs("dtu", "list.txt", *drawn).exit_code == 0
+    assert (root / "run/pairs.txt").read_bytes() == (root / "list.txt").read_bytes()
+    words = ("list.txt", "--root", "dtu", "--protocol", "paper", *scored, "again")
+    assert run("bench-pairs", *words).exit_code == 0
+    first, second = (list(csv.DictReader(open(f"{name}/results.csv"))) for name in ("run", "again"))
+    assert len(first) == 3
+    for row, other in zip(first, second, strict=True):
+        for name in ("image1", "image2", "status", "num_inliers", "rotation_error_deg"):
+            assert row[name] == other[name]
 
 
 @pytest.mark.parametrize(
