@@ -4,7 +4,6 @@ Chromium reads commands from its descriptor 3 and answers on 4 (--remote-debuggi
 no driver and no port are needed.
 """
 
-import base64
 import json
 import os
 import shutil
@@ -105,10 +104,6 @@ class Page:
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self._call("Emulation.setDeviceMetricsOverride", **size)
 
-    def screenshot(self, path: Path) -> None:
-        """Write what the window shows as a PNG."""
-        path.write_bytes(base64.b64decode(self._call("Page.captureScreenshot")["data"]))
-
     def wait(self, expression: str, seconds: float = 60) -> None:
         """Until a JavaScript expression is true. Raises AssertionError after so many seconds."""
         deadline = time.monotonic() + seconds
@@ -167,9 +162,8 @@ def chromium_page(executable: str) -> Iterator[Page]:
 
     def as_3_and_4() -> None:
         # Through high numbers first: the pipes may be 3 and 4 themselves.
-        high = os.dup2(command_out, 100), os.dup2(answer_in, 101)
-        os.dup2(high[0], 3)
-        os.dup2(high[1], 4)
+        os.dup2(os.dup2(command_out, 100), 3)
+        os.dup2(os.dup2(answer_in, 101), 4)
 
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         process = subprocess.Popen(

@@ -74,28 +74,25 @@ def depth_in_camera2(points2: np.ndarray) -> np.ndarray:
     return 5.0 + 1.2 * np.sin(5 * x) + 0.9 * np.cos(7 * y) + 1.5 * x * y
 
 
-def points_in_image1(points2: np.ndarray, t: np.ndarray = T) -> np.ndarray:
+def points_in_image1(points2: np.ndarray) -> np.ndarray:
     """The surface points at (..., 2) pixels of image 2, in pixels of image 1."""
     x, y = np.moveaxis((points2 - K[:2, 2]) / 300.0, -1, 0)
     depth = depth_in_camera2(points2)
     in_camera2 = np.stack([x * depth, y * depth, depth], -1)
-    in_camera1 = (in_camera2 - t) @ R
+    in_camera1 = (in_camera2 - T) @ R
     return in_camera1[..., :2] / in_camera1[..., 2:] * 300.0 + K[:2, 2]
 
 
-def true_map(t: np.ndarray = T, error_px: float = 0.0) -> CorrespondenceMap:
-    """The true map, exact or with a random error (one sigma); t = 0 gives a pure rotation.
-
-    It is matchable if the point lies inside image 1.
-    """
+def true_map(error_px: float = 0.0) -> CorrespondenceMap:
+    """The true map, exact or with a random error (one sigma); matchable inside image 1."""
     points2 = grid(CELLS, CELLS)
     noise = np.random.default_rng(0).normal(size=points2.shape)
-    return make_map(points_in_image1(points2, t) + error_px * noise, points2)
+    return make_map(points_in_image1(points2) + error_px * noise, points2)
 
 
-def noise_map(seed: int = 0) -> CorrespondenceMap:
+def noise_map() -> CorrespondenceMap:
     """A random map."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     return make_map(rng.random((CELLS, CELLS, 2)) * SIZE - 0.5, grid(CELLS, CELLS))
 
 

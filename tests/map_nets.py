@@ -61,15 +61,3 @@ class MapNet(nn.Module):
             return Prediction(tuple(maps), ())
         logits = self.matchability.logit().float()[None, None].expand(batch, -1, -1, -1)
         return Prediction(tuple(maps), (logits,))
-
-
-def shifted(dx: float, dy: float) -> Tensor:
-    """The map (240, 240, 2) that shifts every pixel by (dx, dy)."""
-    axis = torch.arange(240.0)
-    x, y = torch.meshgrid(axis, axis, indexing="xy")
-    return torch.stack([x + dx, y + dy], -1)
-
-
-def half_sure() -> Tensor:
-    """A matchability that is 0.9 in the left half and 0.1 in the right one: (240, 240)."""
-    return torch.where(torch.arange(240) < 120, 0.9, 0.1).expand(240, 240)

@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose import Camera, estimate_pose, load_matcher
+from dgc_pose import Camera, EstimationOptions, estimate_pose, load_matcher
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching import MatchingOptions, NetworkMatcher
+from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.run import save_weights
 
 BARE = MatchingOptions(aligned="none")
+FAST = EstimationOptions(runs=1, iterations=300)
 
 
 @pytest.fixture(scope="module")
@@ -28,9 +29,23 @@ def images() -> tuple[Image, Image]:
     return Image(first), Image(second)
 
 
-def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image]) -> None:
+@pytest.fixture(scope="module")
+def network() -> NetworkMatcher:
+    """That of no name."""
+    matcher = load_matcher()
+    assert isinstance(matcher, NetworkMatcher)
+    return matcher
+
+
+@pytest.fixture(scope="module")
+def refined(network: NetworkMatcher, images: tuple[Image, Image]) -> MatchResult:
+    return network.match(*images)
+
+
+def test_by_default_it_is_the_shipped_network_refined(
+    images: tuple[Image, Image], refined: MatchResult
+) -> None:
     bare = load_matcher(matching=BARE).match(*images)
-    refined = load_matcher().match(*images)
     assert bare.correspondence_map is not None and refined.correspondence_map is not None
     assert np.array_equal(bare.correspondence_map.map, refined.correspondence_map.map)
     errors = [
@@ -43,14 +58,13 @@ def test_by_default_it_is_the_shipped_network_refined(images: tuple[Image, Image
 
 
 def test_matches_state_the_weights_of_the_network_that_made_them(
-    images: tuple[Image, Image],
+    images: tuple[Image, Image], network: NetworkMatcher, refined: MatchResult
 ) -> None:
     """Those of each step, refined or not."""
-    matcher, camera = load_matcher(), Camera(dense_scene.K, dense_scene.SIZE)
-    assert isinstance(matcher, NetworkMatcher)
-    full, coarse = matcher.match(*images), matcher.coarse(*images)
+    matcher, camera = network, Camera(dense_scene.K, dense_scene.SIZE)
+    full, coarse = refined, matcher.coarse(*images)
     assert coarse is not None
-    poses = estimate_pose(full.matches, camera, camera).hypotheses
+    poses = estimate_pose(full.matches, camera, camera, FAST).hypotheses
     views = [TwoViews(camera, camera, pose.R, pose.t) for pose in poses]
     steps = [full, coarse, matcher.refined(*images, coarse), matcher.guided(*images, full, views)]
     of_map = MatchingOptions(aligned="map")
@@ -62,14 +76,14 @@ def test_matches_state_the_weights_of_the_network_that_made_them(
 
 @pytest.mark.parametrize("weights", ["shipped", None, "0123456789abcdef"])
 def test_only_the_shipped_network_s_matches_have_a_probability(
-    images: tuple[Image, Image], weights: str | None
+    refined: MatchResult, weights: str | None
 ) -> None:
     """It is fitted on them; without, the gates decide."""
-    result, camera = load_matcher().match(*images), Camera(dense_scene.K, dense_scene.SIZE)
+    result, camera = refined, Camera(dense_scene.K, dense_scene.SIZE)
     matches = result.matches if weights == "shipped" else replace(result.matches, weights=weights)
     for map_matches in (result.map_matches, None):
         for one in (camera, replace(camera, focal_std=0.1)):
-            pose = estimate_pose(matches, one, one, map_matches=map_matches)
+            pose = estimate_pose(matches, one, one, FAST, map_matches=map_matches)
             assert pose.success and (pose.probability is None) == (weights != "shipped")
             assert (pose.to_dict()["any_probability"] is None) == (weights != "shipped")
             assert ("not known" in repr(pose)) == (weights != "shipped")
@@ -111,29 +125,29 @@ def test_other_names_are_paths_to_weights() -> None:
         load_matcher("nowhere")
 
 
-def test_a_coarse_pass_is_coarse_and_what_it_leads_to_is_fine(images: tuple[Image, Image]) -> None:
-    matcher = load_matcher()
-    assert isinstance(matcher, NetworkMatcher)
-    coarse = matcher.coarse(*images)
+def test_a_coarse_pass_is_coarse_and_what_it_leads_to_is_fine(
+    images: tuple[Image, Image], network: NetworkMatcher, refined: MatchResult
+) -> None:
+    coarse, full = network.coarse(*images), refined
     assert coarse is not None and coarse.correspondence_map is not None
     assert max(coarse.correspondence_map.matchability.shape) < 75
-    refined, full = matcher.refined(*images, coarse), matcher.match(*images)
-    assert refined is not None and refined.correspondence_map is coarse.correspondence_map
-    counts = [len(result.matches) for result in (coarse, refined, full)]
+    fine = network.refined(*images, coarse)
+    assert fine is not None and fine.correspondence_map is coarse.correspondence_map
+    counts = [len(result.matches) for result in (coarse, fine, full)]
     assert 50 < counts[0] and counts[1] == pytest.approx(counts[2], rel=0.1)
-    for result in (coarse, refined):
+    for result in (coarse, fine):
         truth = dense_scene.points_in_image1(result.matches.points2)
         assert np.median(np.linalg.norm(result.matches.points1 - truth, axis=1)) < 0.15
 
 
 def test_images_that_may_be_rotated_and_those_without_structure_have_no_coarse_pass(
-    images: tuple[Image, Image],
+    images: tuple[Image, Image], network: NetworkMatcher
 ) -> None:
     first, second = images
     blank = Image(np.full_like(second.pixels, 90))
     rotated = Image(np.ascontiguousarray(np.rot90(second.pixels)))
-    matcher, of_map = load_matcher(), load_matcher(matching=MatchingOptions(aligned="map"))
-    assert isinstance(matcher, NetworkMatcher) and isinstance(of_map, NetworkMatcher)
-    assert matcher.coarse(first, rotated) is None
-    assert matcher.coarse(first, blank) is None
+    of_map = load_matcher(matching=MatchingOptions(aligned="map"))
+    assert isinstance(of_map, NetworkMatcher)
+    assert network.coarse(first, rotated) is None
+    assert network.coarse(first, blank) is None
     assert of_map.coarse(first, second) is None

@@ -9,28 +9,20 @@ from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.matches import Matches
 
 
-def test_lists_become_arrays() -> None:
-    matches = Matches([[1, 2], [3, 4]], [[5, 6], [7, 8]], [0.5, 1], 1.0)  # type: ignore[arg-type]
-    assert len(matches) == 2 and matches.points1.dtype == np.float64
-
-
 @pytest.mark.parametrize("count", [0, 1, 2, 5])
-@pytest.mark.parametrize("shape", ["N12", "1N2"])
-def test_points_of_opencv_and_of_a_batch_of_one(count: int, shape: str) -> None:
+def test_points_of_opencv_and_of_a_batch_of_one(count: int) -> None:
     points = np.arange(2.0 * count).reshape(-1, 2)
-    other = points[:, None] if shape == "N12" else points[None]
-    np.testing.assert_array_equal(Matches(other, points, np.ones(count), 1.0).points1, points)
+    for other in (points[:, None], points[None]):
+        np.testing.assert_array_equal(Matches(other, points, np.ones(count), 1.0).points1, points)
 
 
 @pytest.mark.parametrize(
     ("points1", "points2", "confidence", "error", "named"),
     [
         (np.zeros((4, 3)), np.zeros((4, 2)), np.zeros(4), 1.0, "points1"),
-        (np.zeros((4, 2)), np.zeros(4), np.zeros(4), 1.0, "points2"),
         (np.zeros((2, 2, 2)), np.zeros((4, 2)), np.zeros(4), 1.0, "points1"),
         (np.zeros((4, 2)), np.zeros((3, 2)), np.zeros(4), 1.0, "same length"),
         (np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 1)), 1.0, "confidence"),
-        (np.zeros((4, 2)), np.zeros((4, 2)), np.zeros(4), 0.0, "error_px"),
         (np.zeros((4, 2)), np.zeros((4, 2)), np.zeros(4), np.nan, "error_px"),
     ],
 )

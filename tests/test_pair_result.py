@@ -14,7 +14,6 @@ from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.pair_result import PairResult
-from dgc_pose.scene import pose_scene
 
 LENS = Distortion("OPENCV", (-0.12, 0.03, 0.001, -0.001))
 
@@ -59,31 +58,12 @@ def test_the_points_are_those_that_colmap_triangulates(lens: Distortion | None) 
         np.testing.assert_allclose(points[index], expected, rtol=0.02, atol=0.02)
 
 
-def test_the_points_are_in_metres_where_t_has_a_length() -> None:
-    """And those behind a camera are none."""
+def test_the_points_are_in_metres_where_t_has_a_length_and_none_behind_a_camera() -> None:
     result = result_of(two_view_scene(count=100, sigma_px=0.0, outliers=0.0))
     metric = replace(result, pose=replace(result.pose, length=2.5))
     np.testing.assert_allclose(metric.points3d, 2.5 * result.points3d)
-    drawn, drawn_metric = (
-        [camera["corners"] for camera in pose_scene(one)["cameras"]] for one in (result, metric)
-    )
-    np.testing.assert_allclose(drawn_metric, 2.5 * np.array(drawn), atol=0.01)
-    assert result.pose.t is not None and np.isfinite(result.points3d).all()
-    turned = replace(result, pose=replace(result.pose, t=-result.pose.t))  # all points lie behind
-    assert np.isnan(turned.points3d).all()
-
-
-def test_the_residuals_are_the_mean_distances_to_both_epipolar_lines() -> None:
-    scene = two_view_scene(count=60, sigma_px=0.5)
-    result = result_of(scene)
-    assert result.pose.E is not None
-    F = np.linalg.inv(scene.K2).T @ result.pose.E @ np.linalg.inv(scene.K1)
-    residuals = result.residuals_px
-    assert residuals.shape == (60,)
-    x1, x2 = (np.column_stack([p, np.ones(60)]) for p in (scene.points1, scene.points2))
-    value, line2, line1 = np.abs(np.sum(x2 * (x1 @ F.T), 1)), x1 @ F.T, x2 @ F
-    mean = sum(value / np.hypot(line[:, 0], line[:, 1]) for line in (line1, line2)) / 2
-    np.testing.assert_allclose(residuals, mean, rtol=1e-6)
+    behind = replace(result, pose=replace(result.pose, t=-result.pose.t))  # a camera, all points
+    assert np.isnan(behind.points3d).all()
 
 
 def test_without_a_translation_there_are_neither_points_nor_residuals() -> None:

@@ -53,13 +53,6 @@ def test_every_cell_runs_and_the_results_are_good(run: nbformat.NotebookNode) ->
     assert "4 poses of 6 pairs" in model and "4 of 4 images" in model
     assert size.startswith("4 cameras, ")
     assert len(alternative_texts(run)) == 3
-    assert len(frames(run)) == 2 and all("image1" in frame for frame in frames(run))
-
-
-def frames(notebook: nbformat.NotebookNode) -> list[str]:
-    """Of the figures that can be turned."""
-    outputs = [one for cell in notebook.cells for one in cell.get("outputs", [])]
-    return [one.data["text/html"] for one in outputs if "text/html" in one.get("data", {})]
 
 
 def test_the_stored_results_are_of_a_whole_run(run: nbformat.NotebookNode) -> None:
@@ -68,5 +61,4 @@ def test_the_stored_results_are_of_a_whole_run(run: nbformat.NotebookNode) -> No
     cells = [cell for cell in stored.cells if cell.cell_type == "code"]
     assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)]
     assert all(alternative_texts(stored)) and alternative_texts(stored) == alternative_texts(run)
-    shown = "".join(texts(stored) + frames(stored))
-    assert not re.search(r"/(home|root|tmp|work|Users)/[a-z]", shown)
+    assert not re.search(r"/(home|root|tmp|work|Users)/[a-z]", nbformat.writes(stored))

@@ -1,16 +1,11 @@
 import subprocess
 
-import pytest
-
 import dgc_pose
 from dgc_pose import version
 
 
 def test_the_package_has_its_version():
     assert dgc_pose.__version__ == version.version()
-    assert "__version__" in dir(dgc_pose)
-    with pytest.raises(AttributeError, match="__author__"):
-        _ = dgc_pose.__author__
 
 
 def test_a_checkout_has_its_commit_and_whether_files_were_changed(tmp_path, monkeypatch):

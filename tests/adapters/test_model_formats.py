@@ -17,7 +17,6 @@ from dgc_pose.model import load_model
 SCENE = world_scene(count=20)
 LENSES = {
     "PINHOLE": (900, 905, 510, 390),
-    "RADIAL": (900, 510, 390, -0.15, 0.02),
     "OPENCV": (900, 905, 510, 390, -0.15, 0.02, 0.003, -0.002),
     "OPENCV_FISHEYE": (900, 905, 510, 390, 0.05, -0.02, 0.01, 0.002),
     "FULL_OPENCV": (900, 905, 510, 390, *[0.01] * 8),

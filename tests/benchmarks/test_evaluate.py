@@ -10,8 +10,9 @@ from evaluation_pairs import ESTIMATION, MATCHER, METHODS, posed_pairs, scored, 
 from dgc_pose.benchmarks.evaluate import doubts_camera, evaluate
 from dgc_pose.benchmarks.methods import parse_methods
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import ImageError, InputError
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
 from dgc_pose.matching.texture import texture
 
@@ -86,34 +87,24 @@ def test_a_wrong_pose_has_its_error(tmp_path) -> None:
     assert result.translation_folded_deg == folded
 
 
-def test_what_cannot_be_used_is_refused(tmp_path) -> None:
-    pairs = posed_pairs(tmp_path, 1)
+def test_a_map_that_is_not_there_is_not_scored(tmp_path) -> None:
     with pytest.raises(InputError, match="some/all: some makes no map"):
-        scored(pairs, parse_methods(["some/all"]))
-    pairs = posed_pairs(tmp_path, 1)
-    (tmp_path / "two_2.png").write_bytes(b"no image")
-    with pytest.raises(ImageError, match=r"two_2\.png"):
-        scored(pairs)
+        scored(posed_pairs(tmp_path, 1), parse_methods(["some/all"]))
 
 
 @pytest.mark.parametrize(
     ("scale", "source", "std"),
-    [(1.0, "given", 0.0), (0.8, "given", 0.0), (1.0, "exif", 0.05), (0.7, "exif", 0.02)],
+    [(1.0, "given", 0.0), (0.8, "given", 0.0), (0.7, "exif", 0.02)],
 )
 def test_a_wrong_focal_length_is_doubted_as_the_warnings_of_the_pose_say(
     scale, source, std
 ) -> None:
     camera = Camera(dense_scene.K, dense_scene.SIZE).with_focal(300 * scale)
     camera = replace(camera, focal_source=source, focal_std=std)
-    matches = dense_scene.MapMatcher(dense_scene.true_map()).match(*map_images()).matches
+    images = map(Image, dense_scene.pictures())
+    matches = dense_scene.MapMatcher(dense_scene.true_map()).match(*images).matches
     pose = estimate_pose(matches, camera, camera, EstimationOptions(runs=1, iterations=200))
     warned = any(text.startswith("the matches suggest f") for text in pose.warnings)
     assert doubts_camera(pose, (camera, camera)) == warned == (scale != 1)
     given = replace(camera, focal_source="given", warnings=("K1 is odd",))
     assert doubts_camera(pose, (given, camera))
-
-
-def map_images():
-    from dgc_pose.images.image import Image
-
-    return map(Image, dense_scene.pictures())

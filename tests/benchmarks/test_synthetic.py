@@ -39,39 +39,37 @@ def test_names_say_which_homographies_look_past_the_horizon(photos: Photos) -> N
     """The denominator of the homography fitted to the map changes sign in those views."""
     said, found = [], []
     y, x = np.mgrid[0:240, 0:240].astype(float)
-    for case in synthetic_cases(photos, "homography", 64, 2):
+    for case in synthetic_cases(photos, "homography", 16, 2):
         said += [name.endswith(", past its horizon") for name in case.names]
         for truth, valid in zip(case.pairs.map.double().numpy(), case.pairs.valid, strict=True):
             here = np.column_stack([x[valid], y[valid]])
-            matrix, _ = cv2.findHomography(here, truth[valid.numpy()])
+            matrix, _ = cv2.findHomography(here[::50], truth[valid.numpy()][::50])
             denominator = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
             found.append(bool(denominator.min() < 0 < denominator.max()))
-    assert said == found and 0 < sum(said) < 16
-    for name in ("affine", "affine-tps", "scenes"):
-        names = next(synthetic_cases(photos, name, 8, 2)).names
-        assert names == tuple(f"{name} {index}" for index in range(len(names)))
+    assert said == found and 0 < sum(said) < 8
 
 
-def test_the_same_seed_gives_the_same_pairs_and_more_only_add(photos: Photos) -> None:
-    first = list(synthetic_cases(photos, "affine", 3, 5))
-    more = list(synthetic_cases(photos, "affine", 10, 5))
-    assert sum(len(case.names) for case in first) == 3
+def test_the_same_seed_gives_the_same_pairs_and_more_only_add(
+    photos: Photos, cases: dict[str, MapCase]
+) -> None:
+    more = list(synthetic_cases(photos, "affine", 10, 0))
     assert [name for case in more for name in case.names] == [f"affine {n}" for n in range(10)]
-    assert torch.equal(first[0].pairs.image2, more[0].pairs.image2[:3])
-    other = next(synthetic_cases(photos, "affine", 3, 6))
-    assert not torch.equal(first[0].pairs.map, other.pairs.map)
+    assert torch.equal(cases["affine"].pairs.image2, more[0].pairs.image2[:4])
+    other = next(synthetic_cases(photos, "affine", 4, 1))
+    assert not torch.equal(cases["affine"].pairs.map, other.pairs.map)
 
 
-def test_scenes_have_parallax_and_hidden_pixels(cases: dict[str, MapCase]) -> None:
+def test_scenes_have_hidden_pixels(cases: dict[str, MapCase]) -> None:
     case = cases["scenes"]
-    assert case.group == "scenes" and len(case.names) == len(case.pairs.map) <= 4
     inside = ((case.pairs.map >= -0.5) & (case.pairs.map <= 239.5)).all(-1)
     assert (case.pairs.valid & ~inside).sum() == 0
     assert (inside & ~case.pairs.valid).any()
 
 
-def test_changed_pairs_have_the_same_kind_of_map_in_another_light(photos: Photos) -> None:
-    plain = next(synthetic_cases(photos, "affine", 4, 0)).pairs
+def test_changed_pairs_have_the_same_kind_of_map_in_another_light(
+    photos: Photos, cases: dict[str, MapCase]
+) -> None:
+    plain = cases["affine"].pairs
     changed = next(synthetic_cases(photos, "affine", 4, 0, changed=True)).pairs
     torch.testing.assert_close(plain.map, changed.map)
     assert (plain.image1 - changed.image1).abs().mean() > 0.03

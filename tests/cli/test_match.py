@@ -33,9 +33,8 @@ def test_map_and_matches_are_written(network):
     assert result.exit_code == 0
     with np.load("m.npz", allow_pickle=False) as file:
         assert sorted(file) == ["confidence", "grid", "map", "matchability", "points1", "points2"]
-        assert np.array_equal(file["map"], TRUE.map)
-        assert np.array_equal(file["grid"], TRUE.grid)
-        assert np.array_equal(file["matchability"], TRUE.matchability)
+        for name in ("map", "grid", "matchability"):
+            assert np.array_equal(file[name], getattr(TRUE, name))
         count = len(file["confidence"])
         assert 0 < count <= 300
         assert file["points1"].shape == file["points2"].shape == (count, 2)

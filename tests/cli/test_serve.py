@@ -10,7 +10,6 @@ import urllib.request
 from contextlib import contextmanager
 
 import pytest
-from command_line import assert_refused, run
 
 from dgc_pose.serve.guard import TOKEN_HEADER
 
@@ -36,14 +35,6 @@ def test_weights_that_are_missing_end_it_with_one_line(tmp_path):
     assert errors.startswith("error: ") and errors.count("\n") == 1
     assert "nosuch.safetensors" in errors
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_port_that_is_taken_is_refused(tmp_path):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        port = other.getsockname()[1]
-        assert_refused(run("serve", "--no-browser", "--port", port), str(port))
 
 
 def _post(url, path, body=b"", complete=True):

@@ -24,7 +24,7 @@ from dgc_pose.colmap.reconstruction import reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.metrics import rotation_error_deg
-from dgc_pose.model import Model, load_model, require_model_folder
+from dgc_pose.model import Model, require_model_folder
 
 COUNT = 5
 SIFT = ["--weights", "sift", "--runs", "1", "--iterations", "300"]
@@ -79,17 +79,9 @@ def test_the_command_from_folder_to_model(
     arguments = ("reconstruct", views[0], "--out", out, "--K", K_text(), *SIFT, "--workers", 1)
     result = run(*arguments)
     assert result.exit_code == 0
-    for name in ("sparse", "points.ply", "model.html"):
-        assert f"{out / name}: " in result.stdout
-    assert (
-        f"camera 1 ({COUNT} images): PINHOLE, f = {K.diagonal()[:2].mean():.1f} px\n"
-        in result.stdout
-    )
     summary = json.loads((out / "summary.json").read_text())
     assert summary["images"] == summary["registered"] == COUNT
-    assert summary["pairs"] == 10
-    assert summary["mean_track_length"] > 3
-    assert set(summary["seconds"]) == {"match", "map"}
+    assert summary["pairs"] == 10 and summary["mean_track_length"] > 3
     files = {"database.db", "points.ply", "model.html", "summary.json"}
     assert {path.name for path in out.iterdir()} == {"batch", "sparse", *files}
     assert_refused(run(*arguments), "is there already")
@@ -104,14 +96,9 @@ def test_the_command_without_K(views: tuple[Path, list[View]], tmp_path: Path) -
     out = tmp_path / "out"
     result = run("reconstruct", views[0], "--out", out, "--K", "auto", *SIFT, "--workers", 1)
     assert result.exit_code == 0
-    assert f"camera 1 ({COUNT} images): f = 22" in result.output and " pairs\n" in result.output
     (camera,) = json.loads((out / "summary.json").read_text())["cameras"]
     assert (camera["model"], camera["images"]) == ("RADIAL", COUNT)
-    assert (
-        camera["focal_px"]
-        == camera["params"][0]
-        == pytest.approx(K.diagonal()[:2].mean(), rel=0.02)
-    )
+    assert camera["focal_px"] == pytest.approx(K.diagonal()[:2].mean(), rel=0.02)
     assert f"RADIAL, f = {camera['focal_px']:.1f} px after bundle" in result.output
     model = Model.of_colmap(pycolmap.Reconstruction(out / "sparse"), views[0])
     _assert_true(model, views[1], 0.3, 0.02)
@@ -137,8 +124,6 @@ def test_each_scene_of_a_folder_has_a_model(tmp_path: Path) -> None:
         for folder, names in (("sparse", large), ("sparse/1", small)):
             written = pycolmap.Reconstruction(out / folder)
             assert sorted(i.name for i in written.images.values() if i.has_pose) == names
-    assert sorted(load_model(out, scenes).poses) == large
-    assert sorted(load_model(out / "sparse" / "1", scenes).poses) == small
     require_model_folder(out / "sparse" / "1")
     with pytest.raises(InputError, match="holds other files"):
         require_model_folder(out / "sparse")

@@ -62,18 +62,6 @@ def test_corners_are_located_better_than_the_matches() -> None:
     assert len(starts) > 100
 
 
-def test_a_corner_of_one_image_is_the_same_key_point_in_all_its_pairs() -> None:
-    """The corners chosen in view0 are whole pixels; several pairs use each of them."""
-    shared, pairs = _shared(0.3)
-    points = shared.key_points["view0.png"]
-    corners = (points == np.rint(points)).all(1)
-    uses = np.zeros(len(points), int)
-    for pair in pairs:
-        if pair.row.name1 == "view0.png":
-            uses[shared.pairs[pair.row.names][:, 0]] += 1
-    assert (uses[corners] == 3).sum() > 0.5 * corners.sum() > 20
-
-
 def test_wrong_matches_give_no_key_points() -> None:
     """A third of the matches is moved by 30 px, and nothing near them is located there."""
     shared, pairs = _shared(0.2, wrong=100)

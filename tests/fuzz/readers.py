@@ -46,10 +46,9 @@ def _make_images(folder):
     exif[0x0112] = 1
     picture.save(folder / "camera.tiff", exif=exif.tobytes())
     picture.convert("P").save(folder / "palette.png")
-    picture.save(folder / "packed.tiff", compression="tiff_lzw")
     deep = PIXELS.astype(np.uint16) * 200
-    for name in ("deep.png", "deep.tiff", "deep.pgm"):
-        cv2.imwrite(str(folder / name), deep[:, :, 0] if name == "deep.pgm" else deep)
+    for name in ("deep.png", "deep.tiff"):
+        cv2.imwrite(str(folder / name), deep)
     cv2.imwrite(str(folder / "floats.tiff"), PIXELS.astype(np.float32) / 255)
 
 

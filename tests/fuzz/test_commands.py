@@ -20,8 +20,7 @@ _LONG = "9" * 5000
 NUMBERS = ("nan", "inf", "-inf", "1e400", "-1e3", "x", "", "9" * 30, _LONG, "1;2", "٣x", "\udcff")
 _BOTH = ("", "/dev/null", "fifo", "one.png", "K.txt", "x" * 5000)
 OUTPUTS = (*_BOTH, "dir", "dir/", "junk", "loop", "no/x/y", "-/", "link")
-INPUTS = ("", "nowhere", "dir", "/dev/zero", "/dev/null", "fifo", "loop", "empty")
-INPUTS += ("junk", "junk.npy", "junk.pth", "x" * 5000, "\udcff.png")
+INPUTS = ("", "nowhere", "dir", "/dev/zero", "fifo", "loop", "empty", "junk", "\udcff.png")
 _NUMBERED = click.types.IntParamType | click.types.FloatParamType
 
 K = ("--K", dense_scene.K_TEXT)
@@ -31,7 +30,6 @@ BATCH = ("--pairs", "sequential:1", *K, "--workers", "1", "--runs", "1", "--refi
 BASES = {
     "estimate": ("one.png", "two.png", *K, "--refine", "none"),
     "match": ("one.png", "two.png", "--refine", "none", "--out", "new.npz"),
-    "demo": ("--refine", "none", "--runs", "1"),
     "batch": ("photos", "--out", "new", *BATCH),
     "reconstruct": ("photos", "--out", "new", *BATCH),
     "export-colmap": ("batch", "--database", "new.db"),
@@ -71,8 +69,7 @@ def files(tmp_path_factory):
     dense_scene.write_pair_list(folder)
     (folder / "K.txt").write_text("300 0 159.5\n0 300 119.5\n0 0 1\n")
     (folder / "empty").write_text("")
-    for name in ("junk", "junk.npy", "junk.pth"):
-        (folder / name).write_bytes(bytes(range(256)) * 8)
+    (folder / "junk").write_bytes(bytes(range(256)) * 8)
     write_photos(folder / "photos", 24)
     write_colmap(world_scene(count=9), folder / "model")
     for name in ("dir", "sparse/1"):
@@ -101,7 +98,6 @@ def test_bad_values_are_refused_in_one_line_and_change_nothing(words, folder, fi
 
 
 def test_every_number_option_has_a_range(folder):
-    """Of the dataclasses' options too: they refuse what lies outside when they are made."""
     for words in command_lines():
         if words[-1] in ("9" * 30, "-inf"):
             assert_refused(run(*words))
@@ -115,11 +111,9 @@ EXPORT = ("export-colmap", "batch", "--overwrite")
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ((*ESTIMATE, *K, "--overwrite", "--matches", "one.png"), "would be lost"),
         ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "would be lost"),
         ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
-        ((*MATCH, "--overwrite", "--weights", "junk.pth", "--out", "junk.pth"), "would be lost"),
-        ((*EXPORT, "--database", "batch/matches.h5"), ""),
+        ((*MATCH, "--overwrite", "--weights", "junk", "--out", "junk"), "would be lost"),
         ((*EXPORT, "--database", "views/one.png"), ""),
         ((*EXPORT, "--hloc", "batch"), ""),
         (RECONSTRUCT, "is there already"),
@@ -143,10 +137,11 @@ def test_an_output_is_replaced_with_overwrite(folder):
 
 
 def test_every_output_of_every_command_is_declared():
-    """The guard knows the outputs by their types alone."""
+    """The guard knows the outputs by their types alone; bench-pairs reads its --matches."""
     names = {"out", "json", "plot", "matches", "json_path", "plot_path"}
     for name in SUBCOMMANDS:
         for parameter in main.get_command(click.Context(main), name).params:
             last = (parameter.name or "").rpartition("__")[2]
-            if last in names and not getattr(parameter, "is_flag", False):
+            output = last in names and (name, last) != ("bench-pairs", "matches")
+            if output and not getattr(parameter, "is_flag", False):
                 assert isinstance(parameter.type, OutputFile | OutputFolder), (name, parameter)

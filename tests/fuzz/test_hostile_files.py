@@ -12,12 +12,10 @@ import pycolmap
 import pytest
 import torch
 from fuzz.readers import make_batch
-from safetensors.torch import load_file, save_file
 
 from dgc_pose import load_image
 from dgc_pose.batch.result import read_batch
 from dgc_pose.cameras.formats.colmap import read_database
-from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.files.inputs import read_bytes
@@ -27,7 +25,7 @@ from dgc_pose.network.weights import load_network
 from dgc_pose.training.run import save_weights
 
 
-@pytest.mark.parametrize("read", [load_image, read_pairs, read_bytes, read_array, load_network])
+@pytest.mark.parametrize("read", [load_image, read_bytes, load_network])
 @pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder"])
 def test_only_regular_files_are_opened(read, kind, tmp_path):
     os.mkfifo(tmp_path / "fifo")
@@ -64,25 +62,19 @@ def _packed(path):
             new.writestr(info.filename, old.read(info))
 
 
-def _filled(value):
-    def write(path):
-        save_weights(DGCNet(preset("dgcm-lite0")), path)
-        state = load_file(path)
-        state[min(state)] = torch.full(state[min(state)].shape, value)
-        save_file(state, path, metadata={"preset": "dgcm-lite0"})
-
-    return write
+def _not_finite(path):
+    net = DGCNet(preset("dgcm-lite0"))
+    next(net.parameters()).data.fill_(np.nan)
+    save_weights(net, path)
 
 
 @pytest.mark.parametrize(
     ("write", "words"),
     [
         (lambda path: torch.save([1, 2], path), ""),
-        (lambda path: torch.save({1: torch.zeros(2)}, path), ""),
         (lambda path: torch.save({"state_dict": {"a": None}}, path), ""),
         (lambda path: torch.save({"a": torch.zeros(2, 2).to_sparse()}, path), ""),
-        (_filled(np.nan), "not finite"),
-        (_filled(1j), "not real"),
+        (_not_finite, "not finite"),
         (_packed, "packed"),
     ],
 )
@@ -114,21 +106,23 @@ ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELEC
 TRIGGER = "CREATE TRIGGER t AFTER INSERT ON cameras BEGIN DELETE FROM cameras; END"
 
 
+def _computing(path, script):
+    with closing(sqlite3.connect(path)) as database:
+        database.executescript(script)
+
+
 @pytest.mark.parametrize(
     "script", [f"DROP TABLE matches; CREATE VIEW matches AS {ENDLESS}", TRIGGER]
 )
 def test_a_database_that_computes_is_refused(tmp_path, script):
-    path = tmp_path / "a.db"
-    pycolmap.Database.open(path).close()
-    with closing(sqlite3.connect(path)) as database:
-        database.executescript(script)
+    pycolmap.Database.open(tmp_path / "a.db").close()
+    _computing(tmp_path / "a.db", script)
     with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
-        read_database(path)
+        read_database(tmp_path / "a.db")
 
 
 def test_a_store_of_a_batch_that_computes_is_refused(tmp_path):
     make_batch(tmp_path)
-    with closing(sqlite3.connect(tmp_path / "batch/batch.db")) as database:
-        database.executescript(f"DROP TABLE result; CREATE VIEW result AS {ENDLESS}")
+    _computing(tmp_path / "batch/batch.db", f"DROP TABLE result; CREATE VIEW result AS {ENDLESS}")
     with pytest.raises(InputError, match=r"batch\.db is not the store of a batch"):
         read_batch(tmp_path / "batch")

@@ -1,11 +1,7 @@
-"""What runs the shipped weights needs no torch, and the page no COLMAP and no figures."""
+"""What runs the shipped weights needs no torch."""
 
 import json
-import subprocess
-import sys
-import urllib.request
 from importlib import resources
-from typing import Any
 
 import pytest
 from hidden_packages import EXTRAS, run_in, without
@@ -39,32 +35,3 @@ def test_poses_matches_batches_and_models_are_made_without_an_extra(tmp_path):
     run("reconstruct", photos, *K, "--out", model, "--workers", 1)
     assert json.loads((model / "summary.json").read_text())["registered"] == 4
     assert (model / "points.ply").is_file() and (model / "model.html").is_file()
-
-
-def test_the_page_estimates_without_torch_colmap_and_figures(tmp_path):
-    hidden = (*(set(EXTRAS) - {"starlette", "uvicorn"}), "pycolmap", "matplotlib")
-    environment = without(tmp_path / "site", *hidden) | {"TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-m", "dgc_pose", "serve", "--no-browser"]
-    with subprocess.Popen(
-        command, env=environment, stdout=subprocess.PIPE, text=True, cwd="/"
-    ) as server:
-        try:
-            assert server.stdout is not None
-            address, token = server.stdout.readline().strip().split("?token=")
-
-            def ask(path: str, body: bytes = b"") -> list[dict[str, Any]]:
-                headers = {"x-dgc-pose-token": token, "content-type": "application/json"}
-                request = urllib.request.Request(address + path, body, headers)
-                with urllib.request.urlopen(request, timeout=120) as answer:
-                    return [json.loads(line) for line in answer]
-
-            (example,) = ask("example")
-            image1, image2 = (one["id"] for one in example["images"])
-            known = {"kind": "k", "k1": example["k"][0], "k2": example["k"][1]}
-            pair = {"image1": image1, "image2": image2}
-            *_, last = ask("poses", json.dumps(pair | {"camera": known}).encode())
-            assert last["result"]["pose"]["success"] and last["result"]["map"] is not None
-            *_, last = ask("poses", json.dumps(pair | {"camera": {"kind": "auto"}}).encode())
-            assert last["result"]["pose"]["camera1"]["focal_std"] > 0
-        finally:
-            server.terminate()

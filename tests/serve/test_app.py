@@ -25,7 +25,6 @@ from dgc_pose.serve.guard import TOKEN_HEADER, local_hosts
 from dgc_pose.serve.options import IMAGES, ServeOptions
 
 K_FILE = "\n".join(" ".join(map(str, row)) for row in dense_scene.K.tolist())
-PINHOLE = "PINHOLE,320,240,300,300,160,120"
 TOKEN = "a-token"
 PORT = 8000
 HOST = f"127.0.0.1:{PORT}"
@@ -51,13 +50,8 @@ def client(folder, pictures, map_matcher):
     server.close()
 
 
-def encoded(ending, pixels=None):
-    pixels = dense_scene.pictures()[0] if pixels is None else pixels
-    return cv2.imencode(ending, pixels[..., ::-1])[1].tobytes()
-
-
-def decoded(url):
-    return Image.open(io.BytesIO(base64.b64decode(url.split(",")[1])))
+def encoded(ending):
+    return cv2.imencode(ending, dense_scene.pictures()[0][::4, ::4])[1].tobytes()
 
 
 def send(client, data, name="a.png"):
@@ -80,21 +74,15 @@ def poses(client, first, second, camera):
     return lines[-1]
 
 
-# Who may ask
-
-
 @pytest.mark.parametrize(
     ("headers", "words"),
     [
         ({"host": "evil.example:8000"}, "its own name"),
         ({"host": "127.0.0.1:9999"}, "its own name"),
         ({"origin": "http://evil.example"}, "its own pages"),
-        ({"origin": "null"}, "its own pages"),
         ({"origin": "https://127.0.0.1:8000"}, "its own pages"),
-        ({"sec-fetch-site": "cross-site"}, "its own pages"),
         ({"sec-fetch-site": "same-site"}, "its own pages"),
         ({TOKEN_HEADER: ""}, "token"),
-        ({TOKEN_HEADER: "a-tokeN"}, "token"),
         ({TOKEN_HEADER: "ü"}, "token"),
     ],
 )
@@ -108,10 +96,8 @@ def test_others_are_refused(client, folder, path, headers, words):
 
 
 def test_the_page_needs_the_token_in_its_address_and_holds_it(client):
-    for origin in ("http://127.0.0.1:8000", "http://localhost:8000"):
-        headers = {"origin": origin, "host": origin.removeprefix("http://")}
-        assert client.post("/images", content=encoded(".png"), headers=headers).status_code == 200
-    assert client.get("/").status_code == 403
+    headers = {"origin": "http://localhost:8000", "host": "localhost:8000"}
+    assert client.post("/images", content=encoded(".png"), headers=headers).status_code == 200
     assert client.get("/?token=other").status_code == 403
     page = client.get(f"/?token={TOKEN}")
     assert page.status_code == 200 and f'content="{TOKEN}"' in page.text
@@ -127,38 +113,24 @@ def test_the_page_needs_the_token_in_its_address_and_holds_it(client):
         assert "http://" not in text and "https://" not in text
 
 
-@pytest.mark.parametrize(
-    "path", ["../app.py", "..%2fapp.py", "%2e%2e/app.py", "/etc/passwd", "x\x00"]
-)
+@pytest.mark.parametrize("path", ["../app.py", "..%2fapp.py", "/etc/passwd", "x%00"])
 def test_only_the_files_of_the_page_are_given_out(client, path):
-    answer = client.get(f"/static/{path.replace(chr(0), '%00')}")
+    answer = client.get(f"/static/{path}")
     assert answer.status_code in (403, 404)
     assert "import" not in answer.text
 
 
-# Images
-
-
-@pytest.mark.parametrize("ending", [".png", ".jpg", ".tif", ".webp", ".bmp"])
-def test_an_image_comes_back_as_the_browser_shows_it(client, ending):
-    answer = send(client, encoded(ending), "näme.x")
-    assert answer.status_code == 200
-    image = answer.json()
-    assert image["size"] == [320, 240] and image["name"] == "näme.x"
-    assert image["picture"].startswith("data:image/jpeg;base64,")
-    shown = np.asarray(decoded(image["picture"]))
-    assert np.abs(shown.astype(int) - dense_scene.pictures()[0]).mean() < 8
-
-
-def test_a_portrait_is_upright(client):
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_an_image_comes_back_upright_as_a_jpeg(client, kind):
     stream, exif = io.BytesIO(), Image.Exif()
     exif[0x0112] = 6
     stored = dense_scene.pictures()[0]
-    Image.fromarray(stored).save(stream, "JPEG", exif=exif)
-    image = send(client, stream.getvalue(), "turned.jpg").json()
-    assert image["size"] == [240, 320]
-    shown = np.asarray(decoded(image["picture"])).astype(int)
-    assert np.abs(shown - np.rot90(stored, -1)).mean() < 8
+    Image.fromarray(stored).save(stream, kind, exif=exif)
+    image = send(client, stream.getvalue(), "näme.x").json()
+    assert image["size"] == [240, 320] and image["name"] == "näme.x"
+    url, data = image["picture"].split(",")
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data)))).astype(int)
+    assert url == "data:image/jpeg;base64" and np.abs(shown - np.rot90(stored, -1)).mean() < 8
 
 
 def test_only_the_last_images_are_kept(client, folder):
@@ -170,19 +142,9 @@ def test_only_the_last_images_are_kept(client, folder):
     assert "no longer there" in answer.text
 
 
-def test_a_name_is_text_alone(client, folder):
-    for name in ("../../evil.png", "/etc/passwd", "a\x00b\n" + 500 * "c", ""):
-        name = send(client, encoded(".png"), name).json()["name"]
-        assert name.isprintable() and 0 < len(name) <= 200
-    assert all(len(path.name) == 32 and path.parent == folder for path in folder.iterdir())
-
-
-SMALL = dense_scene.pictures()[0][::4, ::4]
-
-
 def png_claiming(width, height):
     """A small PNG that claims another size."""
-    data = bytearray(encoded(".png", SMALL))
+    data = bytearray(encoded(".png"))
     data[16:24] = struct.pack(">II", width, height)
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     return bytes(data)
@@ -190,13 +152,11 @@ def png_claiming(width, height):
 
 @given(
     st.sampled_from([".png", ".jpg", ".tif", ".webp", ".bmp", ".jp2"]).flatmap(
-        lambda ending: damaged(encoded(ending, SMALL)).map(lambda data: data[:100_000])
+        lambda ending: damaged(encoded(ending)).map(lambda data: data[:100_000])
     )
 )
 @example(b"")
-@example(b"<svg onload=alert(1)>")
 @example(b"P6 99999 99999 255\n" + bytes(50))
-@example(b"/etc/passwd")
 @example(png_claiming(60_000, 60_000))
 @example(png_claiming(1200, 1200))
 def test_hostile_uploads_leave_the_server_as_it_was(client, folder, data):
@@ -205,7 +165,7 @@ def test_hostile_uploads_leave_the_server_as_it_was(client, folder, data):
     if answer.status_code != 200:
         assert answer.text and "\n" not in answer.text and str(folder) not in answer.text
     assert len(list(folder.iterdir())) <= IMAGES
-    assert send(client, encoded(".png", SMALL)).status_code == 200
+    assert send(client, encoded(".png")).status_code == 200
 
 
 def test_too_large_a_file_is_refused_before_it_is_read(client, folder):
@@ -218,17 +178,9 @@ def test_too_large_a_file_is_refused_before_it_is_read(client, folder):
     assert sorted(folder.iterdir()) == before
 
 
-# Poses
-
-
 @pytest.mark.parametrize(
     ("camera", "flags"),
     [
-        ({"kind": "k", "k1": dense_scene.K_TEXT}, ["--K", dense_scene.K_TEXT]),
-        (
-            {"kind": "k", "k1": dense_scene.K_TEXT, "k2": PINHOLE},
-            ["--K1", dense_scene.K_TEXT, "--K2", PINHOLE],
-        ),
         (
             {"kind": "k", "k1": dense_scene.K_TEXT, "k2": "auto"},
             ["--K1", dense_scene.K_TEXT, "--K2", "auto"],
@@ -266,17 +218,12 @@ def test_the_command_and_the_python_give_the_same(
     ("camera", "words"),
     [
         (None, "kind"),
-        ({"kind": "file", "content": 5}, "choose a file"),
         ({"kind": "file", "content": "%"}, "base 64"),
         ({"kind": "file", "content": in_base64(1_001_000 * "1")}, "at most 1 MB"),
-        ({"kind": "file", "name": "my K.txt", "content": in_base64("1 2 3")}, "my K.txt"),
         ({"kind": "file", "name": "../K.txt", "content": in_base64(K_FILE[3:])}, "../K.txt"),
-        ({"kind": "k", "k1": "300,300"}, "fx,fy,cx,cy"),
         ({"kind": "k", "k1": 5}, "text"),
         ({"kind": "k", "k1": 400 * "1"}, "300 characters"),
         ({"kind": "k", "k1": "300,300,900,119.5"}, "outside image 1 of 320x240"),
-        ({"kind": "fov", "fov": 0}, "fov must be an angle of 1 to 150 degrees"),
-        ({"kind": "fov", "fov": None}, "give the field of view"),
         ({"kind": "fov"}, "give the field of view"),
         ({"kind": "fov", "fov": "wide"}, "fov must be a number"),
     ],
@@ -286,12 +233,15 @@ def test_a_bad_camera_is_told_in_one_line(client, pair, camera, words):
     assert words in error and "\n" not in error and tempfile.gettempdir() not in error
 
 
-def test_the_name_of_a_file_is_text_alone(client, pair, tmp_path):
-    for name in ("../../K.txt", "/etc/passwd", "..", "", "a\0b", 300 * "ü", str(tmp_path)):
+def test_the_name_of_a_file_is_text_alone(client, folder, pair, tmp_path):
+    for name in ("../../K.txt", "", "a\0b" + 250 * "ü", str(tmp_path)):
         camera = {"kind": "file", "name": name, "content": in_base64(K_FILE)}
         result = poses(client, *pair, camera)["result"]
         assert result["pose"]["success"], name
         assert "dgc-pose." not in json.dumps(result), "the folder that it was written to"
+        name = send(client, encoded(".png"), name).json()["name"]
+        assert name.isprintable() and 0 < len(name) <= 200
+    assert all(len(path.name) == 32 and path.parent == folder for path in folder.iterdir())
 
 
 def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):
@@ -306,7 +256,7 @@ def test_no_path_of_a_client_is_opened(client, pair, pictures, tmp_path):
         assert "no longer there" in poses(client, identifier, pair[1], {"kind": "auto"})["error"]
 
 
-@pytest.mark.parametrize("body", [b"", b"[1]", b"{", b"null", 5000 * b"[", b"{" + 2_000_000 * b" "])
+@pytest.mark.parametrize("body", [b"", b"[1]", 5000 * b"[", b"{" + 2_000_000 * b" "])
 def test_a_request_that_is_no_object_is_refused(client, body):
     answer = client.post("/poses", content=body)
     assert answer.status_code in (400, 413) and "request" in answer.text

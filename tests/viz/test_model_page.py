@@ -175,11 +175,6 @@ def test_a_browser_shows_the_photographs_upright_and_turns_the_model(opened):
     opened.wait(f"{at['red']}[1] + 5 < {at['yellow']}[1]")
     opened.click("#photographs")
     assert opened.evaluate(at["red"])[2] == 0
-    drawn = "document.querySelector('canvas').toDataURL()"
-    before = opened.evaluate(drawn)
-    opened.evaluate("document.querySelector('canvas').focus()")
-    opened.press("+")
-    opened.wait(f"{drawn} !== {before!r}")
     for width in (390, 1280):
         opened.resize(width, 844)
         needed = (opened.evaluate(f"document.scrollingElement.scroll{side}") for side in SIDES)

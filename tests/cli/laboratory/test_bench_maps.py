@@ -8,26 +8,28 @@ import numpy as np
 import pytest
 import torch
 from command_line import assert_refused, run
-from map_nets import MapNet, half_sure, shifted
+from map_nets import MapNet
 from textures import procedural_textures
 
 from dgc_pose.benchmarks.homographies import true_map
 from dgc_pose.errors import WeightsError
+from dgc_pose.geometry.pixels import pixel_grid
 
 FILES = ["pairs.csv", "pck.png", "summary.json"]
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Two sequences; `true` says the plane's map, `still` that nothing moved, without a mask."""
+    """`true` says the plane's map, `still` that nothing moved, without a mask."""
     monkeypatch.chdir(tmp_path)
     truth, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
+    still = torch.from_numpy(pixel_grid((240, 240)))
     sure = torch.from_numpy(np.where(valid, 0.99, 0.01))
     nets = {
         "true": MapNet(torch.from_numpy(truth), sure),
-        "still": MapNet(shifted(0, 0)),
-        "half": MapNet(shifted(0, 0), half_sure()),
-        "off": MapNet(shifted(300, 0)),
+        "still": MapNet(still),
+        "half": MapNet(still, torch.where(torch.arange(240) < 120, 0.9, 0.1).expand(240, 240)),
+        "off": MapNet(still + torch.tensor([300, 0])),
     }
 
     def load_network(weights, device):
@@ -41,8 +43,8 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.fixture
 def planes(folder):
-    for name in ("v_adam", "v_wall"):
-        scene.write_sequence(folder / "planes" / name)
+    """A sequence of HPatches."""
+    scene.write_sequence(folder / "planes" / "v_adam")
     return folder
 
 
@@ -80,15 +82,14 @@ def still_aepe():
 def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(planes):
     words = ("--homographies", "planes", "--methods", "true,still,half,dis", "--out", "run/new")
     result = bench(*words)
-    assert "2 of HPatches' 59 sequences" in result.stdout
+    assert "1 of HPatches' 59 sequences" in result.stdout
     (true,), (still,) = lines(result, "III", "true"), lines(result, "III", "still")
-    assert true[2:4] == ["2", "0.00"] and true[-2] == "1.000"
+    assert true[2:4] == ["1", "0.00"] and true[-2] == "1.000"
     assert still[3] == f"{still_aepe():.2f}" and still[-2:] == ["-", "-"]
-    assert lines(result, "all", "true")[0][2] == "10"
     data = json.loads((planes / "run/new/summary.json").read_text())
-    assert data["sequences"] == 2
+    assert data["sequences"] == 1
     true, still, half, dis = data["methods"]
-    assert true["all"]["pairs"] == 10 and true["all"]["aepe"] < 1e-3
+    assert true["all"]["pairs"] == 5 and true["all"]["aepe"] < 1e-3
     # Coarse levels are the means of cells, which a homography does not quite keep.
     assert true["all"]["aepe15"] < 0.2
     assert [group["group"] for group in half["groups"]] == ["I", "II", "III", "IV", "V"]
@@ -100,7 +101,7 @@ def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(plan
     assert sorted(os.listdir("run/new")) == FILES
     with open("run/new/pairs.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == 40 and rows[0]["pair"] == "v_adam 1-2"
+    assert len(rows) == 20 and rows[0]["pair"] == "v_adam 1-2"
     assert cv2.imread("run/new/pck.png").std() > 1
 
 
@@ -112,40 +113,23 @@ def test_synthetic_sets_have_a_line_a_method(photos):
     assert [group["pairs"] for group in half["groups"]] == [3, 3]
     assert half["all"]["aepe"] < 100 < off["all"]["aepe"]
     assert off["reliability"] is None and sum(half["reliability"]["counts"]) == 6 * 240 * 240
-    for group in half["groups"]:
-        (line,) = lines(result, group["group"], "half")
-        assert line[2:4] == ["3", f"{group['aepe']:.2f}"]
     first = result.stdout.splitlines()[0]
     assert "photographs that training holds back" in first and "no occluders" in first
-
-
-def test_scenes_and_changes_of_light(photos):
-    words = ("--methods", "half", "--sets", "scenes", "--pairs", "2", "--changed")
-    assert "with changes of light" in bench("--photos", "photos", *words).stdout
+    words = ("--methods", "half", "--sets", "affine", "--pairs", "2", "--changed")
+    more = bench("--photos", "photos", *words)
+    assert "with changes of light" in more.stdout
 
 
 @pytest.mark.parametrize(
     "arguments, words",
     [
         (("--homographies", "planes", "--methods", "true,nosuch"), "nosuch"),
-        (("--homographies", "planes", "--methods", "true,true"), "twice"),
-        (("--homographies", "planes", "--methods", "true,sift"), "sift: has key points alone"),
         (("--homographies", "planes", "--photos", "planes"), "one of them"),
         ((), "give --homographies or --photos"),
-        (("--photos", "nowhere"), "nowhere: No such file or directory"),
         (("--photos", "planes", "--sets", "affine,tps"), "no set 'tps'"),
-        (("--photos", "planes", "--sets", ","), "no sets"),
     ],
 )
 def test_unusable_input_is_one_line_and_writes_nothing(planes, arguments, words):
     methods = () if "--methods" in arguments else ("--methods", "true")
     assert_refused(run("bench-maps", *arguments, *methods), words)
     assert os.listdir(planes) == ["planes"]
-
-
-def test_a_broken_image_leaves_no_files(planes):
-    (planes / "planes" / "v_wall" / "6.ppm").write_bytes(b"P6 no image")
-    words = ("--homographies", "planes", "--methods", "true", "--out", "run")
-    result = run("bench-maps", *words)
-    assert result.exit_code == 2 and "6.ppm" in result.stderr
-    assert os.listdir("run") == []
