@@ -40,7 +40,8 @@ def share(
     """
     pairs = pair_geometries(batch)
     if not pairs:
-        raise InputError(f"{batch.folder}: no pair of this batch has a pose")
+        first = "".join(f"; of the first {row.reason}" for row in batch.rows[:1])
+        raise InputError(f"{batch.folder}: no pair of this batch has a pose{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
     key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}

@@ -5,15 +5,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import share, write_shared
-from dgc_pose.colmap.mapping import MappingError, map_database, refine_centres
+from dgc_pose.colmap.mapping import map_database, refine_centres
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
-from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
@@ -48,12 +45,9 @@ def reconstruct(
     require_model_folder(out / MODEL, several=True)
     out.mkdir(parents=True, exist_ok=True)
     with only_writer(out):
-        try:
-            shared = share(batch, options.per_image, progress)
-            write_shared(batch, shared, out / DATABASE)
-            found = map_database(out / DATABASE, plan.root, mapping)
-        except (InputError, MappingError) as error:
-            raise type(error)(*error.args, *_what_stays(batch)) from error
+        shared = share(batch, options.per_image, progress)
+        write_shared(batch, shared, out / DATABASE)
+        found = map_database(out / DATABASE, plan.root, mapping)
         cut = [name for name, camera in plan.final_cameras.items() if is_of_part(camera)]
         for model in found:
             refine_centres(model, cut)
@@ -76,15 +70,6 @@ def refines(batch: Batch, options: ReconstructionOptions) -> bool:
     """Whether bundle adjustment changes the cameras."""
     stds = ((c.focal_std, c.lens_std, c.aspect_std) for c in batch.plan.cameras.values())
     return options.refine_intrinsics or any(map(any, stds))
-
-
-def _what_stays(batch: Batch) -> tuple[str, ...]:
-    """The end of a message, if in most pairs most matches stay within a pixel; else nothing."""
-    found = (pair.matches for pair in batch.pairs() if len(pair.matches))
-    count = sum(np.median(np.hypot(*(m.points2 - m.points1).T)) < 1 for m in found)
-    facts = f"(in {count} of {len(batch.rows)} pairs most matches stay at the same pixels:"
-    end = (facts, ArgumentName("masks"), "leaves a background that stands still out)")
-    return end if 2 * count > len(batch.rows) else ()
 
 
 def write_summary(

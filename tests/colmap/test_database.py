@@ -53,20 +53,36 @@ def _write(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return R, t
 
 
-def test_key_points_are_half_a_pixel_more(tmp_path: Path) -> None:
-    """The centre of the top-left pixel, our (0, 0), is COLMAP's (0.5, 0.5)."""
+def test_key_points_matches_and_geometry(tmp_path: Path) -> None:
+    """The centre of the top-left pixel, our (0, 0), is COLMAP's (0.5, 0.5). b.png has the larger
+    id: COLMAP stores the pair the other way round, and inverts the pose."""
     path = tmp_path / "database.db"
-    _write(path)
+    R, t = _write(path)
     with pycolmap.Database.open(path) as database:
-        image = database.read_image_with_name("b.png")
-        points = database.read_keypoints(image.image_id)
-        np.testing.assert_array_equal(points[:, :2], [[0.5, 0.5], [10.75, 7.5], [3.5, 4.5]])
-        stored = database.read_camera(image.camera_id)
-    K = stored.calibration_matrix()
-    np.testing.assert_allclose(K[:2, 2], camera().K[:2, 2] + 0.5)
+        b, a = (database.read_image_with_name(name).image_id for name in NAMES)
+        assert a < b
+        points, stored = (
+            database.read_keypoints(b)[:, :2],
+            database.read_camera(database.read_image(b).camera_id),
+        )
+        matches = database.read_matches(b, a)
+        forward = database.read_two_view_geometry(b, a)
+        backward = database.read_two_view_geometry(a, b)
+        assert database.num_images() == 3
+        # The focal length of one camera is known, that of the other a guess.
+        priors = [stored.has_prior_focal_length for stored in database.read_all_cameras()]
+        assert sorted(priors) == [False, True]
+    np.testing.assert_array_equal(points, [[0.5, 0.5], [10.75, 7.5], [3.5, 4.5]])
     # A ray through our pixel is the ray through COLMAP's.
     ours = camera().normalise(np.array([[10.25, 7]]))
-    np.testing.assert_allclose(stored.cam_from_img(points[1:2, :2].astype(float)), ours)
+    np.testing.assert_allclose(stored.cam_from_img(points[1:2].astype(float)), ours)
+    np.testing.assert_array_equal(matches, INDEX)
+    np.testing.assert_array_equal(forward.inlier_matches, INDEX)
+    assert forward.config == pycolmap.TwoViewGeometryConfiguration.CALIBRATED
+    np.testing.assert_allclose(forward.cam2_from_cam1.rotation.matrix(), R, atol=1e-9)
+    np.testing.assert_allclose(forward.cam2_from_cam1.translation, t, atol=1e-9)
+    np.testing.assert_allclose(backward.cam2_from_cam1.rotation.matrix(), R.T, atol=1e-9)
+    np.testing.assert_allclose(forward.E, essential_from_pose(R, t), atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -86,29 +102,6 @@ def test_images_of_one_camera_share_it(
     # The lens of a camera that is not known may be one with distortion.
     expected = ("RADIAL", [110, 50, 40, 0, 0]) if std else ("PINHOLE", [110, 110, 50, 40])
     assert (stored[0].model.name, stored[0].params.tolist()) == expected
-
-
-def test_matches_and_geometry_in_the_order_of_the_ids(tmp_path: Path) -> None:
-    """b.png has the larger id: COLMAP stores the pair the other way round, and inverts the pose."""
-    path = tmp_path / "database.db"
-    R, t = _write(path)
-    with pycolmap.Database.open(path) as database:
-        b, a = (database.read_image_with_name(name).image_id for name in NAMES)
-        assert a < b
-        matches = database.read_matches(b, a)
-        forward = database.read_two_view_geometry(b, a)
-        backward = database.read_two_view_geometry(a, b)
-        assert database.num_images() == 3
-        # The focal length of one camera is known, that of the other a guess.
-        priors = [stored.has_prior_focal_length for stored in database.read_all_cameras()]
-        assert sorted(priors) == [False, True]
-    np.testing.assert_array_equal(matches, INDEX)
-    np.testing.assert_array_equal(forward.inlier_matches, INDEX)
-    assert forward.config == pycolmap.TwoViewGeometryConfiguration.CALIBRATED
-    np.testing.assert_allclose(forward.cam2_from_cam1.rotation.matrix(), R, atol=1e-9)
-    np.testing.assert_allclose(forward.cam2_from_cam1.translation, t, atol=1e-9)
-    np.testing.assert_allclose(backward.cam2_from_cam1.rotation.matrix(), R.T, atol=1e-9)
-    np.testing.assert_allclose(forward.E, essential_from_pose(R, t), atol=1e-9)
 
 
 @pytest.mark.parametrize(

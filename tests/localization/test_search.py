@@ -24,13 +24,13 @@ AROUND = np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]
 BESIDE = np.array([[1.2, 0, 0], [-1.2, 0.4, 0], [0.5, 0.2, 0.1], [-0.6, 0, 0.2]])
 
 
-def _searched(scene: WorldScene, **pair: float | None) -> tuple[Location, list[str]]:
+def _searched(scene: WorldScene) -> tuple[Location, list[str]]:
     """The location, and the images in the order in which they were asked for."""
     search = LocationSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
     asked = []
     while (name := search.next_image()) is not None:
         number = scene.names.index(name)
-        search.add(name, scene.pair_pose(number, **pair), scene.matches(number), *NO_POINTS)
+        search.add(name, scene.pair_pose(number), scene.matches(number), *NO_POINTS)
         asked.append(name)
     return search.location(), asked
 
@@ -41,7 +41,7 @@ def _search_of(
     camera: Camera = PHOTO_CAMERA,
     model: Model | None = None,
 ) -> LocationSearch:
-    """A search with these poses of the first pairs."""
+    """With these poses of the first pairs."""
     search = LocationSearch(model or scene.model(), camera, OPTIONS, scene.names)
     for number, pose in enumerate(poses):
         search.add(scene.names[number], pose, scene.matches(number), *NO_POINTS)
@@ -99,6 +99,7 @@ def test_one_database_image_has_no_scale_and_points_have() -> None:
     location = search.location()
     assert location.success and location.centre is not None
     assert np.linalg.norm(location.centre - scene.centre) < 0.02
+    assert location.position_error_90 is not None and location.position_error_90 < 0.05
 
 
 def test_unrelated_images_end_the_search_early() -> None:
