@@ -20,7 +20,7 @@ from dgc_pose.images.image import image_header, size_in_file
 from dgc_pose.images.mask import mask_file
 
 STORE = "batch.db"  # in the folder of a batch
-BATCH, PICTURE, PAGE = "batch", "picture.png", "model.html"  # in the folder of a reconstruction
+BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 # Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
 FileState = tuple[int, ...]
@@ -81,10 +81,7 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     `reconstruct`."""
 
     def is_result(name: str) -> bool:
-        path = root / name
-        folders = list(path.parents)[: name.count("/")]
-        if path.name == PICTURE:
-            folders.append(path.with_name(BATCH))
+        folders = list((root / name).parents)[: name.count("/")]
         return any(os.path.isfile(folder / STORE) for folder in folders)
 
     content = search_images(root)

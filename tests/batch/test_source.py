@@ -31,10 +31,8 @@ def test_a_folder_is_searched_for_images_of_any_name(tmp_path):
 @pytest.mark.parametrize(
     ("plan", "result", "kept"),
     [
-        ("out/batch/batch.db", "out/picture.png", False),
-        ("batch/batch.db", "picture.png", False),  # in the folder of the photographs
         ("out/batch.db", "out/more/drawn.png", False),
-        ("batch/batch.db", "other.png", True),
+        ("batch/batch.db", "other.png", True),  # beside it
         ("batch.db", "picture.png", True),
         ("out/summary.json", "out/picture.png", True),
     ],
