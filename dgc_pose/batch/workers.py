@@ -63,8 +63,7 @@ def ray_workers(job: Job, workers: int) -> Iterator[Run]:
             logging_level=logging.ERROR,
         )
     kind: Any = ray.remote(num_cpus=1, num_gpus=int(job.matcher.device == "cuda"))(CoreWorker)
-    shared = ray.put(job)
-    actors = [kind.remote(shared) for _ in range(workers)]
+    actors: list[Any] = []
 
     def run(work: Work, tasks: Sequence[Task]) -> Iterator[Any]:
         try:
@@ -80,6 +79,8 @@ def ray_workers(job: Job, workers: int) -> Iterator[Run]:
             raise error.cause from None
 
     try:
+        shared = ray.put(job)
+        actors += [kind.remote(shared) for _ in range(workers)]
         yield run
     finally:
         for actor in actors:
