@@ -26,6 +26,7 @@ from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import replaced, require_room, writing
 
 PAIRS, MATCHES, SUMMARY = "pairs.jsonl", "matches.h5", "summary.json"
+GROUP_BYTES = 4096  # more than HDF5 takes for a pair beside its arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +66,8 @@ def write_files(out: Path, store: BatchStore, plan: Plan, summary: Mapping[str, 
     with replaced(out / PAIRS) as file, writing(file), file.open("w", encoding="utf-8") as stream:
         stream.writelines(f"{line}\n" for _, line in store.lines("result"))
     with replaced(out / MATCHES) as file:
-        require_room(out / MATCHES, store.byte_count())
+        room = store.byte_count() + GROUP_BYTES * len(plan.pairs)
+        require_room(out / MATCHES, room)  # HDF5 ends the process when a disk is full
         write_matches(file, store.pairs("result"))
     write_json(out / SUMMARY, summary)
 
@@ -111,13 +113,19 @@ def group_name(name1: str, name2: str) -> str:
     return "/".join(name.replace("/", "-") for name in (name1, name2))
 
 
+def require_groups(plan: Plan) -> None:
+    """Raise InputError if two pairs would share a group of `matches.h5`."""
+    groups: dict[str, tuple[str, str]] = {}
+    for pair in map(plan.pair, range(len(plan.pairs))):
+        if (other := groups.setdefault(group_name(*pair), pair)) != pair:
+            raise InputError(f"{' '.join(pair)} and {' '.join(other)} have one name in {MATCHES}")
+
+
 def write_matches(path: Path, pairs: Iterable[MatchedPair]) -> None:
     """Write the matches of pairs."""
     with h5py.File(path, "w") as file:
         for pair in pairs:
             group, matches, pose = group_name(*pair.row.names), pair.matches, pair.row.pose
-            if group in file:
-                raise InputError(f"{path}: another pair than {' '.join(pair.row.names)} is {group}")
             file[f"{group}/keypoints0"] = matches.points1.astype(np.float32)
             file[f"{group}/keypoints1"] = matches.points2.astype(np.float32)
             file[f"{group}/scores"] = matches.confidence.astype(np.float32)

@@ -16,7 +16,14 @@ from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
 from dgc_pose.batch.plan import Plan, continued
 from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses, compared
-from dgc_pose.batch.result import SUMMARY, Batch, read_batch, summary_of, write_files
+from dgc_pose.batch.result import (
+    SUMMARY,
+    Batch,
+    read_batch,
+    require_groups,
+    summary_of,
+    write_files,
+)
 from dgc_pose.batch.rows import FAILED
 from dgc_pose.batch.source import STORE, Source, survey
 from dgc_pose.batch.store import BatchStore, open_store
@@ -121,6 +128,7 @@ def run_batch(
         with start_workers(job, options.worker_count) as run:
             if before is None and choice is not None and choice.way == "auto":
                 plan = _with_similar(plan, choice.number, run, progress)
+            require_groups(plan)
             with open_store(out, create=True) as store:
                 store.begin(plan, again)
                 (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more

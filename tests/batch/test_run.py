@@ -136,9 +136,13 @@ def test_a_list_and_a_database_as_source(photos, tmp_path):
 def test_unusable_input(photos, whole, tmp_path):
     database = tmp_path / "no.db"
     database.write_bytes(b"SQLite format 3\0" + b"\0" * 200)
+    alike = tmp_path / "alike.txt"
+    alike.write_text("a/view.png a-view.png\na/view.png view1.png\n")
+    (tmp_path / "view1.png").write_bytes((photos[0] / "view1.png").read_bytes())
     for source, out, reason in (
         (tmp_path / "none", "out", "no such folder"),
         (database, "out", "not a COLMAP database"),
+        (alike, "out", "^a-view.png view1.png and a/view.png view1.png have one name in matches"),
         (photos[0], str(whole), "holds a batch already"),
         (photos[0], str(tmp_path), "no folder of `dgc-pose batch`"),
     ):

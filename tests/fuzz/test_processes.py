@@ -89,19 +89,21 @@ def test_a_lost_stdout_is_one_line(tmp_path):
     assert process.returncode == 128 + signal.SIGPIPE
 
 
-def test_a_full_disk_is_one_line(tmp_path):
-    """SQLite's error once ended the process, and left files."""
+@pytest.mark.parametrize("output", [("--database", "x.db"), ("--hloc", ".")])
+def test_a_full_disk_is_one_line(tmp_path, output):
+    """Errors of SQLite and HDF5 once ended the process, and left files."""
     make_batch(tmp_path)
     before = set(os.listdir(tmp_path))
     ended = subprocess.run(
-        [sys.executable, "-m", "dgc_pose", "export-colmap", "batch", "--database", "x.db"],
+        [sys.executable, "-m", "dgc_pose", "export-colmap", "batch", *output],
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000)),
     )
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr == "error: x.db: File too large\n"
+    written = "x.db" if "x.db" in output else "features.h5"
+    assert ended.stderr == f"error: {written}: File too large\n"
     assert set(os.listdir(tmp_path)) == before
 
 
