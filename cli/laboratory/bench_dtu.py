@@ -62,10 +62,9 @@ def bench_dtu(
     ROOT holds DTU as its authors ship it. It is `dtu-pairs`, with the seed of the estimation, and
     `bench-pairs` over its list, which is pairs.txt in DIR.
     """
-    out.mkdir(parents=True, exist_ok=True)
     path, views = out / _LIST, replace(views, seed=estimation.seed)
     drawn = drawn_pairs(root, choice, views, path)
-    with replaced(path) as stage:
-        write_pairs(stage, drawn)
     options = replace(options, out=out, protocol=protocol)
     run_bench(drawn, options, CameraTrial(), matcher, estimation)
+    with replaced(path) as stage:  # last: the list of a run that is not gone on with stays
+        write_pairs(stage, drawn)

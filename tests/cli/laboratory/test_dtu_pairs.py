@@ -45,6 +45,8 @@ def test_the_benchmark_on_dtu_is_the_drawn_list_by_the_protocol_of_the_paper(roo
     drawn = ("--scan", "65", "--pairs", "3")
     scored = ("--methods", "sift", "--runs", "1", "--iterations", "50", "--out")
     assert run("bench-dtu", "dtu", *drawn, *scored, "run").exit_code == 0
+    other = ("--scan", "65", "--pairs", "2", "--resume")
+    assert run("bench-dtu", "dtu", *other, *scored, "run").exit_code == 2  # pairs.txt stays
     assert dtu_pairs("dtu", "list.txt", *drawn).exit_code == 0
     assert (root / "run/pairs.txt").read_bytes() == (root / "list.txt").read_bytes()
     words = ("list.txt", "--root", "dtu", "--protocol", "paper", *scored, "again")
