@@ -17,6 +17,8 @@ from dgc_pose.batch.plan import Plan, continued
 from dgc_pose.batch.pooling import PooledCamera, by_image
 from dgc_pose.batch.poses import Poses, compared
 from dgc_pose.batch.result import (
+    MATCHES,
+    PAIRS,
     SUMMARY,
     Batch,
     read_batch,
@@ -119,7 +121,8 @@ def run_batch(
             with open_store(out) as store:
                 again |= {row.index for row in store.rows("matched") if row.status == FAILED}
                 is_finished = store.summary is not None
-            if is_finished and not again:
+            is_written = all((out / name).is_file() for name in (PAIRS, MATCHES, SUMMARY))
+            if is_finished and is_written and not again:
                 return read_batch(out)
         limit = options.worker_bytes
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks)

@@ -98,6 +98,9 @@ def test_a_photograph_that_was_half_copied_is_matched_when_it_is_whole(photos, w
     assert_same_result(out, whole)
     again = run_sift(photos, out, resume=True, start_workers=killed_after(0))
     assert again.summary == batch.summary
+    (out / "matches.h5").unlink()
+    assert run_sift(photos, out, resume=True).summary["matched_now"] == 0
+    assert_same_result(out, whole)
     os.utime(photos / LAST, (10**9, 10**9))
     with pytest.raises(Killed):
         run_sift(photos, out, resume=True, start_workers=killed_after(1))
