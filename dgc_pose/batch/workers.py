@@ -17,7 +17,7 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
 from dgc_pose.system.processes import process_pool
 
 Item = TypeVar("Item")
-BLOCK = 16  # pairs handed to a worker at a time, and stored together
+BLOCK = 32  # pairs handed to a worker at a time, and stored together
 # A method of `Worker`, and its arguments: what is done.
 Work = Callable[..., Any]
 Task = tuple[Any, ...]
