@@ -107,6 +107,7 @@ def load_matcher(
     device.
     """
     check_type(name, str | os.PathLike, "name")
+    check_type(cache, ImageCache | None, "cache")
     matching = MatchingOptions() if matching is None else matching
     options = MatcherOptions(os.fspath(name), device, runtime, half_precision, matching)
     return options.load(cache)

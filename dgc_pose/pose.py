@@ -101,8 +101,12 @@ def solve_pair(
     """
     options = EstimationOptions() if options is None else options
     scale = ScaleSource() if scale is None else scale
-    check_type(options, EstimationOptions, "options")
-    check_type(scale, ScaleSource, "scale")
+    for value, kind, name in (
+        *((image1, Image, "image1"), (image2, Image, "image2"), (matcher, Matcher, "matcher")),
+        *((cameras, tuple[Camera, Camera], "cameras"), (scale, ScaleSource, "scale")),
+        (options, EstimationOptions, "options"),
+    ):
+        check_type(value, kind, name)
     depths = scale.maps((image1, image2))
     pose, found = None, None
     seconds: dict[str, float] = {}

@@ -34,7 +34,7 @@ class PosedFrame:
     """
 
     image: Path
-    camera: Camera  # of the image as stored
+    camera: Camera  # of the upright image
     cam_from_world: np.ndarray  # (4, 4) float64
     depth: Path | None = None  # z along the optical axis; 0: unknown
     step: float = 1e-3  # units of length, of the stored depth

@@ -165,7 +165,9 @@ class Trainer:
         return result
 
     def save(self) -> None:
-        """Write the checkpoint, as tensors and plain values, and the log up to it."""
+        """Write the log, and the checkpoint, as tensors and plain values: after a kill between them
+        the next checkpoint comes with a whole log, too."""
+        write_text(self.out / LOG, "".join(json.dumps(row) + "\n" for row in self.rows))
         state = {
             "options": self._fixed_options(),
             "elapsed": self.elapsed,
@@ -179,7 +181,6 @@ class Trainer:
         }
         with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
             torch.save(state, temporary)
-        write_text(self.out / LOG, "".join(json.dumps(row) + "\n" for row in self.rows))
 
     def _load(self, path: Path, net: DGCNet) -> None:
         state = load_checkpoint(path, self.device)

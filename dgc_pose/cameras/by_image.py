@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
+_LEAST_FOCAL = 0.1339  # of a pinhole, over the width: a field of view of 150 degrees
 _MAX_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
 _SAME_ASPECT = 0.03  # of the logarithms of two aspect ratios that are the same
 # Logarithms of the scale between two sizes of the same aspect ratio: less is the same size, and
@@ -220,7 +221,8 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
 
     Raises InputError, naming the argument `name`, if the camera's size differs; or if its principal
     point lies outside the image, or, of a camera without a size, in the middle of the image turned
-    by 90 degrees or of one of far more or fewer pixels. Warns if the principal point is that of an
+    by 90 degrees or of one of far more or fewer pixels; and for a pinhole of a focal length in
+    millimetres, as its field of view shows. Warns if the principal point is that of an
     image of another size, or is far from the middle.
     """
     if camera.size is not None and camera.size != size:
@@ -252,6 +254,9 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
     shares = (centre + 0.5) / size
     if shares.min() <= 0 or shares.max() >= 1:
         raise InputError(f"{place}, outside {image} of {times(size)}")
+    if camera.distortion is None and camera.K[0, 0] < _LEAST_FOCAL * size[0]:
+        problem = f"{name} has a focal length of {camera.K[0, 0]:g} pixels"
+        raise InputError(f"{problem}, a field of view above 150 degrees in {times(size)}")
     if np.abs(shares - 0.5).max() <= _MAX_USUAL_OFFSET:
         return camera
     warning = f"{place}, far from the middle of {image} of {times(size)}"

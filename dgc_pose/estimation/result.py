@@ -70,7 +70,7 @@ class RelativePose:
             first. Their inliers, and those of the alternatives, are over the `num_matches` used.
         median_triangulation_angle_deg: Of the inliers; None without a hypothesis.
         warnings: Sentences about what makes the pose uncertain, for people.
-        seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose.Step`),
+        seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.schedule`),
             "estimate".
     """
 

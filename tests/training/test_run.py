@@ -116,9 +116,9 @@ def test_a_run_killed_in_every_stage_resumes_to_the_bit(data, tmp_path):
     for step in range(3):
         killed = Trainer(tmp_path / "2", options, resume=step > 0)
         assert killed.step == step and not killed.weights_path.exists()
-        killed.train_step(data[TRAINING])
+        killed._write(killed.train_step(data[TRAINING]), {})
         killed.save()
-        killed.train_step(data[TRAINING])  # after the checkpoint, and lost with the kill
+        killed._write(killed.train_step(data[TRAINING]), {})  # lost with the kill
     again = Trainer(tmp_path / "2", options, resume=True)
     assert again.step == 3
     net = again.run(data)
@@ -126,6 +126,7 @@ def test_a_run_killed_in_every_stage_resumes_to_the_bit(data, tmp_path):
     for one, other in zip(first.parameters(), net.parameters(), strict=True):
         assert torch.equal(one, other)
     assert [again.stages[name]["steps"] for name in ("encoder", "decoders")] == [2, 2]
+    assert [row["step"] for row in _log(tmp_path / "2")] == [1, 2, 3, 4]
     Trainer(tmp_path / "2", replace(options, steps=5), resume=True)  # a longer run goes on
     with pytest.raises(InputError, match="^steps would lead from the decoders of .* back"):
         Trainer(tmp_path / "2", replace(options, steps=20), resume=True)
