@@ -65,7 +65,7 @@ class BatchStore:
             with self._database:
                 self._database.execute("BEGIN IMMEDIATE")
                 yield
-        except sqlite3.OperationalError as error:
+        except sqlite3.DatabaseError as error:
             raise OSError(errno.EIO, f"SQLite: {error}", str(self._path)) from None
 
     def begin(self, plan: Plan, again: Collection[int] = ()) -> None:

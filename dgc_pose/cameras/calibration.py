@@ -22,6 +22,7 @@ from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_cameras
 from dgc_pose.errors import ArgumentName, InputError, shortened
 from dgc_pose.images.image import Image
+from dgc_pose.system.options import check_type
 
 _LENS = ",lens"  # after a K whose lens is not known
 _SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
@@ -44,6 +45,8 @@ def pair_cameras(
     does not fit the image, or is stated beside `fov`.
     """
     images = image1, image2
+    for image, name in zip(images, ("image1", "image2"), strict=True):
+        check_type(image, Image, name)
     if fov is not None:
         if K1 is not None or K2 is not None:
             raise InputError(ArgumentName("fov"), f"and {names[K1 is None]} are both stated")

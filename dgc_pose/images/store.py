@@ -5,6 +5,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
+import numpy as np
+
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.images.mask import mask_file, masked
@@ -43,8 +46,11 @@ class ImageStore:
             return self._kept[name]
         image = masked(load_image(self._root / name), mask_file(self._masks, name))
         if self._size is not None:
+            mask = image.mask
+            if mask is not None:
+                mask = cv2.resize(np.uint8(mask), self._size, interpolation=cv2.INTER_NEAREST) > 0
             pixels = resize(image.pixels, self._size)
-            image = replace(image, pixels=pixels, stored_size=image.size)
+            image = replace(image, pixels=pixels, mask=mask, stored_size=image.size)
         self._kept[name] = image
         while len(self._kept) > 1 and self._kept_bytes() > self.limit_bytes:
             self._dropped(self._kept.popitem(last=False)[1])

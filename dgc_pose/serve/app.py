@@ -21,7 +21,7 @@ from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.serve.cameras import MAX_FILE_BYTES
 from dgc_pose.serve.estimator import Estimator
 from dgc_pose.serve.guard import Guard
-from dgc_pose.serve.images import ImageStore, StoredImage, preview
+from dgc_pose.serve.images import SentImages, StoredImage, preview
 from dgc_pose.serve.options import (
     DECODE_SECONDS,
     IMAGES,
@@ -57,7 +57,7 @@ class Server:
         self.options = options
         self._example, self._token, self._estimator = example, token, estimator
         self._bundled_images: list[dict[str, Any]] = []  # of the example, once they are asked for
-        self._store = ImageStore(folder, IMAGES)
+        self._store = SentImages(folder, IMAGES)
         # A photograph need not wait for a pose.
         self._decoding, self._estimating = Worker(), Worker()
         self.app = Starlette(

@@ -32,7 +32,7 @@ class Gone(InputError):
     status = 410  # of HTTP: the page sends the image again
 
 
-class ImageStore:
+class SentImages:
     """The last images in the folder, and any from elsewhere, which are never dropped.
 
     What a client says is a key of a dictionary and never part of a path.

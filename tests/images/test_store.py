@@ -49,3 +49,12 @@ def test_images_have_their_masks_and_the_size_asked_for(photos: Path) -> None:
     assert store.get("b.png").mask is None
     small = ImageStore(photos, size=(20, 15)).get("a.png")
     assert small.size == (20, 15) and small.stored_size == (40, 30)
+
+
+def test_an_image_of_another_size_has_its_mask_at_that_size(photos: Path) -> None:
+    alpha = np.full((30, 40), 255, np.uint8)
+    alpha[:, :20] = 0
+    cv2.imwrite(str(photos / "a.png"), np.dstack([PIXELS, alpha]))
+    image = ImageStore(photos, size=(20, 20)).get("a.png")
+    assert image.mask is not None and image.mask.shape == image.pixels.shape[:2] == (20, 20)
+    assert not image.mask[:, :10].any() and image.mask[:, 10:].all()
