@@ -48,7 +48,10 @@ class ImageStore:
         if self._size is not None:
             mask = image.mask
             if mask is not None:
-                mask = cv2.resize(np.uint8(mask), self._size, interpolation=cv2.INTER_NEAREST) > 0
+                mask = (
+                    cv2.resize(mask.astype(np.uint8), self._size, interpolation=cv2.INTER_NEAREST)
+                    > 0
+                )
             pixels = resize(image.pixels, self._size)
             image = replace(image, pixels=pixels, mask=mask, stored_size=image.size)
         self._kept[name] = image
