@@ -46,7 +46,7 @@ def reconstruct(
         if not choice.work.resume:
             raise InputError(f"{there}: --resume continues the run and replaces it")
         if not (out / BATCH / STORE).is_file():
-            raise InputError(f"{there}, and {out} holds no batch to continue")
+            raise InputError(f"{there}, and {out} holds no batch of this version to continue")
     require_model_folder(out / reconstruction.MODEL, several=True)
     if options.gps or options.scale:  # refused before the matching
         images = choice.open(source, out / BATCH)

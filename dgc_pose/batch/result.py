@@ -48,7 +48,9 @@ def read_batch(out: Path) -> Batch:
     """The result of a finished batch. Raises InputError, with the path, if it is not finished, or
     broken."""
     if not (out / STORE).is_file():
-        raise InputError(f"{out}: no folder of `dgc-pose batch` (it has no {STORE})")
+        raise InputError(
+            f"{out}: no folder of `dgc-pose batch` of this version (it has no {STORE})"
+        )
     with open_store(out) as store:
         plan, summary = store.plan, store.summary
         if plan is None or summary is None:

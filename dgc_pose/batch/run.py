@@ -175,7 +175,9 @@ def _folder_alone(out: Path) -> Iterator[None]:
     """The folder to this process alone; made if missing, and removed if nothing is written."""
     is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
     if is_used and not (out / STORE).is_file():
-        raise InputError(f"{out}: is there already, and no folder of `dgc-pose batch`")
+        raise InputError(
+            f"{out}: is there already, and no folder of `dgc-pose batch` of this version"
+        )
     made = [path for path in (out, *out.parents) if not path.exists()]
     out.mkdir(parents=True, exist_ok=True)
     try:

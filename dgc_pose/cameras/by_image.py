@@ -183,6 +183,7 @@ def upright_camera(camera: Camera, image: Image | Header) -> Camera:
     if orientation == 1:
         return camera
     turned = camera.turned(exif_turn(orientation), size_in_file(image))
+    turned = replace(turned, size=camera.size and turned.size)
     if _fits(camera, image, None) != (True, False) and not np.array_equal(turned.K, camera.K):
         warning = (
             f"EXIF orientation {orientation} is applied, and K is turned with the image: it must "
@@ -248,6 +249,8 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
             )
             if is_turned:
                 raise InputError(f"{problem}: K is of the image turned by 90 degrees")
+            if name.startswith("--"):
+                problem += ": --K-size states the size that K is of"
             if scale > _MAX_POSSIBLE_SCALE:
                 raise InputError(problem)
             return replace(camera, warnings=(*camera.warnings, problem))

@@ -120,6 +120,8 @@ def load_image(
     large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
     finite or of alpha 0.
     """
+    if source is None or isinstance(source, bytes) or (isinstance(source, str) and "://" in source):
+        raise InputError(f"{name} is no path, no array and no tensor: {source!r:.60}")
     if isinstance(source, str | os.PathLike):
         source = _read_file(Path(source))
     if isinstance(source, Image):

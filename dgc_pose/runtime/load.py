@@ -44,7 +44,7 @@ def load_engine(
         from dgc_pose.runtime.onnx_engine import OnnxEngine
 
         return OnnxEngine(path)
-    require({f"{path.name} with these options": "torch"})
+    require({"the runtime torch" if path.suffix == SUFFIX else path.name: "torch"})
     from dgc_pose.network.weights import choose_device, load_network
     from dgc_pose.runtime.torch_engine import TorchEngine
 

@@ -22,6 +22,7 @@ from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.database import pair_geometries
 from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
+from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
@@ -144,7 +145,7 @@ def _make_matches(folder):
 
 def _read_matches(path):
     images = [Image(PIXELS, name) for name in ("one", "two")]
-    FileMatcher("files", {("one", "two"): path}).match(*images)
+    FileMatcher("files", {("one", "two"): path}, MatchingOptions()).match(*images)
 
 
 def make_batch(folder):
