@@ -17,13 +17,12 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.probability import is_contradicted
+from dgc_pose.estimation.status import STATUSES
 from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
 from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
 from dgc_pose.pose import solve_pair
-
-_OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches are evidence of K
 
 
 def evaluate(
@@ -138,7 +137,7 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
     contradict its focal length or that of the EXIF data. cameras: before the estimation."""
     if any(camera.focal_source == "given" and camera.warnings for camera in cameras):
         return True
-    if pose.evidence is None or pose.status not in _OF_CAMERAS:
+    if pose.evidence is None or not STATUSES[pose.status].of_cameras:
         return False
     if (check := pose.evidence.focal_check) is not None:
         return is_contradicted(check.factor, check.std, check.log_odds)

@@ -32,7 +32,7 @@ class Poses:
     ) -> Iterator[MatchedPair]:
         """The pairs with their poses by these cameras, in any order. fit: whether each pair fits
         its cameras; otherwise those alone do whose cameras are not known. only: some pairs."""
-        indices = [index for index, _ in self.store.lines("matched")] if only is None else only
+        indices = self.store.indices("matched") if only is None else only
         size = block_size(len(indices), self.workers)
         pairs = self.store.pairs("matched", indices)
         while held := list(islice(pairs, size * _BLOCKS_HELD * self.workers)):

@@ -210,7 +210,7 @@ def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan
 def _match(
     store: BatchStore, plan: Plan, run: Run, options: BatchOptions, progress: Progress
 ) -> int:
-    matched = dict(store.lines("matched"))
+    matched = set(store.indices("matched"))
     left = np.array([i for i in range(len(plan.pairs)) if i not in matched], dtype=np.int64)
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)

@@ -116,9 +116,15 @@ class BatchStore:
         with read_as(_WHAT, self._path):
             return list(self._database.execute(f"SELECT pair, row FROM {table} ORDER BY pair"))
 
+    def indices(self, table: Table) -> list[int]:
+        """The numbers of the pairs of a table, in their order."""
+        with read_as(_WHAT, self._path):
+            found = self._database.execute(f"SELECT pair FROM {table} ORDER BY pair")
+            return [pair for (pair,) in found]
+
     def pairs(self, table: Table, only: Collection[int] | None = None) -> Iterator[MatchedPair]:
         """The pairs of a table in their order; only: the numbers of some."""
-        for index in sorted(dict(self.lines(table)) if only is None else only):
+        for index in self.indices(table) if only is None else sorted(only):
             yield self._pair(table, index)
 
     def byte_count(self) -> int:

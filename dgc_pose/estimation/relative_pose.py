@@ -29,7 +29,6 @@ from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import check_type
 
 _DEFAULTS = EstimationOptions()
-_OF_CAMERAS = ("ok", "planar", "improbable", "undetermined")  # whose matches are evidence of K
 
 
 def estimate_pose(
@@ -206,7 +205,7 @@ def _judged(
         () if model is None else model.against(evidence),
         [hypothesis.share for hypothesis in found.hypotheses if hypothesis.likely],
     )
-    if status in _OF_CAMERAS:
+    if STATUSES[status].of_cameras:
         warnings += focal_warnings(stated, known.cameras, evidence.focal_check)
         warnings += model_warnings(evidence.camera_model, stated, known.cameras)
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"

@@ -31,19 +31,20 @@ class StatusFacts:
     meaning: str  # one sentence for people
     has_t: bool = False  # a success: R and t are known
     colmap: str | None = None  # COLMAP's configuration of the pair; None: no two-view geometry
+    of_cameras: bool = False  # the matches are evidence of K
 
 
 STATUSES: Mapping[Status, StatusFacts] = {
-    "ok": StatusFacts("a pose", True, "CALIBRATED"),
-    "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR"),
+    "ok": StatusFacts("a pose", True, "CALIBRATED", of_cameras=True),
+    "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR", of_cameras=True),
     "rotation_only": StatusFacts("the images do not determine t", False, "PANORAMIC"),
     "too_few_matches": StatusFacts("fewer than 20 distinct matches"),
     "no_model": StatusFacts("RANSAC has no essential matrix"),
     "chance_inliers": StatusFacts("no more inliers than unrelated images would have"),
     "collinear": StatusFacts("the inliers lie on one line, which many poses explain"),
     "behind_cameras": StatusFacts("many points would lie behind a camera"),
-    "undetermined": StatusFacts("the inliers do not determine the rotation"),
-    "improbable": StatusFacts("the evidence altogether speaks against the pose"),
+    "undetermined": StatusFacts("the inliers do not determine the rotation", of_cameras=True),
+    "improbable": StatusFacts("the evidence altogether speaks against the pose", of_cameras=True),
     "ambiguous": StatusFacts(
         "two or more poses explain the matches, and which of them is right does not show"
     ),

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
+from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import Image, filled, read_pixels, turned
 
 _SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask is scaled
@@ -44,12 +45,17 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
     if abs(width * rows / (height * columns) - 1) > _SAME_SHAPE:
         raise InputError(argument, f"is {width} x {height} and the image {columns} x {rows}")
     if (width, height) != image.size:
-        nearest = cv2.INTER_NEAREST_EXACT  # by the half-pixel rule
-        used = cv2.resize(used.astype(np.uint8), image.size, interpolation=nearest).astype(bool)
+        used = resized_mask(used, image.size)
     used &= True if image.mask is None else image.mask
     if not used.any():
         raise InputError(argument, "leaves no pixel of the image")
     return replace(image, pixels=filled(image.pixels, used), mask=used)
+
+
+def resized_mask(mask: np.ndarray, size: Size) -> np.ndarray:
+    """A mask (H, W), bool, at a size (width, height): the nearest pixels by the half-pixel rule."""
+    nearest = cv2.INTER_NEAREST_EXACT
+    return cv2.resize(mask.astype(np.uint8), size, interpolation=nearest).astype(bool)
 
 
 def mask_file(folder: str | Path | None, name: str) -> Path | None:

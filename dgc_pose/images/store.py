@@ -5,12 +5,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import Image, load_image, resize
-from dgc_pose.images.mask import mask_file, masked
+from dgc_pose.images.mask import mask_file, masked, resized_mask
 
 
 class ImageStore:
@@ -46,12 +43,7 @@ class ImageStore:
             return self._kept[name]
         image = masked(load_image(self._root / name), mask_file(self._masks, name))
         if self._size is not None:
-            mask = image.mask
-            if mask is not None:
-                mask = (
-                    cv2.resize(mask.astype(np.uint8), self._size, interpolation=cv2.INTER_NEAREST)
-                    > 0
-                )
+            mask = None if image.mask is None else resized_mask(image.mask, self._size)
             pixels = resize(image.pixels, self._size)
             image = replace(image, pixels=pixels, mask=mask, stored_size=image.size)
         self._kept[name] = image
