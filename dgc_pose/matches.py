@@ -27,6 +27,8 @@ class Matches:
             map's matches are correlated among neighbours.
         weights: Fingerprint of the weights of the network that made the matches; None if none did.
             The probability of a pose is fitted on the matches of certain weights.
+        surroundings: How alike both images are around the matches, over how alike they are at them;
+            None if it is not known, and if nothing surrounds them.
     """
 
     points1: np.ndarray
@@ -35,6 +37,7 @@ class Matches:
     error_px: float
     key_points: bool = False
     weights: str | None = None
+    surroundings: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("points1", "points2"):

@@ -173,7 +173,7 @@ def _mirrored(
     of_mirror_image = estimate_pose(
         result.matches, cameras[0], second, options, map_matches=result.map_matches
     )
-    probability = (of_mirror_image.probability or 0.0) if of_mirror_image.success else 0.0
+    probability = (of_mirror_image.one_place_probability or 0.0) if of_mirror_image.success else 0.0
     if probability < max(LIKELY, pose.any_probability or 0.0):
         return None
     reason = (

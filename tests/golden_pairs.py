@@ -44,7 +44,8 @@ class Answer(NamedTuple):
     number: int
     way: str
     status: str
-    probability: float | None  # None for key points
+    probability: float | None  # of one place; None for key points
+    same_place: float | None  # probability that both images show one
     rotation_error_deg: float | None  # None without R
     translation_error_deg: float | None  # None without t
 
@@ -82,7 +83,8 @@ def answer(group: str, number: int, way: str) -> Answer:
     t = None
     if pose.t is not None and np.linalg.norm(pair.t) > 0:
         t = translation_error_deg(pose.t, pair.t / np.linalg.norm(pair.t))
-    return Answer(group, number, way, pose.status, pose.probability, R, t)
+    probabilities = pose.one_place_probability, pose.same_place_probability
+    return Answer(group, number, way, pose.status, *probabilities, R, t)
 
 
 def recorded() -> list[Answer]:

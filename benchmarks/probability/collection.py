@@ -131,9 +131,15 @@ def _arrays(prefix: str, matches: Matches) -> dict[str, object]:
     # Both sides are in pixels: a float32 keeps a thousandth of one.
     values = {name: getattr(matches, name) for name in _FIELDS}
     values |= {name: values[name].astype(np.float32) for name in _FIELDS[:3]}
+    if matches.surroundings is not None:
+        values["surroundings"] = matches.surroundings
     return {prefix + name: value for name, value in values.items()}
 
 
 def _matches(prefix: str, arrays: Mapping[str, np.ndarray], weights: str | None) -> Matches:
     points1, points2, confidence, error_px, key_points = (arrays[prefix + n] for n in _FIELDS)
-    return Matches(points1, points2, confidence, float(error_px), bool(key_points), weights)
+    around = arrays.get(prefix + "surroundings")
+    return Matches(
+        *(points1, points2, confidence, float(error_px), bool(key_points), weights),
+        surroundings=None if around is None else float(around),
+    )

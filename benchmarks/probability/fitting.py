@@ -33,6 +33,7 @@ _MIN_SCENES = 3
 _WITHIN = 0.9  # share of right poses whose error is to be within the expected one
 _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
 _ALTOGETHER_WRONG_DEG = 30.0  # a pose whose cameras are no evidence
+_CERTAIN = 30.0  # log-odds
 _LEAST_SLOPE = 0.2  # of the calibrated log-odds
 _RIDGE = 1e-3  # on the weights of the choice
 _LAPSE, _MOST_LAPSE = 0.05, 0.5  # of the choice: where the fit begins, and ends at the latest
@@ -44,7 +45,11 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
 
     Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
     """
-    samples = [(row, row.evidence) for row in rows if row.entry.part == "fit" and row.evidence]
+    samples = [
+        (row, row.evidence)
+        for row in rows
+        if row.entry.part == "fit" and row.entry.kind != "pasted" and row.evidence
+    ]
     right = np.array([row.any_right for row, _ in samples], bool)
     scenes = np.array([row.scene for row, _ in samples])
     counts, places = (right.sum(), (~right).sum()), len(np.unique(scenes))
@@ -125,6 +130,16 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     if len(samples) < _MIN_POSES:
         return {"slope": 0.0, "intercept": 0.0}
     return _error_model(samples, "focal")
+
+
+def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:
+    """The `SamePlace` of poses that are claimed, by how alike what surrounds their matches is (n,),
+    and whether they are right (n,) or of two places. Certain of too few."""
+    if min(right.sum(), (~right).sum()) < _MIN_POSES:
+        return {"slope": 0.0, "intercept": _CERTAIN}
+    fitted = _regression(1e6).fit(around[:, None], right)
+    slope, intercept = float(fitted.coef_[0, 0]), float(fitted.intercept_[0])
+    return {"slope": round(max(slope, 0.0), 6), "intercept": round(intercept, 6)}
 
 
 def _logistic(

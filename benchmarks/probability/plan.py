@@ -7,6 +7,8 @@ never on both sides. Kinds:
 
 - `list`: the pairs of `lists/NAME.txt.gz` beside the plan, in SuperGlue's format; `path` is the
   folder that their images are relative to.
+- `pasted`: the same, of which image 2 keeps a part and has other surroundings: two places that have
+  it alike, and no pose in common.
 - `unrelated`: two photographs of different places; the names of such a list alone.
 - `rendered`: `path` is a folder of photographs as textures.
 - `planes`: the same, of planes with a relief, whose homographies have two poses.
@@ -23,7 +25,7 @@ from dgc_pose.files.json_files import read_json
 from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
-EntryKind = Literal["list", "unrelated", "rendered", "planes", "textureless"]
+EntryKind = Literal["list", "pasted", "unrelated", "rendered", "planes", "textureless"]
 DEFAULT_PLAN = Path(__file__).with_name("plan.json")
 
 

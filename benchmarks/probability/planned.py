@@ -1,6 +1,7 @@
 """The pairs of a plan's entries, each made when it is matched."""
 
 import gzip
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -55,10 +56,11 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     folder, listed = data / entry.path, lists / f"{entry.name}.txt.gz"
     scenes = entry.pairs * [entry.name]
     make: Callable[[int], PosedPair]  # of a pair by its number
-    if entry.kind == "list":
+    if entry.kind in ("list", "pasted"):
         pairs = read_pairs(listed, folder)
         require_images(pairs)
-        make = ListedPairs(pairs).pair
+        of_list = ListedPairs(pairs)
+        make = of_list.pair if entry.kind == "list" else partial(_pasted, of_list, entry.seed)
         scenes = [Path(p.name1).parts[0] if entry.scene_by_folder else entry.name for p in pairs]
     elif entry.kind == "unrelated":
         with gzip.open(listed, "rt", encoding="utf-8") as lines:
@@ -103,6 +105,30 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
     image2 = replace(pair.image2, pixels=pixels)
     camera2 = replace(truth.camera2, K=K, size=image2.size)
     return PosedPair(replace(truth, camera2=camera2, R=R, t=t), pair.image1, image2)
+
+
+def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
+    """A pair of two places that have a part alike: image 2 keeps an ellipse, and around it shows
+    itself mirrored, or image 1 of another pair, by turns."""
+    rng, pair = np.random.default_rng([seed, number]), listed.pair(number)
+    pixels = pair.image2.pixels
+    height, width = size = pixels.shape[:2]
+    if number % 2:
+        other = np.roll(pixels[:, ::-1], rng.integers(width), 1)
+    else:
+        other = listed.pair(int(rng.integers(len(listed.pairs)))).image1.pixels
+        factor = rng.uniform(1.0, 1.4) * max(np.divide(size, other.shape[:2]))
+        other = resize(
+            other, (math.ceil(factor * other.shape[1]), math.ceil(factor * other.shape[0]))
+        )
+    middle = rng.uniform(0.3, 0.7, 2) * (width, height)
+    axes = rng.uniform(0.2, 0.42, 2) * (width, height)
+    box = (middle.tolist(), (2 * axes).tolist(), float(rng.uniform(0, 180)))
+    ellipse = cv2.ellipse(np.zeros(size, np.float32), box, 1.0, -1)
+    mask = cv2.GaussianBlur(ellipse, (0, 0), 0.8)[..., None]
+    pasted = mask * pixels + (1 - mask) * other[:height, :width]
+    image2 = replace(pair.image2, pixels=pasted.round().astype(np.uint8))
+    return PosedPair(replace(pair.truth, R=None, t=None), pair.image1, image2)
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model
+from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model, fit_same_place
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
@@ -71,14 +71,17 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     order = np.argsort(-shares, kind="stable")
     share = float(shares[order[0]])
     rotation, translation = model.errors_90_deg(evidence)
+    same_place = model.same_place.probability(evidence)
     verdict = judge(
-        evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()
+        *(evidence, EstimationOptions().min_probability, any_right, ()),
+        shares=shares[order].tolist(),
+        same_place=same_place,
     )
     known = STATUSES[verdict.status]
     return Judged(
         replace(record, poses=tuple(record.poses[k] for k in order)),
         known.has_t,
-        0.0 if verdict.status == "rotation_only" else share * any_right,
+        0.0 if verdict.status == "rotation_only" else same_place * share * any_right,
         of_right(rotation),
         of_right(translation),
         verdict.status == "ambiguous",
@@ -147,7 +150,21 @@ def fit_all(
         raise InputError(f"{out}: no pose was found in any stored pair")
     focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
-    data = {"format": FORMAT, "engine": engines, "focal_error": focal_error, "models": fitted}
+    data = {"format": FORMAT, "engine": engines, "focal_error": focal_error}
+    certain = fit_same_place(np.zeros(0), np.zeros(0, bool))
+    alone = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
+    claims = [judged(row, alone["network"]) for row in by_kind.get("network", [])]
+    known = [
+        (claim.record.evidence.surroundings, claim.right)
+        for claim in claims
+        if claim.by_probability
+        and claim.record.entry.part == "fit"
+        and (claim.right or claim.record.entry.kind == "pasted")
+        and claim.record.evidence is not None
+        and claim.record.evidence.surroundings is not None
+    ]
+    around, right = np.array(known, float).reshape(-1, 2).T
+    data |= {"same_place": fit_same_place(around, right > 0), "models": fitted}
     text = json.dumps(data, indent=1) + "\n"
     models = parse_models(text).by_kind
     reported = {

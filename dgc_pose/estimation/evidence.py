@@ -10,7 +10,7 @@ from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
-from dgc_pose.geometry.rotation import aligning_rotation
+from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.geometry.triangulation import epipolar_angles, triangulation_angles_deg, unit_rays
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold
@@ -19,6 +19,8 @@ _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a dev
 _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
+# `Matches.surroundings` of right pairs falls with the logarithm of the rotation: experiments.md
+_LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
@@ -69,6 +71,8 @@ class Evidence:
         map_matchability: Mean matchability of the dense map; None without one.
         map_agreement: Share of its cells, by matchability, that have the pose; None likewise.
         map_chance: The same of those cells paired wrongly; None likewise.
+        surroundings: How alike both images are around the matches, as of `alikeness`; None if it is
+            not known.
         still_ratio: Share of inliers that a camera explains which did not move, where the focal
             lengths are not known (`still_camera`); 0 if they are.
         num_second_inliers: Inliers of another motion among the matches left over, which chance does
@@ -103,6 +107,7 @@ class Evidence:
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None
+    surroundings: float | None = None
     still_ratio: float = 0.0
     num_second_inliers: int = 0
     second_rotation_deg: float = 0.0
@@ -124,7 +129,7 @@ def measured(
 ) -> Evidence:
     """The evidence that the matches have for and against a hypothesis, without what needs other
     hypotheses or cameras. map_problem: an even sample of the dense map."""
-    threshold, is_inlier = problem.threshold, pose.inliers
+    threshold, is_inlier, around = problem.threshold, pose.inliers, problem.surroundings
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
     chance = chance_ratio(problem, pose.E)
@@ -158,6 +163,7 @@ def measured(
         residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         confidence=_median(inliers.confidence),
+        surroundings=None if around is None else alikeness(around, pose.R),
     )
     if not map_problem:
         return evidence
@@ -169,6 +175,12 @@ def measured(
         map_agreement=map_agreement(map_problem, pose),
         map_chance=map_agreement(wrong, pose),
     )
+
+
+def alikeness(surroundings: float, R: np.ndarray) -> float:
+    """How alike both images are around the matches, with what images of one place lose by the
+    rotation R (3, 3) between them. surroundings: as of `Matches`."""
+    return surroundings + _LESS_ALIKE * math.log1p(rotation_angle_deg(R) / _LESS_ALIKE_DEG)
 
 
 def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:

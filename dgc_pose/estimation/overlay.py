@@ -72,6 +72,7 @@ def of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
         len(stay),
         probability=0.0,
         any_probability=pose.any_probability,
+        same_place_probability=pose.same_place_probability,
         alternatives=both,
         hypotheses=pose.hypotheses,
         warnings=pose.warnings,

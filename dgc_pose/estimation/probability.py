@@ -19,9 +19,10 @@ from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
-FORMAT = 4  # of the file
+FORMAT = 5  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
+_DOUBTFUL = 0.8  # probability that both images show one place, below which it is a reason
 _CONTRADICTED_STDS = 3.0  # standard deviations that a focal length may be off
 CONTRADICTED_LOG_ODDS = 10.0  # or by which other focal lengths are likelier
 _MIN_FOCAL_ERROR = 0.08  # of its logarithm, that is worth a warning
@@ -135,6 +136,21 @@ def log_error(error_deg: float) -> float:
 
 
 @dataclass(frozen=True)
+class SamePlace:
+    """The probability that images whose matches have a pose show one place, and not two that have a
+    part alike: logistic in how alike what surrounds the matches is."""
+
+    slope: float
+    intercept: float
+
+    def probability(self, evidence: Evidence) -> float:
+        """1 if what surrounds the matches is not known."""
+        if evidence.surroundings is None:
+            return 1.0
+        return 1 / (1 + math.exp(-self.intercept - self.slope * evidence.surroundings))
+
+
+@dataclass(frozen=True)
 class ProbabilityModel:
     """The two steps of the probability for one kind of matches: a logistic model of whether a right
     pose is among those that explain the matches, and which of them it is."""
@@ -145,12 +161,14 @@ class ProbabilityModel:
     rotation_error: ErrorModel
     translation_error: ErrorModel
     choice: Mapping[str, float]  # log-odds for a unit of each of `CHOICE_FEATURES`, and "lapse"
+    same_place: SamePlace
 
     def probability(self, evidence: Evidence) -> float:
         """The probability that a pose with R and t within 10 degrees is among those that explain
         the matches.
 
-        evidence: of the likeliest of them. The model is fitted on poses with a right K. If the
+        evidence: of the likeliest of them. The model is fitted on poses with a right K, and of
+        images of one place: see `same_place`. If the
         matches contradict K, the pose is as right as it is near to that of the focal lengths that
         they suggest. It is at most the probability that the expected errors leave.
         """
@@ -168,7 +186,13 @@ class ProbabilityModel:
             for name, weight in self.weights.items()
         }
         worst = sorted((name for name in costs if costs[name] > 0), key=lambda n: -costs[n])
-        return [FEATURES[name].words(evidence) for name in worst[:_MAX_REASONS]]
+        words = [FEATURES[name].words(evidence) for name in worst[:_MAX_REASONS]]
+        if self.same_place.probability(evidence) >= _DOUBTFUL:
+            return words
+        return [
+            "what surrounds the matches is not alike in both images",
+            *words[: _MAX_REASONS - 1],
+        ]
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
         """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten if the
@@ -227,6 +251,7 @@ def parse_models(text: str) -> FittedModels:
             ErrorModel(**values["rotation_error"]),
             ErrorModel(**values["translation_error"]),
             values["choice"],
+            SamePlace(**data["same_place"]),
         )
         for kind, values in data["models"].items()
     }

@@ -37,6 +37,7 @@ class TwoViewProblem:
     key_points: bool = False  # whether the matches are independent detections
     warnings: tuple[str, ...] = ()  # what was dropped, and why
     lenses: tuple[Distortion | None, Distortion | None] = (None, None)  # whose distortion is undone
+    surroundings: float | None = None  # of `Matches`
 
     @classmethod
     def of(
@@ -79,6 +80,7 @@ class TwoViewProblem:
             confidence=matches.confidence[index],
             key_points=matches.key_points,
             lenses=(camera1.distortion, camera2.distortion),
+            surroundings=matches.surroundings,
             warnings=tuple(
                 f"{count} matches dropped: {why}" for why, count in dropped.items() if count
             ),

@@ -58,7 +58,8 @@ def estimate_pose(
     pose = None
     if stay.any():
         of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
-        moving = _estimated(matches.subset(~stay), cameras, options, of_map, fit_cameras)
+        of_moving = replace(matches.subset(~stay), surroundings=None)  # measured with the others
+        moving = _estimated(of_moving, cameras, options, of_map, fit_cameras)
         pose = None if are_far(moving, camera1) else of_the_moving(moving, stay)
     if pose is None:
         pose = _estimated(matches, cameras, options, map_matches, fit_cameras)
@@ -198,12 +199,14 @@ def _judged(
     """The likeliest candidate, or why it is no pose. The inliers are over the matches used."""
     best, model = found.hypotheses[0], found.logistic
     probability = None if model is None else model.probability(evidence)
+    same_place = 1.0 if model is None else model.same_place.probability(evidence)
     status, reason, warnings = judge(
         evidence,
         options.min_probability,
         probability,
         () if model is None else model.against(evidence),
         [hypothesis.share for hypothesis in found.hypotheses if hypothesis.likely],
+        same_place,
     )
     if STATUSES[status].of_cameras:
         warnings += focal_warnings(stated, known.cameras, evidence.focal_check)
@@ -215,7 +218,7 @@ def _judged(
         poses = [replace(h, share=h.share / 2) for h in poses if not second.is_among([h])]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
     if probability is not None:
-        poses = [replace(h, probability=probability * h.share) for h in poses]
+        poses = [replace(h, probability=same_place * probability * h.share) for h in poses]
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if has_t else ())
     if alternatives and not ambiguous:
@@ -231,6 +234,7 @@ def _judged(
         evidence=evidence,
         probability=0.0 if rotation_alone or ambiguous or unusable else poses[0].probability,
         any_probability=0.0 if unusable else probability,
+        same_place_probability=same_place,
         alternatives=alternatives,
         hypotheses=() if unusable else tuple(found.hypotheses),
         median_triangulation_angle_deg=evidence.median_triangulation_angle_deg,

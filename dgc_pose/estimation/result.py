@@ -22,7 +22,7 @@ _PLAIN = (  # in `to_dict` as they are, arrays as lists
     *("status", "success", "R", "t", "length", "length_std", "quaternion_wxyz", "E"),
     *("camera1", "camera2", "num_matches", "num_inliers", "inlier_ratio"),
     *("median_triangulation_angle_deg", "rotation_error_90_deg", "translation_error_90_deg"),
-    *("covariance", "probability", "any_probability"),
+    *("covariance", "probability", "any_probability", "same_place_probability"),
 )
 
 
@@ -61,8 +61,10 @@ class RelativePose:
             hypothesis, with "rotation_only" and with "ambiguous". None if no model of it is fitted
             for such matches.
         any_probability: Probability that R and t of one of the `hypotheses` are both within 10
-            degrees: of a success or an ambiguous pair, the sum of its and its alternatives'. None
-            likewise.
+            degrees, if both images show one place. None likewise.
+        same_place_probability: Probability that both images show one place, and not two that have a
+            part alike, by what surrounds the matches. Of a success or an ambiguous pair its
+            probability and its alternatives' add up to the product of both. 1 if it is not known.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
             well, the likeliest first: of a plane, of repeated structure, of a mirrored depth, of
             another motion. With "ambiguous" all poses; with any other failure none.
@@ -89,6 +91,7 @@ class RelativePose:
     evidence: Evidence | None = None
     probability: float | None = 0.0
     any_probability: float | None = 0.0
+    same_place_probability: float = 1.0
     alternatives: tuple[Hypothesis, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
     median_triangulation_angle_deg: float | None = None
@@ -121,6 +124,11 @@ class RelativePose:
     def success(self) -> bool:
         """Whether R and t are known."""
         return STATUSES[self.status].has_t
+
+    @property
+    def one_place_probability(self) -> float | None:
+        """`probability` if both images show one place."""
+        return None if self.probability is None else self.probability / self.same_place_probability
 
     @property
     def length_text(self) -> str:

@@ -59,6 +59,7 @@ def judge(
     probability: float | None = None,
     against: Sequence[str] = (),
     shares: Sequence[float] = (),
+    same_place: float = 1.0,
 ) -> Verdict:
     """The verdict on the likeliest hypothesis.
 
@@ -68,9 +69,11 @@ def judge(
     fitted on do not show these.
     probability: that a right pose is among those that explain the matches. against: what speaks
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
-    first; () for a single one. Where focal lengths were fitted, the odds of `min_probability` count
-    `_FITTED_ODDS` times.
+    first; () for a single one. same_place: the probability that both images show one place, which
+    the others take for granted. Where focal lengths were fitted, the odds of `min_probability`
+    count `_FITTED_ODDS` times.
     """
+    least = min_probability
     if min_probability is not None and evidence.raw_focal_90_percent is not None:
         odds = _FITTED_ODDS * min_probability
         min_probability = odds / (odds + 1 - min_probability)
@@ -87,16 +90,21 @@ def judge(
         if moved := _moved_plane(evidence):
             return moved
         if share < MIN_SHARE:
-            chances = [f"{100 * probability * each:.0f} %" for each in shares]
+            chances = [f"{100 * same_place * probability * each:.0f} %" for each in shares]
             count = "two" if len(shares) == 2 else str(len(shares))
             listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
             reason = f"{count} poses explain the matches, with probabilities of {listed}"
             return Verdict("ambiguous", reason)
-        if share * probability >= min_probability:
-            return _pose(evidence)
+        if share * probability >= min_probability and least is not None:
+            if same_place * share * probability >= least:
+                return _pose(evidence)
+            min_probability = least
     failed = by_chance(evidence) or _implausible(evidence)
+    if share * probability >= min_probability:  # it may be of two places alone
+        failed = None
     reason = (
-        f"the pose is right with a probability of {percent_text(share * probability)}, and "
+        "the pose is right with a probability of "
+        f"{percent_text(same_place * share * probability)}, and "
         f"{percent_text(min_probability)} is the least"
     )
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])

@@ -74,6 +74,22 @@ def feature_matches(
     return _compared(engine, dense, cache, [(first, second, None)])[0]
 
 
+def encoded_views(
+    engine: Engine,
+    image1: Image,
+    image2: Image,
+    dense: CorrespondenceMap,
+    cache: ImageCache,
+    long_side: int = LONG_SIDE,
+) -> tuple[list[tuple[View, NativeFeatures]], float]:
+    """The views that `feature_matches` compares, with their features; and their sides over those at
+    full resolution."""
+    keys = _views(image1, image2, dense, long_side)
+    full = _views(image1, image2, dense, LONG_SIDE)
+    views = [(key.view, cache.get(key, partial(key.encoded, engine))) for key in keys]
+    return views, max(keys[0].cells) / max(full[0].cells)
+
+
 def guided_matches(
     engine: Engine,
     image1: Image,

@@ -12,7 +12,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
-from dgc_pose.matching.texture import texture, textured
+from dgc_pose.matching.texture import Texture, texture, textured
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +74,8 @@ class Matcher:
     def _textured(self, image1: Image, image2: Image, matches: Matches) -> Matches:
         """The matches whose points have structure around them in both images, and no mask."""
         masked = image1.is_masked(matches.points1) | image2.is_masked(matches.points2)
+        return textured(matches.subset(~masked), *self._textures(image1, image2))
+
+    def _textures(self, image1: Image, image2: Image) -> list[Texture]:
         made = [((image, "texture"), partial(texture, image)) for image in (image1, image2)]
-        first, second = self.cache.get_all(made, in_turn=False)
-        return textured(matches.subset(~masked), first, second)
+        return self.cache.get_all(made, in_turn=False)

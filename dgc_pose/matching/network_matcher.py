@@ -15,9 +15,15 @@ from dgc_pose.matching.align import MIN_MATCHES, refine, spread
 from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
 from dgc_pose.matching.dense import dense_map, map_features
-from dgc_pose.matching.features import feature_matches, guided_matches
+from dgc_pose.matching.features import (
+    LONG_SIDE,
+    encoded_views,
+    feature_matches,
+    guided_matches,
+)
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
+from dgc_pose.matching.surroundings import surroundings
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.runtime.engine import Engine
@@ -85,7 +91,7 @@ class NetworkMatcher(Matcher):
             return None
         matches = feature_matches(self.engine, *images, dense, cache, COARSE_SIDE)
         parts = refine(*images, matches, self.options.max_matches, COARSE_CORNER_RADIUS)
-        return self._chosen(*images, *parts, dense)
+        return self._chosen(*images, *parts, dense, COARSE_SIDE)
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
         """Match at full resolution by the map of a result: refine the matches of the features, then
@@ -134,12 +140,13 @@ class NetworkMatcher(Matcher):
         aligned: Matches,
         agreeing: Matches,
         dense: CorrespondenceMap,
+        long_side: int = LONG_SIDE,
     ) -> MatchResult | None:
-        """The aligned matches, or all that agree, where the images have structure; None if they are
-        too few."""
+        """The aligned matches, or all that agree, where the images have structure, with what
+        surrounds them; None if they are too few. long_side: as of `feature_matches`."""
         aligned = self._textured(image1, image2, aligned)
         if len(aligned) >= MIN_ALIGNED:
-            aligned = self._spread(image2, aligned)
+            aligned = self._surrounded(image1, image2, aligned, dense, long_side)
             return MatchResult(aligned, dense, aligned)
         # Patches of views far apart often differ too much. What is left of them is more accurate,
         # but too little to distinguish a pose from chance: both together have the error that all of
@@ -147,8 +154,23 @@ class NetworkMatcher(Matcher):
         completed = self._textured(image1, image2, agreeing)
         if len(completed) < MIN_MATCHES:
             return None
-        return MatchResult(self._spread(image2, completed), dense, aligned)
+        completed = self._surrounded(image1, image2, completed, dense, long_side)
+        return MatchResult(completed, dense, aligned)
 
-    def _spread(self, image2: Image, matches: Matches) -> Matches:
-        most, size = self.options.max_matches, image2.size
-        return matches.subset(spread(matches.points2, matches.confidence, size, most))
+    def _surrounded(
+        self,
+        image1: Image,
+        image2: Image,
+        matches: Matches,
+        dense: CorrespondenceMap,
+        long_side: int,
+    ) -> Matches:
+        """The matches, evenly spread, with what surrounds them."""
+        most, images = self.options.max_matches, (image1, image2)
+        kept = spread(matches.points2, matches.confidence, image2.size, most)
+        matches = matches.subset(kept)
+        if not self._has_features:
+            return matches
+        views, scale = encoded_views(self.engine, *images, dense, self.cache, long_side)
+        share = surroundings(images, views, self._textures(*images), matches, scale)
+        return replace(matches, surroundings=share)

@@ -7,7 +7,7 @@ import pytest
 from scenes import SCENE_KINDS, TwoViewScene, poster_scene, two_view_scene
 
 from dgc_pose.estimation import EstimationOptions, RelativePose, candidates, estimate_pose
-from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel
+from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel, SamePlace
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
@@ -21,7 +21,8 @@ ANY = 1 / (1 + np.exp(-3.0))  # probability that a right pose is among the hypot
 def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Models of the probability with weights that no fit changes: 95 % for any evidence, and the
     choice by the likelihood."""
-    model = ProbabilityModel({}, 3.0, {}, AS_STATED, AS_STATED, {"likelihood": 1.0, "lapse": 0.0})
+    choice, certain = {"likelihood": 1.0, "lapse": 0.0}, SamePlace(0.0, 30.0)
+    model = ProbabilityModel({}, 3.0, {}, AS_STATED, AS_STATED, choice, certain)
     models = FittedModels({"matches": model, "network": model}, AS_STATED, frozenset({WEIGHTS}))
     monkeypatch.setattr(candidates, "shipped_models", lambda: models)
 

@@ -32,6 +32,7 @@ def test_each_share_in_a_reason_is_of_something() -> None:
 
 
 ERROR = {"slope": -0.25, "intercept": 0.5}
+SAME_PLACE = {"slope": 7.0, "intercept": -2.0}
 MODEL = {
     "weights": {name: 0.5 * feature.sign for name, feature in FEATURES.items()},
     "intercept": -2.0,
@@ -45,7 +46,8 @@ MODEL = {
 def _text(**changes: object) -> str:
     models = {"network": MODEL | changes, "key_points": MODEL}
     engines = {"net": {"fingerprint": "abc"}, "sift": {"fingerprint": None}}
-    return json.dumps({"engine": engines, "focal_error": ERROR, "models": models})
+    data = {"engine": engines, "focal_error": ERROR, "same_place": SAME_PLACE, "models": models}
+    return json.dumps(data)
 
 
 def _model():
@@ -92,6 +94,18 @@ def test_worse_evidence_lowers_the_probability_and_is_named_first(changes) -> No
     (reason, *_) = model.against(evidence)
     named = [f.words(evidence) for f in FEATURES.values()]
     assert reason in named and model.against(GOOD_EVIDENCE) == []
+
+
+def test_what_surrounds_the_matches_has_a_probability_of_its_own() -> None:
+    model = _model()
+    assert model.same_place.probability(GOOD_EVIDENCE) == 1  # not known
+    alike, unlike = _worse(surroundings=0.9), _worse(surroundings=0.2)
+    assert model.same_place.probability(alike) == pytest.approx(1 / (1 + math.exp(-4.3)))
+    assert model.probability(unlike) == model.probability(alike) == model.probability(GOOD_EVIDENCE)
+    told = ["what surrounds the matches is not alike in both images"]
+    assert (model.against(alike), model.against(unlike)) == ([], told)
+    worse = model.against(dataclasses.replace(unlike, inlier_ratio=0.2, chance_ratio=0.2))
+    assert worse[:1] == told and 1 < len(worse) <= 3
 
 
 @settings(max_examples=50, deadline=None)

@@ -105,6 +105,25 @@ def test_a_pose_is_claimed_if_it_is_probable_and_clearly_the_likeliest(status, p
     assert judge(GOOD_EVIDENCE, LEAST, probability, (), shares).status == status
 
 
+@pytest.mark.parametrize(
+    ("status", "probability", "same_place"),
+    [("ok", 0.99, 0.6), ("improbable", 0.99, 0.5), ("improbable", 0.6, 0.8), ("ok", 0.6, 0.9)],
+)
+def test_a_pose_of_two_places_is_not_claimed(status, probability, same_place):
+    verdict = judge(GOOD_EVIDENCE, LEAST, probability, ("unlike",), same_place=same_place)
+    assert verdict.status == status
+    if status == "improbable":
+        told = f"with a probability of {100 * probability * same_place:.0f} %"
+        assert told in verdict.reason and verdict.reason.endswith("50 % is the least: unlike")
+
+
+def test_of_fitted_focal_lengths_both_images_need_no_surer_place():
+    """The pose needs a probability of 0.9, and it and the place together of 0.5."""
+    fitted = _changed(raw_focal_90_percent=1.0)
+    assert judge(fitted, LEAST, 0.95, same_place=0.7).status == "ok"
+    assert judge(fitted, LEAST, 0.89, same_place=1.0).status == "improbable"
+
+
 def test_an_ambiguous_pair_has_the_probabilities_of_its_poses_in_words():
     assert judge(GOOD_EVIDENCE, LEAST, 0.97, ("few",), (0.536, 0.464)).reason == (
         "two poses explain the matches, with probabilities of 52 % and 45 %"

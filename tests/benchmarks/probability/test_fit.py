@@ -20,7 +20,7 @@ from dgc_pose.benchmarks.probability.collection import (
     require_engine,
     store_path,
 )
-from dgc_pose.benchmarks.probability.fitting import fit_model
+from dgc_pose.benchmarks.probability.fitting import fit_model, fit_same_place
 from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair, planned
 from dgc_pose.benchmarks.probability.records import PoseRecord, Record, record
@@ -37,6 +37,7 @@ OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")
 BLANK = Image(np.zeros((8, 8, 3), np.uint8))
 FOCAL_ERROR = {"slope": 0.0, "intercept": 0.0}
+SAME_PLACE = {"slope": 0.0, "intercept": 30.0}
 
 
 class _Scenes(Matcher):
@@ -181,7 +182,7 @@ def _records(count: int, seed: int, part: Part) -> list[Record]:
 
 def test_the_fit_finds_a_known_probability_and_a_known_error():
     models = {"network": fit_model(_records(1000, 0, "fit"), "network")}
-    data = {"engine": {}, "focal_error": FOCAL_ERROR, "models": models}
+    data = {"engine": {}, "focal_error": FOCAL_ERROR, "same_place": SAME_PLACE, "models": models}
     fitted = parse_models(json.dumps(data))
     model = fitted.by_kind["network"]
     fresh = [judged(one, model) for one in _records(1500, 2, "report")]
@@ -220,3 +221,14 @@ def test_pairs_are_made_for_a_seed(tmp_path, monkeypatch, kind):
         assert np.array_equal(one.image2.pixels, other.image2.pixels)
         assert (one.truth.R is None) == (kind != "planes")
         assert one.truth.camera1.size == one.image1.size
+
+
+def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():
+    rng = np.random.default_rng(0)
+    around = rng.uniform(0, 1, 20_000)
+    right = rng.random(20_000) < 1 / (1 + np.exp(2 - 7 * around))
+    assert fit_same_place(around, right) == pytest.approx(
+        {"slope": 7.0, "intercept": -2.0}, rel=0.05
+    )
+    assert fit_same_place(around, ~right)["slope"] == 0  # never against what is alike
+    assert fit_same_place(around[:9], right[:9]) == {"slope": 0.0, "intercept": 30.0}

@@ -1,11 +1,15 @@
-"""Altered pairs against a point of their scene, a white spot in both images."""
+"""Altered pairs against a point of their scene, a white spot in both images; and pasted ones."""
 
+import gzip
+
+import cv2
 import numpy as np
 import pytest
 from scenes import two_view_scene
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
-from dgc_pose.benchmarks.probability.planned import ALTERATIONS, altered
+from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.planned import ALTERATIONS, altered, planned
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.images.image import Image
 
@@ -39,3 +43,25 @@ def test_the_truth_is_that_of_the_altered_images(way, number):
         not np.array_equal(ours.pixels, image.pixels)
         for ours, image in zip((pair.image1, pair.image2), images, strict=True)
     )
+
+
+def test_a_pasted_pair_keeps_a_part_of_image_2_and_has_no_pose(tmp_path):
+    """Around it image 2 shows itself mirrored, or another pair's image 1."""
+    rng, size = np.random.default_rng(0), (120, 90)
+    for name in "abcd":
+        pixels = cv2.resize(rng.integers(0, 255, (30, 40, 3), np.uint8), size)
+        cv2.imwrite(str(tmp_path / f"{name}.png"), pixels)
+    K, pose = "100 0 60 0 100 45 0 0 1", "1 0 0 0.1 0 1 0 0 0 0 1 0 0 0 0 1"
+    lines = [f"{a}.png {b}.png 0 0 {K} {K} {pose}\n" for a, b in ("ab", "cd")]
+    with gzip.open(tmp_path / "p.txt.gz", "wt", encoding="utf-8") as file:
+        file.writelines(lines)
+    entry = PlanEntry("p", "fit", "pasted", seed=3)
+    for number, pair in enumerate(planned(entry, tmp_path, tmp_path)):
+        made, again = pair.make(), pair.make()
+        assert made.truth.R is None and made.truth.t is None and pair.scene == "p"
+        second = cv2.imread(str(tmp_path / f"{'bd'[number]}.png"))[..., ::-1]
+        kept = (made.image2.pixels == second).all(-1)
+        assert made.image2.size == size and 0.05 < kept.mean() < 0.7
+        corners = kept[[0, 0, -1, -1], [0, -1, 0, -1]]
+        assert not corners.any()
+        np.testing.assert_array_equal(made.image2.pixels, again.image2.pixels)
