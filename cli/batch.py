@@ -96,6 +96,7 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
 
 def report(batch: Batch) -> None:
     """Print the summary of a batch, the images that could not be used, and the first warning."""
+    from dgc_pose.batch.beliefs import MOST_PAIRS
     from dgc_pose.batch.rows import FAILED
 
     summary = batch.summary
@@ -108,6 +109,18 @@ def report(batch: Batch) -> None:
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         say(f"warning: {warnings[0]}{more}")
+    if summary["poses"] and not summary["judged_together"]:
+        say(f"of more than {MOST_PAIRS} pairs with a pose none is judged by the others")
+    if summary["turned_down"]:
+        number = sum(entry["pairs"] for entry in summary["turned_down"])
+        say(f"the folder turns down {number} of {counted(summary['judged_together'], 'pair')}:")
+    for entry in summary["turned_down"][:CAMERAS_SHOWN]:
+        groups = [
+            f"{counted(len(g), 'image')} ({printable(g[0])}{', ...' * (len(g) > 1)})"
+            for g in entry["groups"]
+        ]
+        places = "between " + " and ".join(groups) if len(groups) > 1 else f"among {groups[0]}"
+        say(f"  {entry['pairs']} {places}")
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]
@@ -153,7 +166,8 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
         shown = ["-" if value is None else f"{value:.2f} deg" for value in degrees]
         likely = "-" if row.probability is None else percent_text(row.probability)
         names, inliers = f"{row.name1} {row.name2}", f"{row.num_inliers} of {row.num_matches}"
-        lines.append([printable(names), row.status, likely, *shown, inliers])
+        status = f"{row.status}, turned down" if row.turned_down else row.status
+        lines.append([printable(names), status, likely, *shown, inliers])
     click.echo(aligned(lines))
     if len(rows) > PAIRS_SHOWN:
         click.echo(f"... and {len(rows) - PAIRS_SHOWN} more")

@@ -59,7 +59,8 @@ def reconstruct(
         show = partial(progress, "images")
         models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
-    write_text(out / PAGE, model_page(models[0], metric.get("unit", "")))
+    turned_down = [row.names for row in batch.rows if row.turned_down]
+    write_text(out / PAGE, model_page(models[0], metric.get("unit", ""), turned_down))
     data = reconstruction.write_summary(out, batch, models, shared, metric, seconds)
     click.echo(f"{out / reconstruction.DATABASE}: {described(shared)}")
     click.echo(

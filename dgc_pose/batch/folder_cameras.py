@@ -149,8 +149,8 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
     weights: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
     for row in rows:
         for name in {groups[n][0] for n in row.names if n in groups and row.success}:
-            weight = 1.0 if row.probability is None else row.probability
-            weights[name][row.camera_model] += weight
+            known = None if row.pose is None else row.pose.one_place_probability
+            weights[name][row.camera_model] += 1.0 if known is None else known
     changed = dict(cameras)
     for name, names in groups.items():
         of_group = weights[names[0]]

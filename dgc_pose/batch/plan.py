@@ -13,7 +13,7 @@ from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
-_VERSION = 7
+_VERSION = 8
 _RESUME = ArgumentName("resume")
 
 

@@ -222,7 +222,8 @@ def _fits_of(
     if fitted is not None and pose is not None and pose.camera_covariance is not None:
         first, second = (shared.get(name, (name,)) for name in row.names)
         between = first != second and max(len(first), len(second)) > 1
-        weight = 1.0 if pose.probability is None else pose.probability
+        known = pose.one_place_probability
+        weight = 1.0 if known is None else known
         blocks = pose.camera_covariance[:SIZE, :SIZE], pose.camera_covariance[SIZE:, SIZE:]
         for name, camera, block in zip(row.names, fitted, blocks, strict=True):
             if name in shared and not (between and name in inside):

@@ -90,8 +90,25 @@ def summary_of(
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
         "bad_pairs": by_status[BAD_INPUT],
         "failed_pairs": by_status[FAILED],
+        "turned_down": _turned_down(rows),
+        "judged_together": sum(row.folder_probability is not None for row in rows),
         "by_status": dict(sorted(by_status.items())),
     }
+
+
+def _turned_down(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
+    """How many pairs are turned down between which groups of images, or within one; a group is of
+    images that pairs which hold connect."""
+    group = {name: frozenset([name]) for row in rows for name in row.names}
+    for row in rows:
+        first, second = (group[name] for name in row.names)
+        if row.folder_probability is not None and not row.turned_down and first is not second:
+            group.update(dict.fromkeys(first | second, first | second))
+    between = Counter(frozenset(group[n] for n in row.names) for row in rows if row.turned_down)
+    return [
+        {"pairs": count, "groups": sorted(sorted(images) for images in groups)}
+        for groups, count in between.most_common()
+    ]
 
 
 def _camera_facts(pooled: PooledCamera) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from dgc_pose.matches import Matches
 # Statuses of pairs that have no estimate: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
+LEAST_BELIEF = 0.6  # in the folder, with which a pose holds: with fewest errors of `fit-folders`
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,10 @@ class PairRow:
     camera_model: ModelName = "assumed"  # that the matches agree with, where no K states it
     bad_images: Mapping[str, str] = field(default_factory=dict)  # why they cannot be read, by name
     index: int = 0  # of the pair in the batch
+    # That the pose is right, as the folder has it; None without a pose, and before the result
+    folder_probability: float | None = None
+    # Of the triples with pairs that hold, how many agree with it and how many do not
+    folder_triples: tuple[int, int] = (0, 0)
 
     @property
     def names(self) -> tuple[str, str]:
@@ -56,6 +61,11 @@ class PairRow:
         return None if self.pose is None else self.pose.probability
 
     @property
+    def turned_down(self) -> bool:
+        """Whether the pair has a pose, or a rotation, that does not hold in the folder."""
+        return self.folder_probability is not None and self.folder_probability < LEAST_BELIEF
+
+    @property
     def fitted_cameras(self) -> tuple[Camera, Camera] | None:
         """The cameras as they are fitted to the pair alone; None if they are not fitted."""
         pose = self.pose
@@ -74,7 +84,9 @@ class PairRow:
             return json.dumps({**names, **facts, "bad_images": dict(self.bad_images)})
         values = self.pose.to_dict() | {"error_px": self.error_px}
         del values["seconds"]
-        return json.dumps({**names, **values, "camera_model": self.camera_model}, allow_nan=False)
+        values |= {"camera_model": self.camera_model, "folder_probability": self.folder_probability}
+        values["folder_triples"] = self.folder_triples
+        return json.dumps({**names, **values}, allow_nan=False)
 
 
 def row_of(names: tuple[str, str], pose: RelativePose, error_px: float, index: int = 0) -> PairRow:
@@ -96,8 +108,12 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
             pose = RelativePose.from_dict(data | {"seconds": {}})
         except InputError as error:
             raise ValueError(str(error)) from None
-        error_px, model = data["error_px"], data["camera_model"]
-        return PairRow(*names, status, pose.reason, pose, error_px, model, index=index)
+        agree, differ = data["folder_triples"]
+        row = PairRow(*names, status, pose.reason, pose, data["error_px"], index=index)
+        belief, agreeing = data["folder_probability"], (int(agree), int(differ))
+        belief = None if belief is None else float(belief)
+        model = data["camera_model"]
+        return replace(row, camera_model=model, folder_probability=belief, folder_triples=agreeing)
 
 
 _NO_POINTS = np.zeros((0, 2))

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.batch.beliefs import believed
 from dgc_pose.batch.folder_cameras import folder_cameras
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
@@ -139,6 +140,7 @@ def run_batch(
                 poses = Poses(store, run, options.worker_count)
                 with store.change():
                     plan, cameras = _pose(store, plan, poses, progress)
+                    store.rewrite(believed(store.pairs("result"), plan))
                     summary = summary_of(plan, store.rows("result"), cameras)
                     summary["matched_now"] = worked
                     summary["seconds"] = round(time.perf_counter() - start, 2)

@@ -7,6 +7,7 @@ has a row of JSON, the arrays of its pose, and those of its matches, float32, as
 import errno
 import io
 import json
+import math
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -34,6 +35,7 @@ _ADD = {
     "result": "INSERT INTO result SELECT ?1, ?2, ?3, NULLIF(?4, matches) FROM matched "
     "WHERE pair = ?1",
 }
+_REWRITE = "UPDATE result SET row = ? WHERE pair = ?"
 _WHAT = "the store of a batch"
 _FIELDS = ("points1", "points2", "confidence")
 Table = Literal["matched", "result"]
@@ -93,6 +95,11 @@ class BatchStore:
             values = row.index, row.to_json(), _packed(of_pose), _packed(_arrays(pair))
             self._database.execute(_ADD[table], values)
 
+    def rewrite(self, rows: Collection[PairRow]) -> None:
+        """Replace rows of the result, within a `change`."""
+        for row in rows:
+            self._database.execute(_REWRITE, (row.to_json(), row.index))
+
     @property
     def plan(self) -> Plan | None:
         """None if a kill came before it was stored."""
@@ -143,9 +150,11 @@ class BatchStore:
             text, *packed = found.fetchone()
             row = parse_row(text, index, self._where(index))
             of_pose, arrays = (unpacked(data, self._where(index)) for data in packed)
-            error_px, key_points, map_error_px = arrays["facts"].tolist()
+            error_px, key_points, map_error_px, around = arrays["facts"].tolist()
             points1, points2, confidence = (arrays[name] for name in _FIELDS)
             matches = Matches(points1, points2, confidence, error_px, bool(key_points))
+            if not math.isnan(around):
+                matches = replace(matches, surroundings=around)
             sample = None
             if map_error_px:
                 points1, points2, confidence = (arrays[f"map_{name}"] for name in _FIELDS)
@@ -179,7 +188,9 @@ def _arrays(pair: MatchedPair) -> dict[str, np.ndarray]:
     if sample is not None:
         arrays |= {f"map_{name}": getattr(sample, name).astype(np.float32) for name in _FIELDS}
     map_error_px = 0.0 if sample is None else sample.error_px
-    return {**arrays, "facts": np.array([matches.error_px, matches.key_points, map_error_px])}
+    around = math.nan if matches.surroundings is None else matches.surroundings
+    facts = matches.error_px, matches.key_points, map_error_px, around
+    return {**arrays, "facts": np.array(facts)}
 
 
 def _packed(arrays: Mapping[str, np.ndarray]) -> bytes:

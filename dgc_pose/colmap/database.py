@@ -40,8 +40,10 @@ def share(
     """
     pairs = pair_geometries(batch)
     if not pairs:
+        down = sum(row.turned_down for row in batch.rows)
         first = "".join(f"; of the first {row.reason}" for row in batch.rows[:1])
-        raise InputError(f"{batch.folder}: no pair of this batch has a pose{first}")
+        first = f"; {down} are turned down" if down else first
+        raise InputError(f"{batch.folder}: no pair of this batch has a pose that holds{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
     key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
@@ -55,12 +57,12 @@ def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
-    """The pairs with a pose or a rotation, the matches that fit it, and the cameras: those of the
-    folder, or as the pair fitted them."""
+    """The pairs with a pose or a rotation that holds in the folder, the matches that fit it, and
+    the cameras: those of the folder, or as the pair fitted them."""
     geometries, final = [], batch.plan.final_cameras
     for pair in batch.pairs():
         row, pose = pair.row, pair.row.pose
-        if pose is not None and pose.status in CONFIGURATIONS:
+        if pose is not None and pose.status in CONFIGURATIONS and not row.turned_down:
             cameras = row.fitted_cameras or (final[row.name1], final[row.name2])
             geometries.append(PairGeometry(row, cameras, pair.matches.subset(pose.inliers)))
     return geometries

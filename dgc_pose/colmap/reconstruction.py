@@ -93,6 +93,8 @@ def write_summary(
             left_out[name] = f"a pose in {posed} of its {len(rows)} pairs"
             if flipped := sum(row.status == "mirrored" for row in rows):
                 left_out[name] += f", mirrored in {flipped}"
+            if down := sum(row.turned_down for row in rows):
+                left_out[name] += f", turned down in {down}"
     data = {
         "images": len(names),
         "registered": len(largest.poses),
@@ -104,6 +106,7 @@ def write_summary(
         "reprojection_error_px": round(colmap.compute_mean_reprojection_error(), 4),
         "pairs": batch.summary["pairs"],
         "poses": batch.summary["poses"],
+        "turned_down": batch.summary["turned_down"],
         "key_points": sum(map(len, shared.key_points.values())),
         "matches": sum(map(len, shared.pairs.values())),
         "bad_images": batch.summary["bad_images"],

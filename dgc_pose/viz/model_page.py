@@ -3,7 +3,7 @@
 import html
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,12 @@ _SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and 
 _MOST = 20_000  # points: more would slow a page down
 
 
-def model_page(model: Model, unit: str = "") -> str:
+def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, str]] = ()) -> str:
     """A page of HTML, which loads nothing from elsewhere: a model's cameras as pyramids with their
     photographs, and its points, at most 20,000, in the mean camera's axes.
 
-    unit: of length, if it is known. Raises ImageError if a photograph cannot be read.
+    unit: of length, if it is known. turned_down: names of pairs that do not hold in the folder,
+    between whose cameras dashed lines are drawn. Raises ImageError if a photograph cannot be read.
     """
     names, axes = sorted(model.poses), mean_axes([*model.poses.values()])
 
@@ -41,7 +42,12 @@ def model_page(model: Model, unit: str = "") -> str:
     frusta, photographs = zip(*in_threads(shown, names), strict=True)
     labels = [Path(name).stem for name in names]
     scene = scene_of(labels, np.stack(frusta), model.points @ axes.T, model.colours, _MOST)
+    place = {name: number for number, name in enumerate(names)}
+    pairs = [(place[a], place[b]) for a, b in turned_down if a in place and b in place]
+    scene["turned_down"] = pairs
     facts = f"{len(model.poses)} cameras, {len(model.points)} points"
+    if pairs:
+        facts += f"; dashed: {len(pairs)} pair{'s' * (len(pairs) > 1)} that the folder turns down"
     apart = f"; cameras up to {model.extent:.3g} {unit} apart" if unit else ""
     return _page(model.root.resolve().name, facts + apart, scene, photographs)
 

@@ -1,6 +1,7 @@
 """Rows of a batch, as JSON."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +14,10 @@ ROW = PairRow("a.jpg", "b.jpg", BAD_INPUT, "corrupt", bad_images={"a.jpg": "corr
 AMBIGUOUS = row_of(("a.jpg", "c.jpg"), ambiguous_pose(), 0.5, 7)
 
 
-@pytest.mark.parametrize("row", [ROW, AMBIGUOUS], ids=["bad", "ambiguous"])
+JUDGED = replace(AMBIGUOUS, folder_probability=0.25, folder_triples=(1, 3))
+
+
+@pytest.mark.parametrize("row", [ROW, AMBIGUOUS, JUDGED], ids=["bad", "ambiguous", "judged"])
 def test_a_row_comes_back(row):
     """An ambiguous one has all its poses."""
     text = row.to_json()
@@ -21,6 +25,9 @@ def test_a_row_comes_back(row):
     assert again.to_json() == text and (again.index, again.names) == (row.index, row.names)
     assert (again.status, again.reason, again.success) == (row.status, row.reason, False)
     assert dict(again.bad_images) == dict(row.bad_images)
+    assert again.folder_probability == row.folder_probability
+    assert again.folder_triples == row.folder_triples
+    assert again.turned_down == (row is JUDGED)
     if row.pose is not None:
         assert again.pose is not None and again.pose.R is None and again.error_px == 0.5
         others = again.pose.alternatives

@@ -2,6 +2,7 @@
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 
 import cv2
 import h5py
@@ -12,7 +13,7 @@ from batch_runs import run_sift, view_folder
 from multi_view import K, K_text, render_views
 from results import ambiguous_pose
 
-from dgc_pose.batch.result import group_name, read_batch
+from dgc_pose.batch.result import Batch, group_name, read_batch, summary_of
 from dgc_pose.colmap.database import pair_geometries
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import estimate_pose
@@ -97,6 +98,40 @@ def test_an_ambiguous_pair_is_counted_and_has_no_geometry(photos, tmp_path, monk
     assert batch.summary["poses"] == 2
     exported = [pair.row.names for pair in pair_geometries(batch)]
     assert len(exported) == 2 and (ambiguous.name1, ambiguous.name2) not in exported
+
+
+def test_the_folder_judges_each_pair_that_has_a_pose(whole):
+    """Three views of one place: their poses agree."""
+    batch = read_batch(whole)
+    for row in batch.rows:
+        assert (row.folder_probability is None) == (not row.success)
+        assert row.folder_triples == ((1, 0) if row.success else (0, 0))
+    assert not any(row.turned_down for row in batch.rows)
+    assert batch.summary["judged_together"] == 3 and batch.summary["turned_down"] == []
+    assert len(pair_geometries(batch)) == 3
+
+
+def test_pairs_that_are_turned_down_are_told_by_their_groups_and_left_out(whole):
+    """view0 is of another place than view1 and view2."""
+    batch = read_batch(whole)
+    rows = [
+        replace(row, folder_probability=0.1 if row.success and "view0.png" in row.names else 0.9)
+        for row in batch.rows
+        if row.success
+    ]
+    told = summary_of(batch.plan, rows, [])["turned_down"]
+    assert told == [{"pairs": 2, "groups": [["view0.png"], ["view1.png", "view2.png"]]}]
+    among = [replace(row, folder_probability=0.1 + 0.8 * (k < 2)) for k, row in enumerate(rows)]
+    told = summary_of(batch.plan, among, [])["turned_down"]
+    assert told == [{"pairs": 1, "groups": [["view0.png", "view1.png", "view2.png"]]}]
+    beliefs = {row.names: row.folder_probability for row in rows}
+    pairs = [
+        replace(pair, row=replace(pair.row, folder_probability=beliefs.get(pair.row.names)))
+        for pair in batch.pairs()
+    ]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Batch, "pairs", lambda _: iter(pairs))
+        assert [pair.row.names for pair in pair_geometries(batch)] == [("view1.png", "view2.png")]
 
 
 def test_a_list_and_a_database_as_source(photos, tmp_path):

@@ -174,7 +174,7 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
     still[60:120, 80:160] = second.pixels[60:120, 80:160]
     write_views(tmp_path / "still", [first, View(still, second.R, second.t)])
     pair = run_sift(tmp_path / "still", tmp_path / "none")
-    with pytest.raises(InputError, match=r"has a pose; of the first .* stay at the same pixels"):
+    with pytest.raises(InputError, match=r"that holds; of the first .* stay at the same pixels"):
         reconstruct(pair, tmp_path / "other")
     assert not (tmp_path / "other" / "sparse").exists()
 

@@ -51,10 +51,10 @@ def model(tmp_path_factory) -> Model:
     return replace(world_scene().model(), root=root)
 
 
-def page_of(model: Model, unit: str = "") -> str:
+def page_of(model: Model, unit: str = "", turned_down=()) -> str:
     points = world_scene().points
     colours = np.full(points.shape, 128, np.uint8)
-    return model_page(replace(model, points=points, colours=colours), unit)
+    return model_page(replace(model, points=points, colours=colours), unit, turned_down)
 
 
 def content_of(page: str) -> dict:
@@ -89,6 +89,12 @@ def test_the_page_is_one_file_with_all_cameras(model):
     for camera in cameras:
         photograph = base64.b64decode(camera["photograph"].removeprefix("data:image/jpeg;base64,"))
         assert Image.open(io.BytesIO(photograph)).size == (160, 128)
+
+
+def test_pairs_that_are_turned_down_are_those_of_the_models_cameras(model):
+    page = page_of(model, turned_down=[("r1.jpg", "r3.jpg"), ("r0.jpg", "elsewhere.jpg")])
+    assert content_of(page)["turned_down"] == [[1, 3]]
+    assert any("1 pair that the folder turns down" in text for text in Parts(page).texts)
 
 
 def test_names_of_any_bytes_are_text(model, tmp_path):

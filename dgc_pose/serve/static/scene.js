@@ -49,6 +49,7 @@ export class Scene {
     this.points = content?.points ?? null;
     if (!content) return;
     this.cameras = content.cameras;
+    this.turnedDown = content.turned_down ?? []; // pairs of cameras, joined by dashes
     this.styles = this.points.rgb.map((rgb) => `rgb(${rgb})`);
     this.all = [...this.points.xyz, ...this.cameras.flatMap((camera) => camera.corners)];
     const ranges = [0, 1, 2].map((axis) => range(this.all, axis));
@@ -120,6 +121,9 @@ export class Scene {
     const pair = places.length === 2;
     const style = (n) => (pair && n ? "camera2" : "camera1");
     if (pair) stroke(paint, colour("soft"), 1, places.map(([centre]) => centre));
+    paint.setLineDash([4, 4]);
+    for (const ends of this.turnedDown) stroke(paint, colour("bad"), 1, ends.map((n) => places[n][0]));
+    paint.setLineDash([]);
     for (const [x, y, depth, thing, corners] of things) {
       if (corners) {
         if (this.photographs) lay(paint, this.cameras[thing].photograph, corners);
