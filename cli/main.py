@@ -57,6 +57,7 @@ SECTIONS = {
     "Training": {
         "train": "Train a network on photographs.",
         "fit-probability": "Fit the probability that a pose is right.",
+        "fit-folders": "Fit what a folder believes of its pairs.",
     },
     "About": {"info": "Show versions, weights, devices and threads."},
 }

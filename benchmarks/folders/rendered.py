@@ -1,0 +1,154 @@
+"""Folders of photographs in which a place is there twice, by the ray caster, with the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import cos, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from dgc_pose.training.draw import Draw
+from dgc_pose.training.light import other_light
+from dgc_pose.training.map_pairs import image_arrays
+from dgc_pose.training.photos import Photos
+from dgc_pose.training.room_pairs import RoomOptions, Rooms, random_textures, render
+from dgc_pose.training.views import Cameras, Shape, about_axis
+
+KINDS = ("rooms", "object", "tower", "shelf")
+# Half of the length that a photograph covers, over the root of a box's median half size
+_SPANS = RoomOptions(spans=((0.4, 1.1), (0.25, 0.75)))
+_OTHER_LIGHT = 0.3  # its share of a photograph
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A rendered photograph with its truth."""
+
+    image: np.ndarray  # (h, w, 3) uint8, RGB
+    camera: Cameras  # a single one
+    depth: np.ndarray  # (h, w), along the optical axis, units of length
+    part: str  # views of other parts show other places
+
+
+class _Box(NamedTuple):
+    centre: np.ndarray  # (3,), y down
+    half: np.ndarray  # (3,), sizes
+    yaw: float
+    seed: float  # of its textures
+
+
+_Values = float | Sequence[float] | np.ndarray  # one, or of each axis
+_Range = tuple[_Values, _Values]  # the least and the largest
+# Boxes, the first a room around them; (n, 3) centres of cameras, and what these look at
+_Part = tuple[list[_Box], np.ndarray, np.ndarray]
+_floats = partial(torch.as_tensor, dtype=torch.float32)
+
+
+def rendered_folder(
+    kind: str, photos: Photos, seed: int, shape: Shape = (480, 640)
+) -> dict[str, View]:
+    """The views of a folder of one of `KINDS` by name, in random order, textured with photos."""
+    make, draw = _Maker(np.random.default_rng([seed, *kind.encode()])), Draw("cpu", kind, seed)
+    focal, views = make.between(0.66, 0.84) * shape[1], list[View]()
+    K = _floats([[focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2]])
+    for name, (boxes, centres, targets) in zip("AB", getattr(make, kind)(), strict=False):
+        centre, half, yaw, seeds = (np.array(values) for values in zip(*boxes, strict=True))
+        drawn = [random_textures(1, 1, photos, Draw("cpu", of), _SPANS) for of in seeds.tolist()]
+        photo, span, origin, weight, gain = map(partial(torch.cat, dim=1), zip(*drawn, strict=True))
+        span *= _floats(np.median(half, 1)).sqrt()[:, None, None]
+        solids = about_axis(_floats(yaw), 1)[None], _floats(half)[None], _floats(centre)[None]
+        rooms = Rooms(*solids, photo, span, origin, weight, gain, ellipsoids=0)
+        for place, target in zip(_floats(centres), _floats(targets), strict=True):
+            camera = Cameras.looking(K, place[None], target[None], 0.03 * draw.normal(1))
+            image, depth = render(rooms, camera, shape, photos.bank)
+            pixels = image_arrays(torch.lerp(image, other_light(image, draw), _OTHER_LIGHT))[0]
+            views.append(View(pixels, camera, depth[0].numpy(), name))
+    return {f"{k:02d}.png": views[j] for k, j in enumerate(make.rng.permutation(len(views)))}
+
+
+def _copied(boxes: list[_Box], shift: _Values = 0, turn: float = 0) -> list[_Box]:
+    """The same boxes elsewhere: turned about the vertical axis, then shifted."""
+    R = np.array([[cos(turn), 0, sin(turn)], [0, 1, 0], [-sin(turn), 0, cos(turn)]])
+    return [b._replace(centre=R @ b.centre + shift, yaw=b.yaw + turn) for b in boxes]
+
+
+class _Maker:
+    """Makes random boxes, and the parts of a folder of a kind, which has its name."""
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.rng, self.between = rng, rng.uniform
+
+    def boxes(self, count: int, halves: _Range, feet: _Range, yaw: float = 0) -> list[_Box]:
+        """feet: the middles of their lower faces; yaw: the largest, either way."""
+        sizes, places = (self.between(*of, (count, 3)) for of in (halves, feet))
+        turns, seeds = self.between(-yaw, yaw, count), self.rng.random(count)
+        return [*map(_Box, places - sizes * (0, 1, 0), sizes, turns, seeds)]
+
+    def box(self, foot: _Values, half: _Values) -> list[_Box]:
+        return self.boxes(1, (half, half), (foot, foot))
+
+    def rooms(self) -> list[_Part]:
+        """Two rooms with one back wall and the same before it."""
+        wide, y, deep = walls = self.between((2.0, 1.2, 2.0), (2.8, 1.5, 2.8))
+        x, alike, parts = wide - 0.5, self.box((0, y, deep), (wide, y, 0.01)), list[_Part]()
+        feet = (-x, y, deep - 0.6), (x, y, deep - 0.3)
+        alike += self.boxes(4, ((0.15, 0.1, 0.1), (0.5, 0.7, 0.3)), feet, 0.2)
+        for _ in range(2):
+            own = self.boxes(6, (0.1, 0.5), ((-x, y, 0.5 - deep), (x, y, deep - 1)), pi)
+            centres = self.between((-x, -0.5, -0.8 * deep), (x, 0.1, deep - 1.6), (6, 3))
+            targets = self.between((-x, -0.3, deep), (x, 0.4, deep), (6, 3))
+            parts.append((self.box((0, y, 0), walls) + alike + own, centres, targets))
+        return parts
+
+    def object(self) -> list[_Part]:
+        """An object of two boxes, twice in a room, and a path from one to the other."""
+        _, y, _ = walls = self.between((5.0, 1.5, 4.0), (7.0, 2.5, 5.0))
+        thing = self.boxes(1, ((0.25, 0.4, 0.25), (0.45, 0.7, 0.45)), ((0, y, 0), (0, y, 0)), 0.4)
+        thing += self.boxes(1, (0.1, 0.3), ((-0.5, y, -0.6), (0.5, y, -0.4)), 1)
+        left, right = self.between(((-2.4, 0, 0), (1.5, 0, -0.5)), ((-1.5, 0, 0), (2.4, 0, 0.5)))
+        boxes = self.box((0, y, 0), walls) + _copied(thing, left) + _copied(thing, right)
+        boxes += self.boxes(12, (0.1, (0.5, 0.7, 0.5)), ((-4.5, y, 0.8), (4.5, y, 3.3)), pi)
+        boxes += self.boxes(3, (0.1, 0.3), ((-0.8, y, -0.6), (0.8, y, 0.3)), pi)
+        path = np.linspace(left, right, 14) * (1, 0, 0)
+        centres = path + self.between((-0.5, y - 1.6, -2.9), (0.5, y - 0.8, -2.0), (14, 3))
+        targets = path + self.between((-0.2, y - 0.7, 0), (0.2, y - 0.4, 0), (14, 3))
+        return [(boxes, centres, targets)]
+
+    def tower(self) -> list[_Part]:
+        """A tower with four sides alike, and a path around it."""
+        y, wide = 6.0, self.between(0.9, 1.3)
+        side = self.box((0, y, wide / 2), (wide - 0.01, 3, wide / 2))
+        side += self.box((wide, y, wide), (0.2, 2, 0.2))
+        side += self.box((0, y - 1.6, wide), self.between((0.3, 0.4, 0.1), (0.5, 0.7, 0.1)))
+        boxes = self.box((0, y, 0), (14, 6, 14))
+        for quarter in range(4):
+            boxes += _copied(side, turn=quarter * pi / 2)
+        around = self.boxes(12, ((0.1, 0.15, 0.1), (0.3, 0.45, 0.3)), ((0, y, 1.6), (0, y, 2.6)))
+        around += self.boxes(14, (0.8, (1.8, 2.0, 0.8)), ((0, y, 7), (0, y, 11)))
+        for box in around:
+            boxes += _copied([box], turn=self.between(-pi, pi))
+        turn, up, away = self.between((-0.06, 1.3, 4.6), (0.06, 2.1, 5.6), (15, 3)).T
+        turn += np.linspace(0, 2 * pi, 15, endpoint=False)
+        centres = np.stack([away * np.sin(turn), y - up, away * np.cos(turn)], 1)
+        targets = self.between((-0.3, y - 2.1, -0.3), (0.3, y - 1.7, 0.3), (15, 3))
+        return [(boxes, centres, targets)]
+
+    def shelf(self) -> list[_Part]:
+        """A shelf with the same goods five times, less some, and a path along it."""
+        period, z, goods = self.between(1.8, 2.6), 2.6, list[_Box]()
+        boxes, x = self.box((0, 2.2, 0), (9, 2.2, 3)), period / 2
+        for y in (-0.7, 0.1, 0.9):
+            boxes += self.box((0, y + 0.06, z + 0.15), (6.5, 0.03, 0.25))
+            goods += self.boxes(5, ((0.1, 0.15, 0.1), (0.2, 0.3, 0.2)), ((-x, y, z), (x, y, z)))
+            boxes += self.boxes(4, ((0.08, 0.05, 0.1), (0.2, 0.1, 0.1)), ((-5, y, z), (5, y, z)))
+        for place in range(-2, 3):
+            left = [box for box in goods if self.rng.random() > 0.15]
+            boxes += _copied(left, (place * period, 0, 0))
+        path = np.linspace(-1.6, 1.6, 13)[:, None] * (period, 0, 0)
+        centres = path + self.between((-0.15, -0.3, z - 1.9), (0.15, 0.4, z - 1.3), (13, 3))
+        targets = path + self.between((-0.3, -0.1, z), (0.3, 0.3, z), (13, 3))
+        return [(boxes, centres, targets)]
