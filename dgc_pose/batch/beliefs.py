@@ -28,7 +28,7 @@ from dgc_pose.estimation.status import CONFIGURATIONS
 MOST_PAIRS = 2000  # with a pose, of a folder
 _MOST = 0.999  # probability of a pair
 _Number = TypeVar("_Number", float, np.ndarray)
-_UNKNOWN = 0.9  # probability of a pose whose own is not known, and of a rotation alone
+_UNKNOWN = 0.9  # probability of a pose whose own is not known
 _MOST_LOG_ODDS = 5.0
 # Of a pair in a folder with repeats: for a unit of each of the values of `gathered`
 _WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
@@ -57,7 +57,7 @@ def believed(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairRow]:
         alone = ~np.isin(np.arange(len(rows)), found)
         own = [_UNKNOWN if r.probability is None else r.probability for r in rows]
         own_odds = _log_odds(np.clip(own, LEAST_BELIEF, _MOST))
-        log_odds = np.where(alone, np.minimum(own_odds, log_odds), log_odds)
+        log_odds = np.where(alone, own_odds, log_odds)
     belief = np.round(1 / (1 + np.exp(-log_odds)), 4)
     counts = np.zeros((len(rows), 2), np.int64)  # of triples that agree, and that do not
     for k in range(3):
@@ -87,9 +87,11 @@ def gathered(
         name1, name2 = row.names
         of_pair = row.fitted_cameras or (cameras[name1], cameras[name2])
         relations.append(Relation.of(pair, (number[name1], number[name2]), of_pair))
-        known = pose.one_place_probability if pose.success else None
-        # What is claimed holds unless other pairs speak against it.
-        known = _UNKNOWN if known is None else float(np.clip(known, LEAST_BELIEF, _MOST))
+        # What is claimed holds unless other pairs speak against it. Most rotations that are of an
+        # unlikely pose are wrong.
+        known = pose.one_place_probability if pose.success else pose.any_probability
+        least = LEAST_BELIEF if pose.success else 1 - _MOST
+        known = _UNKNOWN if known is None else float(np.clip(known, least, _MOST))
         around = pair.matches.surroundings
         alike = math.nan if around is None else alikeness(around, pose.R)
         values.append((_log_odds(known), alike))

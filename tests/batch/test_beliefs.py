@@ -1,10 +1,15 @@
 """What a folder believes of its pairs."""
 
+from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
+from results import camera, true_row
 
-from dgc_pose.batch.beliefs import by_itself, shows_repeats, solutions
+from dgc_pose.batch.beliefs import believed, by_itself, shows_repeats, solutions
+from dgc_pose.batch.rows import MatchedPair
+from dgc_pose.matches import Matches
 
 IMAGES = 8
 PAIRS = list(combinations(range(IMAGES), 2))
@@ -80,3 +85,20 @@ def test_more_of_each_value_speaks_for_a_pair():
     base = by_itself(np.zeros((1, 3)))[0]
     assert (by_itself(0.1 * np.eye(3)) > base).all()
     assert np.abs(by_itself(np.array([[99.0, 9.0, 9.0], [-99.0, -9.0, -9.0]]))).max() <= 5
+
+
+def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():
+    """A claim, one that `min_probability` alone allows, and a rotation of an unlikely pose."""
+    points = np.random.default_rng(0).uniform(10, 170, (100, 2))
+    matches = Matches(points, points + (5.0, 0.0), np.ones(100), error_px=0.5)
+    pairs = []
+    for k, (status, probability) in enumerate((("ok", 0.8), ("ok", 0.3), ("rotation_only", 0.1))):
+        row = true_row(("a", "bcd"[k]), np.eye(3), np.array([1.0, 0, 0]), status)
+        own = 0.0 if status == "rotation_only" else probability
+        pose = replace(row.pose, probability=own, any_probability=probability)
+        pairs.append(MatchedPair(replace(row, pose=pose, index=k), matches))
+    plan = SimpleNamespace(names="abcd", final_cameras=dict.fromkeys("abcd", camera()))
+    rows = believed(pairs, plan)
+    assert [row.folder_probability for row in rows] == [0.8, 0.6, 0.6]
+    assert not any(row.turned_down for row in rows)
+    assert [row.folder_triples for row in rows] == 3 * [(0, 0)]
