@@ -71,6 +71,10 @@ class Matches:
             confidence=self.confidence[kept],
         )
 
+    def swapped(self) -> Matches:
+        """The same of image 2 and image 1."""
+        return replace(self, points1=self.points2, points2=self.points1)
+
     @classmethod
     def joined(cls, parts: Sequence[Matches]) -> Matches:
         """The matches of all parts, those that are equal to the pixel once.

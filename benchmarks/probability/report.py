@@ -73,9 +73,8 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     rotation, translation = model.errors_90_deg(evidence)
     same_place = model.same_place.probability(evidence)
     verdict = judge(
-        *(evidence, EstimationOptions().min_probability, any_right, ()),
-        shares=shares[order].tolist(),
-        same_place=same_place,
+        *(evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()),
+        same_place,
     )
     known = STATUSES[verdict.status]
     return Judged(

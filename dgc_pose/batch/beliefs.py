@@ -12,10 +12,9 @@ that explains the pairs better.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import islice
-from typing import TypeVar
 
 import numpy as np
 
@@ -27,7 +26,6 @@ from dgc_pose.estimation.status import CONFIGURATIONS
 
 MOST_PAIRS = 2000  # with a pose, of a folder
 _MOST = 0.999  # probability of a pair
-_Number = TypeVar("_Number", float, np.ndarray)
 _UNKNOWN = 0.9  # probability of a pose whose own is not known
 _MOST_LOG_ODDS = 5.0
 # Of a pair in a folder with repeats: for a unit of each of the values of `gathered`
@@ -47,13 +45,13 @@ _MOST_SENT = 8.0  # log-odds
 def believed(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairRow]:
     """The rows of the pairs that have a pose or a rotation, with what the folder believes of them;
     none of more than `MOST_PAIRS` pairs."""
-    rows, relations, values = gathered(islice(_posed(pairs), MOST_PAIRS + 1), plan)
+    rows, relations, values = gathered(pairs, plan, MOST_PAIRS + 1)
     if not 0 < len(rows) <= MOST_PAIRS:
         return []
     found, agree = triples(relations)
     solved = solutions(values[:, 0], by_itself(values), found, agree)
     log_odds = solved[shows_repeats(solved, values)]
-    if log_odds is solved[0]:  # of a pair in no triple no other pair tells
+    if log_odds is solved[0]:  # a pair in no triple has its own
         alone = ~np.isin(np.arange(len(rows)), found)
         own = [_UNKNOWN if r.probability is None else r.probability for r in rows]
         own_odds = _log_odds(np.clip(own, LEAST_BELIEF, _MOST))
@@ -73,15 +71,16 @@ def believed(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairRow]:
 
 
 def gathered(
-    pairs: Iterable[MatchedPair], plan: Plan
+    pairs: Iterable[MatchedPair], plan: Plan, most: int | None = None
 ) -> tuple[list[PairRow], list[Relation], np.ndarray]:
-    """The rows and relations of pairs that have a pose or a rotation, and what by itself speaks for
-    each, (n, 3): log-odds, surroundings and own cells, the latter two less the folder's; NaN of
-    what is not known."""
+    """The rows and relations of pairs that have a pose or a rotation, the first `most` of them; and
+    what by itself speaks for each, (n, 3): log-odds, surroundings and own cells, the latter two
+    less the folder's; NaN of what is not known."""
     number = {name: k for k, name in enumerate(plan.names)}
     cameras, rows, relations = plan.final_cameras, list[PairRow](), list[Relation]()
     values = list[tuple[float, float]]()
-    for pair in _posed(pairs):
+    posed = (p for p in pairs if p.row.pose is not None and p.row.pose.status in CONFIGURATIONS)
+    for pair in islice(posed, most):
         row, pose = pair.row, pair.row.pose
         assert pose is not None and pose.R is not None  # by its status
         name1, name2 = row.names
@@ -91,22 +90,17 @@ def gathered(
         # unlikely pose are wrong.
         known = pose.one_place_probability if pose.success else pose.any_probability
         least = LEAST_BELIEF if pose.success else 1 - _MOST
-        known = _UNKNOWN if known is None else float(np.clip(known, least, _MOST))
+        known = _UNKNOWN if known is None else min(max(known, least), _MOST)
         around = pair.matches.surroundings
         alike = math.nan if around is None else alikeness(around, pose.R)
-        values.append((_log_odds(known), alike))
+        values.append((known, alike))
         rows.append(row)
     found = np.column_stack([np.array(values).reshape(-1, 2), own_cells(relations)])
+    found[:, 0] = _log_odds(found[:, 0])
     for column in found.T[1:]:
         known_ones = column[np.isfinite(column)]
         column -= np.quantile(known_ones, _QUANTILE) if len(known_ones) else 0.0
     return rows, relations, found
-
-
-def _posed(pairs: Iterable[MatchedPair]) -> Iterator[MatchedPair]:
-    for pair in pairs:
-        if pair.row.pose is not None and pair.row.pose.status in CONFIGURATIONS:
-            yield pair
 
 
 def by_itself(
@@ -116,7 +110,7 @@ def by_itself(
     return (intercept + np.nan_to_num(values) @ weights).clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
 
-def _log_odds(probability: _Number) -> _Number:
+def _log_odds(probability: np.ndarray) -> np.ndarray:
     return np.log(probability / (1 - probability))
 
 

@@ -134,11 +134,7 @@ def _arrays(relations: Sequence[Relation]) -> tuple[np.ndarray, np.ndarray, np.n
         R.append(turn)
         t.append(shift)
     errors = np.array([relation.error_deg for relation in relations]).reshape(-1, 2)
-    return (
-        np.array(R).reshape(-1, 3, 3),
-        np.array(t).reshape(-1, 3),
-        np.array(errors).reshape(-1, 2),
-    )
+    return np.array(R).reshape(-1, 3, 3), np.array(t).reshape(-1, 3), errors
 
 
 def _log_ratios(relations: Sequence[Relation]) -> dict[tuple[int, int, int], float]:
@@ -162,7 +158,8 @@ def _log_ratios(relations: Sequence[Relation]) -> dict[tuple[int, int, int], flo
 def _lengths(
     found: np.ndarray, images: np.ndarray, ratios: dict[tuple[int, int, int], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The baselines 23 and 13 of triples, (M,) each, over 12; NaN where the images do not tell."""
+    """The baselines 23 and 13 of triples, (M,) each, over 12; NaN where the images do not
+    determine them."""
     logs = np.full((len(found), 2), np.nan)
     for row, ((e12, e23, e13), (i1, i2, i3)) in enumerate(
         zip(found.tolist(), images.tolist(), strict=True)

@@ -108,12 +108,13 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
             pose = RelativePose.from_dict(data | {"seconds": {}})
         except InputError as error:
             raise ValueError(str(error)) from None
-        agree, differ = data["folder_triples"]
-        row = PairRow(*names, status, pose.reason, pose, data["error_px"], index=index)
-        belief, agreeing = data["folder_probability"], (int(agree), int(differ))
-        belief = None if belief is None else float(belief)
-        model = data["camera_model"]
-        return replace(row, camera_model=model, folder_probability=belief, folder_triples=agreeing)
+        belief, (agree, differ) = data["folder_probability"], data["folder_triples"]
+        return PairRow(
+            *(*names, status, pose.reason, pose, data["error_px"], data["camera_model"]),
+            index=index,
+            folder_probability=None if belief is None else float(belief),
+            folder_triples=(int(agree), int(differ)),
+        )
 
 
 _NO_POINTS = np.zeros((0, 2))

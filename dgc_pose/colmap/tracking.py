@@ -9,7 +9,7 @@ locations are one track: nothing is merged, so no match is moved.
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import permutations
 
 import cv2
@@ -131,7 +131,7 @@ def _tracks_of(
     grey = _grey(image)
     matches_of_pairs = []  # with the image `name` as image 2
     for pair in pairs:
-        raw = pair.matches if name == pair.row.name2 else _swapped(pair.matches)
+        raw = pair.matches if name == pair.row.name2 else pair.matches.swapped()
         matches_of_pairs.append(consistent(raw, _AFFINITY_MATCHES))
     corners = _choose(grey, matches_of_pairs, per_image)
     corners = corners[~image.is_masked(corners)]
@@ -178,12 +178,8 @@ def points_in(
 
     matches: points1 in the reference, points2 in the image.
     """
-    local = consistent(_swapped(matches), _AFFINITY_MATCHES)
+    local = consistent(matches.swapped(), _AFFINITY_MATCHES)
     return _transferred(reference, image, local, corners)[:2]
-
-
-def _swapped(matches: Matches) -> Matches:
-    return replace(matches, points1=matches.points2, points2=matches.points1)
 
 
 def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: int) -> np.ndarray:

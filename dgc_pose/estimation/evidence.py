@@ -19,7 +19,7 @@ _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a dev
 _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
-# `Matches.surroundings` of right pairs falls with the logarithm of the rotation: experiments.md
+# `Matches.surroundings` of right pairs falls with the logarithm of the rotation: method.md
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 

@@ -73,10 +73,6 @@ def judge(
     the others take for granted. Where focal lengths were fitted, the odds of `min_probability`
     count `_FITTED_ODDS` times.
     """
-    least = min_probability
-    if min_probability is not None and evidence.raw_focal_90_percent is not None:
-        odds = _FITTED_ODDS * min_probability
-        min_probability = odds / (odds + 1 - min_probability)
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
         # Chance before all: few inliers are no evidence of a rotation either.
@@ -85,8 +81,14 @@ def judge(
     impossible = _random(evidence) or _panorama(evidence) or undetermined or _behind(evidence)
     if impossible is not None:
         return by_chance(evidence) or impossible
+    needed = min_probability  # if both images show one place
+    if evidence.raw_focal_90_percent is not None:
+        odds = _FITTED_ODDS * min_probability
+        needed = odds / (odds + 1 - min_probability)
     share = shares[0] if shares else 1.0
-    if probability >= min_probability:
+    of_one_place = share * probability
+    whole = same_place * of_one_place
+    if probability >= needed:
         if moved := _moved_plane(evidence):
             return moved
         if share < MIN_SHARE:
@@ -95,16 +97,13 @@ def judge(
             listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
             reason = f"{count} poses explain the matches, with probabilities of {listed}"
             return Verdict("ambiguous", reason)
-        if share * probability >= min_probability and least is not None:
-            if same_place * share * probability >= least:
-                return _pose(evidence)
-            min_probability = least
-    failed = by_chance(evidence) or _implausible(evidence)
-    if share * probability >= min_probability:  # it may be of two places alone
-        failed = None
+        if of_one_place >= needed and whole >= min_probability:
+            return _pose(evidence)
+    failed = None
+    if of_one_place < needed:  # else it is of two places alone
+        failed, min_probability = by_chance(evidence) or _implausible(evidence), needed
     reason = (
-        "the pose is right with a probability of "
-        f"{percent_text(same_place * share * probability)}, and "
+        f"the pose is right with a probability of {percent_text(whole)}, and "
         f"{percent_text(min_probability)} is the least"
     )
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])

@@ -86,7 +86,7 @@ def encoded_views(
     full resolution."""
     keys = _views(image1, image2, dense, long_side)
     full = _views(image1, image2, dense, LONG_SIDE)
-    views = [(key.view, cache.get(key, partial(key.encoded, engine))) for key in keys]
+    views = [(key.view, key.cached(engine, cache)) for key in keys]
     return views, max(keys[0].cells) / max(full[0].cells)
 
 
@@ -119,7 +119,7 @@ def _compared(
     """The matches of each comparison, in pixels of the images."""
     views = dict.fromkeys(chain(*((first, second) for first, second, _ in comparisons)))
     # In turn: one image occupies all processors, and memory for one is enough.
-    features = {view: cache.get(view, partial(view.encoded, engine)) for view in views}
+    features = {view: view.cached(engine, cache) for view in views}
 
     def compare(comparison: _Comparison) -> Matches:
         first, second, hypothesis = comparison
@@ -183,6 +183,10 @@ class _Encoded(NamedTuple):
 
     def encoded(self, engine: Engine) -> NativeFeatures:
         return engine.native(self.view.cut(self.image.pixels), self.cells)
+
+    def cached(self, engine: Engine, cache: ImageCache) -> NativeFeatures:
+        features: NativeFeatures = cache.get(self, partial(self.encoded, engine))
+        return features
 
     def squeezed(self, axis: int) -> _Encoded:
         """The view made narrower (axis 0) or lower (1)."""

@@ -10,7 +10,6 @@ random places.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -24,10 +23,9 @@ from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
 
 _NEIGHBOURS = 8  # matches, whose affinity predicts where a cell lies
-_AT_MATCHES = (
-    1.5  # cells of stride 8, at full resolution, to the nearest match, below which a cell is at one
-)
-_RIM = (3.0, 8.0)  # and between which it is around them
+# Cells of stride 8, at full resolution, from a cell to the nearest match: below, it is at a match;
+# between, it is around the matches
+_AT_MATCHES, _RIM = 1.5, (3.0, 8.0)
 _MOST = 250  # cells of each kind, drawn at random
 _REACH = 2  # cells searched about a place
 _PLACES = 4  # at random, that a cell is compared with
@@ -54,10 +52,9 @@ def surroundings(
     views: of both images, with their features; textures: of both; scale: of the views' sides, over
     those at full resolution.
     """
-    swapped = replace(matches, points1=matches.points2, points2=matches.points1)
     first, second = zip(images, views, textures, strict=True)
     shares = []
-    for source, target, ordered in ((first, second, matches), (second, first, swapped)):
+    for source, target, ordered in ((first, second, matches), (second, first, matches.swapped())):
         at_matches, around = _likeness(source, target, consistent(ordered, _NEIGHBOURS), scale)
         if min(len(at_matches), len(around)) >= _LEAST:
             shares.append(float(around.mean()) / max(float(at_matches.mean()), _LEAST_LIKENESS))
