@@ -22,7 +22,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult, NetworkMatc
 from dgc_pose.pair_result import PairResult
 from dgc_pose.schedule import LIKELY, may_change, steps_of
 from dgc_pose.system.options import check_type
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.threads import in_threads, one_blas_thread
 
 if TYPE_CHECKING:
     import torch
@@ -84,6 +84,7 @@ def estimate_relative_pose(
     return replace(pose, seconds={"load": load_seconds, **pose.seconds})
 
 
+@one_blas_thread
 def solve_pair(
     image1: Image,
     image2: Image,

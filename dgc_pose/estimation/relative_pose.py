@@ -27,10 +27,12 @@ from dgc_pose.estimation.verdict import MIN_MATCHES, judge
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import check_type
+from dgc_pose.system.threads import one_blas_thread
 
 _DEFAULTS = EstimationOptions()
 
 
+@one_blas_thread
 def estimate_pose(
     matches: Matches,
     camera1: Camera,

@@ -27,7 +27,7 @@ from dgc_pose.matching.surroundings import surroundings
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.threads import in_threads, one_blas_thread
 
 COARSE_CELLS = 60  # cells a side of the map of the coarse step
 COARSE_SIDE = 512  # most pixels of the images that its features are computed on
@@ -72,6 +72,7 @@ class NetworkMatcher(Matcher):
         (features,) = map_features(self.engine, self.cache, (image, View.whole(image.size)))
         return np.concatenate(self.engine.coarsest(features))
 
+    @one_blas_thread
     def match(self, image1: Image, image2: Image) -> MatchResult:
         """As `Matcher`: by the map at `finest` cells. Matches of the features at native resolution
         are refined, or else those of the map; the map's are as they are where refinement leaves too

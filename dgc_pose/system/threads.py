@@ -6,9 +6,15 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import cv2
+from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+# A decorator. NumPy's products are small, or side by side in `in_threads`: further threads would
+# wait for each other. The caller's number is set back at the end.
+one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 def usable_cpus() -> int:

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import pytest
 from scenes import two_view_scene
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.matches import Matches
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.threads import in_threads, one_blas_thread
 
 
 @pytest.fixture(autouse=True)
@@ -67,3 +68,16 @@ def test_a_pose_is_the_same_for_any_number_of_threads() -> None:
     assert poses[0].success
     assert np.array_equal(poses[0].R, poses[1].R) and np.array_equal(poses[0].t, poses[1].t)
     assert np.array_equal(poses[0].inliers, poses[1].inliers)
+
+
+def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
+    def threads() -> set[int]:
+        pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+        return {int(pool["num_threads"]) for pool in pools}
+
+    with threadpool_limits(limits=2, user_api="blas"):
+        before = threads()
+        assert one_blas_thread(threads)() == ({1} if before else set())
+        with pytest.raises(ZeroDivisionError):
+            one_blas_thread(lambda: 1 // 0)()
+        assert threads() == before
