@@ -9,7 +9,7 @@ import numpy as np
 
 from dgc_pose.errors import WeightsError
 from dgc_pose.files.inputs import require_regular
-from dgc_pose.system.onnx_library import onnxruntime
+from dgc_pose.system.onnx_library import SHARED_ARENA, onnxruntime
 
 _QUIET = 4  # errors are raised, and need not be printed
 _MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
@@ -30,6 +30,7 @@ class Session:
         options.intra_op_num_threads = session_threads()
         options.inter_op_num_threads = 1
         options.log_severity_level = _QUIET
+        options.add_session_config_entry(SHARED_ARENA, "1")
         # Threads that wait for work must not take the processor from other processes.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # The values must outlive the session.

@@ -12,4 +12,12 @@ import onnxruntime  # noqa: E402
 
 onnxruntime.disable_telemetry_events()
 
-__all__ = ["onnxruntime"]
+# What a session frees, another may take: with an arena of its own each would keep the most that it
+# ever had.
+SHARED_ARENA = "session.use_env_allocators"
+_ARENA = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+onnxruntime.create_and_register_allocator(
+    onnxruntime.OrtMemoryInfo("Cpu", _ARENA, 0, onnxruntime.OrtMemType.DEFAULT), None
+)
+
+__all__ = ["SHARED_ARENA", "onnxruntime"]
