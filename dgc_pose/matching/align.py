@@ -21,6 +21,7 @@ from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
 from dgc_pose.matching.consistency import LocalMatches, consistent
 from dgc_pose.matching.lucas_kanade import Patches, align_patches
+from dgc_pose.system.threads import in_threads
 
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
 PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
@@ -220,7 +221,8 @@ def nearby_corners(
     x, y = x.clip(0, width - 1), y.clip(0, height - 1)
     corners, strength = np.empty((len(points), 2)), np.empty(len(points), np.float32)
     strip = y[:, radius] // _STRIP
-    for number in np.unique(strip):
+
+    def measure(number: int) -> None:
         here = np.flatnonzero(strip == number)
         columns, rows = x[here], y[here]
         left, top = (max(0, int(axis.min()) - _CORNER_MARGIN) for axis in (columns, rows))
@@ -232,6 +234,8 @@ def nearby_corners(
         row, column = np.divmod(best, len(near))
         corners[here] = np.stack([columns[each, column], rows[each, row]], -1)
         strength[here] = values[each, best]
+
+    in_threads(measure, np.unique(strip).tolist())
     return corners, strength
 
 

@@ -47,12 +47,11 @@ def likely_cells(
     similar = min(similar, len(coarse1))
     scaled = scales[0] * coarse2
 
-    def evidence(rows: slice) -> np.ndarray:
-        return scaled[rows] @ coarse1.T
+    evidence = np.empty((len(coarse2), len(coarse1)), np.float32)
 
     def sums_over(rows: slice) -> np.ndarray:
-        values = evidence(rows)
-        values -= scales[0]
+        np.matmul(scaled[rows], coarse1.T, out=evidence[rows])
+        values = evidence[rows] - scales[0]
         np.exp(values, out=values)
         return values.sum(0) if allowed is None else (values * allowed[rows]).sum(0)
 
@@ -60,7 +59,7 @@ def likely_cells(
     normaliser = np.log(np.sum(in_threads(sums_over, parts), 0) + _UNMATCHED)
 
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        scores = evidence(rows)
+        scores = evidence[rows]
         scores *= 2
         scores -= normaliser
         if allowed is not None:

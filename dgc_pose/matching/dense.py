@@ -41,7 +41,7 @@ def dense_map(
 
     decoded = decode(views)
     mean = decoded.matchability.mean()
-    if search and mean < WEAK and (likely := search_views(engine, *images)):
+    if search and mean < WEAK and (likely := search_views(engine, *images, cache)):
         again = decode(likely)
         inside = likely[1].inside(image2.size, again.matchability.shape[::-1])
         if again.matchability[inside].mean() > mean:

@@ -17,10 +17,11 @@ from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.geometry.pixels import cell_centres, pixel_grid, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.consistency import LocalMatches, consistent
+from dgc_pose.matching.consistency import consistent
 from dgc_pose.matching.texture import Texture
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.system.threads import in_threads
 
 _NEIGHBOURS = 8  # matches, whose affinity predicts where a cell lies
 # Cells of stride 8, at full resolution, from a cell to the nearest match: below, it is at a match;
@@ -53,16 +54,17 @@ def surroundings(
     those at full resolution.
     """
     first, second = zip(images, views, textures, strict=True)
+    ways = (first, second, matches), (second, first, matches.swapped())
     shares = []
-    for source, target, ordered in ((first, second, matches), (second, first, matches.swapped())):
-        at_matches, around = _likeness(source, target, consistent(ordered, _NEIGHBOURS), scale)
+    for at_matches, around in in_threads(lambda way: _likeness(*way, scale), ways):
         if min(len(at_matches), len(around)) >= _LEAST:
             shares.append(float(around.mean()) / max(float(at_matches.mean()), _LEAST_LIKENESS))
     return min(shares, default=None)
 
 
-def _likeness(source: _End, target: _End, matches: LocalMatches, scale: float) -> list[np.ndarray]:
+def _likeness(source: _End, target: _End, every: Matches, scale: float) -> list[np.ndarray]:
     """The likeness of cells of the target, image 2 of the matches: at matches, and around them."""
+    matches = consistent(every, _NEIGHBOURS)
     rng = np.random.default_rng(_SEED)
     (image1, (view1, features1), _), (image2, (view2, features2), texture) = source, target
     sides1, sides2 = (features.middle.shape[1::-1] for features in (features1, features2))

@@ -90,7 +90,7 @@ def noise_level(grey: np.ndarray) -> float:
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1]
-    return float(np.quantile(np.abs(response).astype(float), 0.75)) / (1.1503 * 6)
+    return float(np.quantile(np.abs(response), 0.75)) / (1.1503 * 6)
 
 
 def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

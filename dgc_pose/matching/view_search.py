@@ -12,14 +12,15 @@ temperature.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import chain
+from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import cell_centres, rescale
 from dgc_pose.images.image import Image, resize_by
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
 from dgc_pose.network.correlation import log_softmax, match_scores
@@ -52,6 +53,10 @@ class _Thumbnail:
     features: NativeFeatures
     inside: np.ndarray  # (h, w) bool, which cells of stride 16 show the image
 
+    @property
+    def nbytes(self) -> int:
+        return self.points.nbytes + self.features.nbytes + self.inside.nbytes
+
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
@@ -65,30 +70,33 @@ class _Candidate:
     entropy: float  # mean over the cells of the small copy, 1 for a uniform distribution
 
 
-def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, View] | None:
+def search_views(
+    engine: Engine, image1: Image, image2: Image, cache: ImageCache
+) -> tuple[View, View] | None:
     """Views of both images at one rotation and scale; None if the images as they are match best.
 
-    An image that the network squeezes is not rotated: its copy would be nearly all border.
+    cache: of the small copies, by image, angle and octave. An image that the network squeezes is
+    not rotated: its copy would be nearly all border.
     """
     images = image1, image2
     if any(max(image.size) > LONGEST * min(image.size) for image in images):
         return None
-    # No copy is larger than this one.
-    largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
-    shrunk = [
-        resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
-        for image in images
-    ]
-    made: dict[tuple[int, int, int], _Thumbnail] = {}
 
-    def thumbnail(key: tuple[int, int, int]) -> _Thumbnail:
-        number, angle_deg, octave = key
-        pixels, size = shrunk[number], images[number].size
+    def shrunk(image: Image) -> np.ndarray:
+        # No copy is larger than this one.
+        largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
+        return resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
+
+    smaller = {image: cache.get((image, "shrunk"), partial(shrunk, image)) for image in images}
+
+    def thumbnail(image: Image, angle_deg: int, octave: int) -> _Thumbnail:
+        pixels, size = smaller[image], image.size
         small = (pixels.shape[1], pixels.shape[0])
         scale = 2**octave * STRIDE * math.sqrt(_CELLS / math.prod(small))
         view = View.whole(small, float(angle_deg), scale)
         columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
         features = engine.native(view.cut(pixels), (columns, rows))
+        features = replace(features, fine=features.fine[:0].copy())  # which is not compared
         inside = view.inside(small, (columns, rows))
         points = view.to_image(cell_centres((columns, rows), view.size)[inside])
         pixel = math.sqrt(math.prod(size) / math.prod(small)) / view.scale
@@ -97,22 +105,21 @@ def search_views(engine: Engine, image1: Image, image2: Image) -> tuple[View, Vi
     def compared(motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
         """The candidate of each angle and octave. The image of the smaller field of view is
         rotated, and shrunk to the other's scale."""
-        pairs = []
+        copies: list[tuple[Image, int, int]] = []  # of each motion the wide and the narrow one
         for angle_deg, octave in motions:
             small, turn = (1, angle_deg) if octave >= 0 else (0, -angle_deg)
-            pairs.append(((1 - small, 0, abs(octave)), (small, turn % 360, 0)))
-        missing = [key for key in dict.fromkeys(chain(*pairs)) if key not in made]
-        many = in_threads(thumbnail, missing) if engine.concurrent else map(thumbnail, missing)
-        made.update(zip(missing, many, strict=True))
-        candidates = []
-        for motion, (first, second) in zip(motions, pairs, strict=True):
-            wide, narrow = made[first], made[second]
+            copies += [(images[1 - small], 0, abs(octave)), (images[small], turn % 360, 0)]
+        wanted = [((*copy, "thumbnail"), partial(thumbnail, *copy)) for copy in copies]
+        made = cache.get_all(wanted, in_turn=not engine.concurrent)
+
+        def candidate(number: int) -> _Candidate:
+            wide, narrow = made[2 * number : 2 * number + 2]
             logarithms = matching_distribution(
                 wide.features, narrow.features, narrow.inside, engine.correlation_scales
             )
-            entropy = mean_entropy(logarithms)
-            candidates.append(_Candidate(*motion, wide, narrow, logarithms, entropy))
-        return candidates
+            return _Candidate(*motions[number], wide, narrow, logarithms, mean_entropy(logarithms))
+
+        return in_threads(candidate, range(len(motions)))
 
     candidates = compared([(angle, 0) for angle in _ANGLES])
     upright = candidates[0]

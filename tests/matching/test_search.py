@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.images.image import Image, resize
+from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.view import View
 from dgc_pose.matching.view_search import search_views
 from dgc_pose.runtime.load import load_engine
@@ -39,8 +40,14 @@ def _window(side: float) -> np.ndarray:
 
 
 def test_equal_views_need_no_search() -> None:
-    image = Image(_scene())
-    assert search_views(_engine(), image, Image(image.pixels[8:, 5:].copy())) is None
+    """And the copies of an image are made once for all its pairs."""
+    image, cache = Image(_scene()), ImageCache()
+    other = Image(image.pixels[8:, 5:].copy())
+    assert search_views(_engine(), image, other, cache) is None
+    made = cache.made
+    assert made > 2
+    assert search_views(_engine(), image, other, cache) is None
+    assert cache.made == made
 
 
 @pytest.mark.parametrize("size", [(1, 500), (3000, 300)])
@@ -51,7 +58,7 @@ def test_a_thin_image_is_not_rotated(size: tuple[int, int], first: bool) -> None
     encoded: list[np.ndarray] = []
     engine = SimpleNamespace(native=lambda pixels, cells: encoded.append(pixels))
     pair = (thin, scene) if first else (scene, thin)
-    assert search_views(engine, *pair) is None  # type: ignore[arg-type]
+    assert search_views(engine, *pair, ImageCache()) is None  # type: ignore[arg-type]
     assert not encoded
 
 
@@ -59,7 +66,7 @@ def test_a_thin_image_is_not_rotated(size: tuple[int, int], first: bool) -> None
 def test_a_rotation_is_found(angle: float) -> None:
     image = Image(_scene())
     rotated = Image(View.whole(image.size, angle).cut(image.pixels))
-    views = search_views(_engine(), image, rotated)
+    views = search_views(_engine(), image, rotated, ImageCache())
     assert views is not None
     assert views[0] == View.whole(image.size)
     assert abs((views[1].angle_deg + angle + 180) % 360 - 180) <= 20
@@ -72,7 +79,7 @@ def test_a_part_is_found_in_the_whole(closer: int) -> None:
     """One image shows the middle third of the other."""
     images = [Image(resize(_scene(), (320, 240))), Image(_window(1 / 3))]
     first, second = images if closer == 2 else images[::-1]
-    views = search_views(_engine(), first, second)
+    views = search_views(_engine(), first, second, ImageCache())
     assert views is not None
     wide, close = views if closer == 2 else views[::-1]
     assert close == View.whole((320, 240))
