@@ -84,7 +84,7 @@ def estimate_relative_pose(
     return replace(pose, seconds={"load": load_seconds, **pose.seconds})
 
 
-@one_blas_thread
+@one_blas_thread()
 def solve_pair(
     image1: Image,
     image2: Image,

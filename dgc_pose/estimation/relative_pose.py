@@ -32,7 +32,7 @@ from dgc_pose.system.threads import one_blas_thread
 _DEFAULTS = EstimationOptions()
 
 
-@one_blas_thread
+@one_blas_thread()
 def estimate_pose(
     matches: Matches,
     camera1: Camera,

@@ -72,7 +72,7 @@ class NetworkMatcher(Matcher):
         (features,) = map_features(self.engine, self.cache, (image, View.whole(image.size)))
         return np.concatenate(self.engine.coarsest(features))
 
-    @one_blas_thread
+    @one_blas_thread()
     def match(self, image1: Image, image2: Image) -> MatchResult:
         """As `Matcher`: by the map at `finest` cells. Matches of the features at native resolution
         are refined, or else those of the map; the map's are as they are where refinement leaves too

@@ -2,7 +2,8 @@
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TypeVar
 
 import cv2
@@ -12,9 +13,18 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-# A decorator. NumPy's products are small, or side by side in `in_threads`: further threads would
-# wait for each other. The caller's number is set back at the end.
-one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """NumPy's products in one thread, and then in as many as before. They are small, or side by
+    side in `in_threads`: further threads would wait for each other.
+
+    In the main thread alone: of two threads each could set back what the other has set.
+    """
+    if threading.current_thread() is threading.main_thread():
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield
+    else:
+        yield
 
 
 def usable_cpus() -> int:

@@ -77,7 +77,12 @@ def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
 
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
-        assert one_blas_thread(threads)() == ({1} if before else set())
+        assert one_blas_thread()(threads)() == ({1} if before else set())
         with pytest.raises(ZeroDivisionError):
-            one_blas_thread(lambda: 1 // 0)()
+            one_blas_thread()(lambda: 1 // 0)()
         assert threads() == before
+        found: list[set[int]] = []
+        other = threading.Thread(target=lambda: found.append(one_blas_thread()(threads)()))
+        other.start()
+        other.join()
+        assert found == [before] and threads() == before
