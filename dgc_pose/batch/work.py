@@ -18,8 +18,8 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.pose import solve_pair
 
-# Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), and for
-# refinement (12 MiB for each part of the image that is matched).
+# Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), for refinement
+# (12 MiB for each part of the image that is matched), and of copies for the search of views (4).
 FEATURE_BYTES = 24 * 2**20
 Cameras = Mapping[str, Camera]  # by image name
 

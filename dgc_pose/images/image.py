@@ -287,7 +287,7 @@ def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """An image (H, W, 3) at `size` (width, height): area means to shrink, bilinear to enlarge.
 
     Both keep the outer edges of the image in place, as the half-pixel rule of `pixels.rescale`. A
-    large image of at least four times the sides is halved first, which is far faster.
+    large image of at least four times the sides, even ones, is halved first: that is far faster.
     """
     height, width = pixels.shape[:2]
     while (

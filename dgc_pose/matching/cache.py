@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -50,13 +50,13 @@ class ImageCache:
             images = list(dict.fromkeys(kept[0] for kept in reversed(self._kept)))
             self.drop(lambda kept: kept[0] not in images[:_LAST])
             return value
-        sizes = [key[0].pixels.nbytes + value.nbytes for key, value in self._kept.items()]
-        held = sum(sizes)
-        for size in sizes[:-1]:
-            if held <= self.limit_bytes:
-                break
-            self._kept.popitem(last=False)
-            held -= size
+        keys = Counter(kept[0] for kept in self._kept)  # of each image
+        held = sum(image.pixels.nbytes for image in keys)
+        held += sum(each.nbytes for each in self._kept.values())
+        while held > self.limit_bytes and len(self._kept) > 1:
+            (image, *_), dropped = self._kept.popitem(last=False)
+            keys[image] -= 1
+            held -= dropped.nbytes + (image.pixels.nbytes if keys[image] == 0 else 0)
         return value
 
     def drop(self, unwanted: Callable[[Key], bool]) -> None:

@@ -46,8 +46,7 @@ def likely_cells(
     parts = slices(len(coarse2), _CHUNK)
     similar = min(similar, len(coarse1))
     scaled = scales[0] * coarse2
-
-    evidence = np.empty((len(coarse2), len(coarse1)), np.float32)
+    evidence = np.empty((len(coarse2), len(coarse1)), np.float32)  # the scores, in the end
 
     def sums_over(rows: slice) -> np.ndarray:
         np.matmul(scaled[rows], coarse1.T, out=evidence[rows])

@@ -43,8 +43,8 @@ class NetworkMatcher(Matcher):
     hypotheses of the pose. Each is None if it has no other matches than those that are there, as
     where no features of the network are matched (`MatchingOptions.aligned`).
 
-    cache: of features and textures; None to keep those of the last three images. Raises InputError
-    if `finest` is a level that the network's mask is not made for.
+    cache: of features, textures and small copies; None to keep those of the last three images.
+    Raises InputError if `finest` is a level that the network's mask is not made for.
     """
 
     def __init__(

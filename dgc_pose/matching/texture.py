@@ -85,7 +85,8 @@ def noise_level(grey: np.ndarray) -> float:
     """Standard deviation of the noise of an image (H, W), H, W >= 3, in the image's unit.
 
     From the upper quartile of the response to the difference of two Laplacians, which cancels
-    planes and straight edges (Immerkær 1996). Fine texture counts as noise. Not the median: noise
+    planes and straight edges (Immerkær 1996). In single precision, which is exact for whole grey
+    levels of up to four million pixels. Fine texture counts as noise. Not the median: noise
     around black is cut off.
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)

@@ -4,6 +4,7 @@ Its files for Linux hold its maker's telemetry (seen in 1.32), which starts a th
 file `.ses` among the temporary ones, unless it is told not to. Nothing here may send anything.
 """
 
+import contextlib
 import os
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # read when the library is loaded
@@ -16,8 +17,8 @@ onnxruntime.disable_telemetry_events()
 # ever had.
 SHARED_ARENA = "session.use_env_allocators"
 _ARENA = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
-onnxruntime.create_and_register_allocator(
-    onnxruntime.OrtMemoryInfo("Cpu", _ARENA, 0, onnxruntime.OrtMemType.DEFAULT), None
-)
+_MEMORY = onnxruntime.OrtMemoryInfo("Cpu", _ARENA, 0, onnxruntime.OrtMemType.DEFAULT)
+with contextlib.suppress(RuntimeError):  # of old versions, if one is registered: it serves as well
+    onnxruntime.create_and_register_allocator(_MEMORY, None)
 
 __all__ = ["SHARED_ARENA", "onnxruntime"]

@@ -5,6 +5,7 @@ import pytest
 from scenes import normalised_problem, two_view_scene
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from threadpoolctl import threadpool_limits
 
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
@@ -132,14 +133,13 @@ def test_nine_errors_in_ten_are_below_those_of_the_pose():
 
 
 def test_the_number_of_threads_changes_no_digit():
-    threadpoolctl = pytest.importorskip("threadpoolctl")
     scene, *_ = normalised(3000)
     problem, (camera1, camera2) = scene.problem(), scene.cameras
     loose = [replace(c, focal_std=0.3, centre_std=5.0) for c in (camera1, camera2)]
     pose = Hypothesis.of_pose(problem, scene.R, scene.t)
     covariances = []
     for threads in (1, 2, 4):
-        with threadpoolctl.threadpool_limits(threads):
+        with threadpool_limits(threads):
             covariances.append(pose_covariance(problem, pose, IntrinsicsPrior.of(*loose)))
     for other in covariances[1:]:
         for mine, first in zip(other, covariances[0], strict=True):

@@ -23,6 +23,15 @@ def test_the_least_recently_used_is_dropped() -> None:
     assert [key[0] for key in cache._kept] == [IMAGES[3], IMAGES[1]]
 
 
+def test_an_image_counts_once_whatever_is_kept_of_it() -> None:
+    cache = image_cache(30 + 3 * 10)
+    for name in "abca":
+        cache.get((IMAGES[0], name), VALUE.copy)
+    assert cache.made == 3
+    cache.get((IMAGES[1], "a"), VALUE.copy)  # two of these are dropped, and image 0 with the third
+    assert [key[0] for key in cache._kept] == [IMAGES[1]]
+
+
 @pytest.mark.parametrize("in_turn", [True, False])
 def test_of_many_each_that_is_missing_is_made_once(in_turn: bool) -> None:
     cache, made = image_cache(2 * (30 + 10)), []
