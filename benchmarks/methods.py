@@ -19,7 +19,7 @@ from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching import Matcher, NetworkMatcher
+from dgc_pose.matching import Matcher
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
@@ -92,7 +92,7 @@ def load_matchers(
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """
-    engines: dict[str, Engine] = {}
+    engines: dict[str, Engine | None] = {}
     matchers: list[Matcher] = []
     for options in (method.matcher for method in methods):
         if stored and options.weights in stored:
@@ -101,8 +101,7 @@ def load_matchers(
             continue
         used = replace(options, device=device, runtime=runtime)
         matcher = used.load(engine=engines.get(options.weights))
-        if isinstance(matcher, NetworkMatcher):
-            engines[options.weights] = matcher.engine
+        engines[options.weights] = matcher.engine
         matchers.append(matcher)
     return matchers
 

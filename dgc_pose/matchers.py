@@ -101,7 +101,7 @@ def load_matcher(
     convolutions in bfloat16, by torch; faster on a GPU, less exact. matching: how matches are
     selected from a dense map and refined. cache: `image_cache(bytes)` to keep what is computed of
     an image from pair to pair, of one matcher alone; None to keep it of the last three images, for
-    a network some 30 MB each beside their pixels.
+    a network some 35 MB each beside their pixels.
 
     Raises WeightsError if weights cannot be loaded, InputError if there is no such matcher or
     device.

@@ -18,9 +18,9 @@ from dgc_pose.estimation.status import percent_text
 from dgc_pose.images.image import Image, flipped, load_image
 from dgc_pose.images.mask import masked
 from dgc_pose.matchers import load_matcher
-from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult, NetworkMatcher
+from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult
-from dgc_pose.schedule import LIKELY, may_change, steps_of
+from dgc_pose.schedule import LIKELY, STEPS, may_change
 from dgc_pose.system.options import check_type
 from dgc_pose.system.threads import in_threads, one_blas_thread
 
@@ -112,11 +112,11 @@ def solve_pair(
     pose, found = None, None
     seconds: dict[str, float] = {}
     estimating = 0.0
-    for step in steps_of(matcher, options.effort):
+    for step in STEPS[options.effort]:
         if not may_change(step, pose, *cameras, options.effort):
             continue
         start = time.perf_counter()
-        if step == "full" or not isinstance(matcher, NetworkMatcher):
+        if step == "full":
             result: MatchResult | None = matcher.match(image1, image2)
         elif step == "coarse":
             result = matcher.coarse(image1, image2)
@@ -150,7 +150,7 @@ def _mirrored(
     image1: Image,
     image2: Image,
     cameras: tuple[Camera, Camera],
-    matcher: NetworkMatcher,
+    matcher: Matcher,
     pose: RelativePose,
     options: EstimationOptions,
 ) -> RelativePose | None:

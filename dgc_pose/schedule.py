@@ -10,16 +10,15 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.focal_check import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
-from dgc_pose.matching import Matcher, NetworkMatcher
 
-# What is done for a pose, in this order, see `solve_pair`:
+# What is done for a pose, in this order, as far as the matcher has the step, see `solve_pair`:
 # - coarse: a pass over small images, which is enough for an easy pair
 # - refine: more accurate matches by the map of the coarse step, for a pose that is certain
 # - full: all that `Matcher.match` does
 # - mirrored: a coarse pass over image 1 and the mirror image of image 2, which may end the search
 # - guided: matches of squeezed images and near epipolar lines, pooled with those that are there
 Step = Literal["coarse", "refine", "full", "mirrored", "guided"]
-_STEPS: Mapping[Effort, Sequence[Step]] = {
+STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("coarse", "full", "mirrored"),
     "auto": ("coarse", "refine", "full", "mirrored", "guided"),
     "thorough": ("full", "mirrored", "guided"),
@@ -35,11 +34,6 @@ _CLOSE = 0.1
 _FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
-
-
-def steps_of(matcher: Matcher, effort: Effort) -> Sequence[Step]:
-    """The steps of an effort, in order. A matcher that is no network matches in full alone."""
-    return _STEPS[effort] if isinstance(matcher, NetworkMatcher) else ("full",)
 
 
 def may_change(

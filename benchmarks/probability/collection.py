@@ -24,7 +24,7 @@ from dgc_pose.files.inputs import read_as
 from dgc_pose.files.json_files import read_json, write_json
 from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, NetworkMatcher
+from dgc_pose.matching import Matcher
 from dgc_pose.pose import solve_pair
 
 _ENGINE = "engine.json"
@@ -94,7 +94,7 @@ def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> No
     for name, path in missing.items():
         result = matchers[name].match(*images)
         arrays = known | _arrays("", result.matches)
-        if isinstance(matchers[name], NetworkMatcher):
+        if matchers[name].engine is not None:
             pooled = solve_pair(*images, cameras, matchers[name], _THOROUGH).matches
             if not np.array_equal(pooled.points1, result.matches.points1):
                 arrays |= _arrays("pooled_", pooled)

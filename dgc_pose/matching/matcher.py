@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
 
+from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.texture import Texture, texture, textured
+from dgc_pose.runtime.engine import Engine
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +39,16 @@ class MatchResult:
 
 
 class Matcher:
-    """Anything that matches two images: the network, SIFT, optical flow, or files."""
+    """Anything that matches two images: the network, SIFT, optical flow, or files.
+
+    `match` is all that an image pair needs. A schedule has steps beside it, which a matcher may
+    have: `coarse` before, for an easy pair; `refined`, at full resolution by the coarse map; and
+    `guided` after, by the hypotheses of the pose. Each is None if it has no other matches than
+    those that are there.
+    """
 
     name: str  # in results and tables
+    engine: Engine | None = None  # the network that it matches by, which has all steps
 
     @cached_property
     def cache(self) -> ImageCache:
@@ -55,6 +65,20 @@ class Matcher:
         and the dense map if the matcher makes one."""
         result = self._match(image1, image2)
         return replace(result, matches=self._textured(image1, image2, result.matches))
+
+    def coarse(self, image1: Image, image2: Image) -> MatchResult | None:
+        """Match small images, which is enough for an easy pair."""
+        return None
+
+    def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
+        """Match at full resolution by the map of a result."""
+        return None
+
+    def guided(
+        self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
+    ) -> MatchResult | None:
+        """Add to a result matches near the epipolar lines of hypotheses of the pose."""
+        return None
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.

@@ -38,14 +38,14 @@ MIN_ALIGNED = 100  # fewer aligned matches are completed by those that agree wit
 class NetworkMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    `match` is all that an image pair needs. A schedule has steps beside it: `coarse` before, for an
-    easy pair; `refined`, at full resolution by the coarse map; and `guided` after, by the
-    hypotheses of the pose. Each is None if it has no other matches than those that are there, as
-    where no features of the network are matched (`MatchingOptions.aligned`).
+    The steps beside `match` are None where no features of the network are matched
+    (`MatchingOptions.aligned`).
 
     cache: of features, textures and small copies; None to keep those of the last three images.
     Raises InputError if `finest` is a level that the network's mask is not made for.
     """
+
+    engine: Engine
 
     def __init__(
         self,

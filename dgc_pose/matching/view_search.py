@@ -82,12 +82,7 @@ def search_views(
     if any(max(image.size) > LONGEST * min(image.size) for image in images):
         return None
 
-    def shrunk(image: Image) -> np.ndarray:
-        # No copy is larger than this one.
-        largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
-        return resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
-
-    smaller = {image: cache.get((image, "shrunk"), partial(shrunk, image)) for image in images}
+    smaller = {image: cache.get((image, "shrunk"), partial(_shrunk, image)) for image in images}
 
     def thumbnail(image: Image, angle_deg: int, octave: int) -> _Thumbnail:
         pixels, size = smaller[image], image.size
@@ -133,6 +128,12 @@ def search_views(
     if best is upright or best.entropy > _LOWER * min(upright.entropy, median):
         return None
     return _views(best, image1.size, image2.size)
+
+
+def _shrunk(image: Image) -> np.ndarray:
+    """The image as large as its largest copy, or as it is if that is less."""
+    largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
+    return resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
 
 
 def _lowest(candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
