@@ -29,7 +29,7 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
 _SAMPLED = 300  # matches
-_ITERATIONS = 120  # of a RANSAC run
+_ITERATIONS = 120  # of a RANSAC run at most
 # Of the errors of the rounds of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
 _FIT_ITERATIONS = 12  # of a round

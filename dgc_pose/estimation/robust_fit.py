@@ -17,7 +17,8 @@ from dgc_pose.system.threads import in_threads
 # with the matches that it scores; the hypotheses are compared and refined on all matches.
 MAX_SAMPLED = 3000
 MINIMAL = 5  # matches that determine an essential matrix
-MIN_ITERATIONS = 200  # of a run, however many inliers there are; see docs/experiments.md
+_MIN_ITERATIONS = 50  # of a run, however many inliers there are
+_TRIALS = 12.0  # times those that PoseLib expects one good sample in; docs/experiments.md
 
 _ROUNDS = 3  # of a refinement
 _MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
@@ -62,8 +63,9 @@ def essential_matrix(
 ) -> np.ndarray | None:
     """The essential matrix (3, 3) of one RANSAC run on at least five matches; None if it fails.
 
-    The same seed gives the same answer to the bit. A run ends as soon as its share of inliers shows
-    that a sample without outliers was drawn, with PoseLib's probability of 0.9999.
+    The same seed gives the same answer to the bit. A run ends after `_TRIALS` times the iterations
+    that draw a sample without outliers with a probability of 0.9999, by its share of inliers, and
+    after `_MIN_ITERATIONS` at least.
     """
     points, settings = _pixels(problem), _ransac_options(problem, options, seed)
     return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
@@ -105,7 +107,8 @@ def _ransac_options(
     threshold = problem.threshold * FOCAL
     ransac = {
         "max_iterations": options.iterations,
-        "min_iterations": min(options.iterations, MIN_ITERATIONS),
+        "min_iterations": min(options.iterations, _MIN_ITERATIONS),
+        "dyn_num_trials_mult": _TRIALS,
         "max_epipolar_error": threshold,
         "seed": seed,
     }

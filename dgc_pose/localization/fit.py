@@ -23,7 +23,7 @@ from dgc_pose.estimation.least_squares import (
     loss_terms,
     loss_width,
 )
-from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, MIN_ITERATIONS, run_seeds
+from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, run_seeds
 from dgc_pose.localization.correspondences import (
     PairCorrespondences,
     PointCorrespondences,
@@ -32,6 +32,7 @@ from dgc_pose.localization.correspondences import (
 from dgc_pose.system.threads import in_threads
 
 Correspondences = PairCorrespondences | PointCorrespondences
+_MIN_ITERATIONS = 100  # of a run of RANSAC
 _SAMPLED = 300  # matches of a pair that RANSAC draws from
 _SCORED = 100  # matches of a pair that starts are compared by
 _FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alike
@@ -115,7 +116,7 @@ def _of_pairs(
     threshold = float(np.median([pair.threshold for pair in pairs])) * FOCAL
     settings = {
         "max_iterations": options.iterations,
-        "min_iterations": min(options.iterations, MIN_ITERATIONS // 2),
+        "min_iterations": min(options.iterations, _MIN_ITERATIONS),
         "max_epipolar_error": threshold,
         "seed": seed,
     }

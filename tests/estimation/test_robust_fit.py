@@ -2,13 +2,15 @@
 seeds; refinement comes nearer to the truth."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import poselib
 import pytest
 from ransac_oracles import ORACLES
 from scenes import normalised_problem, two_view_scene
 
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, robust_fit
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.robust_fit import essential_matrix, refine, refit, sample
 from dgc_pose.geometry.epipolar import sampson_distance
@@ -34,6 +36,22 @@ def test_a_run_has_as_many_inliers_as_other_libraries(oracle):
     theirs = oracle(problem.points1, problem.points2, problem.threshold)
     ours = essential_matrix(problem, OPTIONS, 1)
     assert _inliers(problem, ours).sum() > 0.97 * _inliers(problem, theirs).sum() > 150
+
+
+def test_a_run_is_as_long_as_its_inliers_ask_for(monkeypatch):
+    iterations = []
+
+    def counted(*arguments):
+        pose, info = poselib.estimate_relative_pose(*arguments)
+        iterations.append(info["iterations"])
+        return pose, info
+
+    monkeypatch.setattr(robust_fit, "poselib", SimpleNamespace(estimate_relative_pose=counted))
+    for outliers in (0.0, 0.2, 0.6):
+        problem = two_view_scene(seed=4, count=300, sigma_px=0.2, outliers=outliers).problem()
+        essential_matrix(problem, EstimationOptions(), 1)
+    clean, some, many = iterations
+    assert 50 <= clean < 100 < some < 900 < many <= 1001
 
 
 def test_a_seed_repeats_to_the_bit_and_every_other_seed_differs():
