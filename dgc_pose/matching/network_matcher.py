@@ -30,6 +30,7 @@ from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.threads import in_threads, one_blas_thread
 
 COARSE_CELLS = 60  # cells a side of the map of the coarse step
+_FIRST_CELLS = 30  # and of one before: where it is weak, the next has been too; docs/experiments.md
 COARSE_SIDE = 512  # most pixels of the images that its features are computed on
 COARSE_CORNER_RADIUS = 12  # its cells are larger, so that the strongest corner of one is further
 MIN_ALIGNED = 100  # fewer aligned matches are completed by those that agree with their neighbours
@@ -87,9 +88,10 @@ class NetworkMatcher(Matcher):
         if not self._has_features or self.engine.config.matchability == "network":
             return None  # a mask network needs the finest map
         images, cache = (image1, image2), self.cache
-        dense = dense_map(self.engine, *images, cache, cells=COARSE_CELLS, search=False)
-        if dense.mean_matchability < WEAK:
-            return None
+        for cells in (_FIRST_CELLS, COARSE_CELLS) if self.engine.goes_on else (COARSE_CELLS,):
+            dense = dense_map(self.engine, *images, cache, cells=cells, search=False)
+            if dense.mean_matchability < WEAK:
+                return None
         matches = feature_matches(self.engine, *images, dense, cache, COARSE_SIDE)
         parts = refine(*images, matches, self.options.max_matches, COARSE_CORNER_RADIUS)
         return self._chosen(*images, *parts, dense, COARSE_SIDE)

@@ -72,6 +72,7 @@ class Engine(Protocol):
 
     config: NetworkConfig
     concurrent: bool  # whether several threads encode images faster than one
+    goes_on: bool  # whether a finer map of the last pair costs its own levels alone
 
     # (levels,) float32, inverse temperatures of the correlated levels, coarsest first
     correlation_scales: np.ndarray

@@ -44,6 +44,7 @@ class OnnxEngine:
     """
 
     concurrent = True  # each thread computes on, instead of waiting for the others at each layer
+    goes_on = True
 
     def __init__(self, path: Path) -> None:
         name, self._stored = read_safetensors(path)

@@ -22,6 +22,7 @@ class TorchEngine:
     """A network as an `Engine`, on the device where its weights are; see `for_inference`."""
 
     concurrent = False  # its layers use all threads, or the GPU
+    goes_on = False
 
     def __init__(self, net: DGCNet) -> None:
         weights = ((key, value.cpu().numpy()) for key, value in net.state_dict().items())

@@ -1,7 +1,7 @@
 """The refined matches of a network: as exact as the images allow, and never worse than given."""
 
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import dense_scene
 import numpy as np
@@ -10,9 +10,12 @@ import torch
 
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import estimate_pose
-from dgc_pose.images.image import Image
+from dgc_pose.images.image import Image, flipped
+from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions, network_matcher
+from dgc_pose.matching import MatchingOptions, NetworkMatcher, network_matcher
+from dgc_pose.matching.correspondence_map import CorrespondenceMap
+from dgc_pose.matching.dense import dense_map
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
@@ -158,3 +161,21 @@ def test_without_features_there_is_no_coarse_pass_and_no_more_matches(
         matcher = _noisy(aligned)
         assert matcher.coarse(*images) is None
         assert matcher.guided(*images, matcher.match(*images), _HYPOTHESES) is None
+
+
+def test_a_coarse_pass_ends_at_a_weak_map_of_30_cells_if_the_next_would_go_on_from_it(
+    images: tuple[Image, Image], engine: TorchEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cells: list[int] = []
+
+    def recorded(*arguments: Any, **options: Any) -> CorrespondenceMap:
+        cells.append(options["cells"])
+        return dense_map(*arguments, **options)
+
+    monkeypatch.setattr(network_matcher, "dense_map", recorded)
+    first, upside_down = images[0], flipped(images[1], 0)
+    matcher = load_matcher()
+    assert matcher.coarse(*images) is not None and cells == [30, 60]
+    assert matcher.coarse(first, upside_down) is None and cells == [30, 60, 30]
+    NetworkMatcher(engine).coarse(*images)
+    assert cells[3:] == [60]
