@@ -20,8 +20,8 @@ _LIBRARIES = (
     *("numpy", "scipy", "opencv-python-headless", "pillow", "poselib", "pycolmap", "onnxruntime"),
     *("torch", "safetensors", "matplotlib", "click", "starlette", "uvicorn"),
 )
-# Environment variables that change threads, devices or the size of images begin so.
-_VARIABLES = ("OMP_", "GOMP_", "MKL_", "OPENBLAS_", "OPENCV_", "CUDA_", "DGC_POSE_")
+# Environment variables that change threads, memory, devices or the size of images begin so.
+_VARIABLES = ("OMP_", "GOMP_", "MKL_", "OPENBLAS_", "OPENCV_", "MALLOC_", "CUDA_", "DGC_POSE_")
 _ABSENT = "not installed"
 
 

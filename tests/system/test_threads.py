@@ -4,6 +4,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NoReturn
 
 import cv2
 import numpy as np
@@ -11,8 +12,15 @@ import pytest
 from scenes import two_view_scene
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from dgc_pose.estimation import estimate_pose
-from dgc_pose.matches import Matches
+from dgc_pose import (
+    Image,
+    Matcher,
+    Matches,
+    NetworkMatcher,
+    estimate_pose,
+    load_matcher,
+    solve_pair,
+)
 from dgc_pose.system.threads import in_threads, one_blas_thread
 
 
@@ -70,11 +78,13 @@ def test_a_pose_is_the_same_for_any_number_of_threads() -> None:
     assert np.array_equal(poses[0].inliers, poses[1].inliers)
 
 
-def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
-    def threads() -> set[int]:
-        pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
-        return {int(pool["num_threads"]) for pool in pools}
+def _blas_threads() -> set[int]:
+    pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    return {int(pool["num_threads"]) for pool in pools}
 
+
+def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
+    threads = _blas_threads
     with threadpool_limits(limits=2, user_api="blas"):
         before = threads()
         assert before == {2}
@@ -87,3 +97,27 @@ def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
         other.start()
         other.join()
         assert found == [before] and threads() == before
+
+
+def test_a_pose_and_the_matches_of_a_network_have_products_in_one_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def seen(*_: object, **__: object) -> NoReturn:
+        raise RuntimeError(f"{_blas_threads()}")
+
+    scene = two_view_scene("general", count=60)
+    matches = Matches(scene.points1, scene.points2, np.ones(60), error_px=0.5)
+    first, second = (Image(np.zeros((48, 64, 3), np.uint8)) for _ in range(2))
+    matcher = load_matcher()
+    monkeypatch.setattr("dgc_pose.estimation.relative_pose.candidates", seen)
+    monkeypatch.setattr(NetworkMatcher, "_match", seen)
+    monkeypatch.setattr(Matcher, "_match", seen)
+    calls = (
+        lambda: estimate_pose(matches, *scene.cameras),
+        lambda: matcher.match(first, second),
+        lambda: solve_pair(first, second, scene.cameras, Matcher()),
+    )
+    with threadpool_limits(limits=2, user_api="blas"):
+        for call in calls:
+            with pytest.raises(RuntimeError, match=r"^\{1\}$"):
+                call()
