@@ -106,15 +106,16 @@ def error_radius(covariance: np.ndarray) -> float:
 
 def _chi_square_90(freedom: float) -> float:
     """The value that a chi-square variable of 1 to 3 degrees stays below nine times in ten, by
-    bisection. The import of SciPy takes longer than a pose."""
-    half, low, high = freedom / 2, 1.0, 4.0
-    for _ in range(53):
-        middle, a = (low + high) / 2, half
+    Newton's method. The import of SciPy takes longer than a pose."""
+    x = 0.9 * freedom + 0.45  # half of it, to 3 %, so that four steps find every digit
+    for _ in range(4):
         # The regularised lower incomplete gamma function, by its series (DLMF 8.7.1).
-        term = total = math.exp(a * math.log(middle) - middle - math.lgamma(a + 1))
+        a = freedom / 2
+        term = total = math.exp(a * math.log(x) - x - math.lgamma(a + 1))
+        density = term * a / x
         while term > 1e-17 * total:
             a += 1
-            term *= middle / a
+            term *= x / a
             total += term
-        low, high = (middle, high) if total < 0.9 else (low, middle)
-    return low + high
+        x -= (total - 0.9) / density
+    return 2 * x

@@ -12,6 +12,7 @@ from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.geometry.triangulation import epipolar_angles, triangulation_angles_deg, unit_rays
+from dgc_pose.system.threads import slices
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold
 _ROTATION_ROUNDS = 10
@@ -19,6 +20,7 @@ _NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a dev
 _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
+_AT_A_TIME = 4000  # of them
 # `Matches.surroundings` of right pairs falls with the logarithm of the rotation: method.md
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
@@ -196,10 +198,11 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
     count = len(order)
     rounds = min(count - 1, max(_MIN_ROUNDS, math.ceil(_PAIRS / count)))
     hits = 0
-    for shift in range(1, rounds + 1):
-        wrong = np.roll(order, shift)  # never a point with its match
-        distance = sampson_distance(problem.points1[order], problem.points2[wrong], E)
-        hits += int((distance < problem.threshold).sum())
+    for part in slices(rounds, max(1, _AT_A_TIME // count)):
+        shifts = np.arange(1, rounds + 1)[part, None]  # never a point with its match
+        points1 = np.tile(problem.points1[order], (len(shifts), 1))
+        points2 = problem.points2[order[(np.arange(count) - shifts) % count].ravel()]
+        hits += int((sampson_distance(points1, points2, E) < problem.threshold).sum())
     return (hits + 1) / (rounds * count + 1)
 
 

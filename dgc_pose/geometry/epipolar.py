@@ -42,10 +42,10 @@ def epipolar_terms(
     points1, points2: (N, 2).
     """
     # Points as columns: NumPy is slow along short axes.
-    x1, x2 = homogeneous(points1).T, homogeneous(points2).T
-    lines2, lines1 = F @ x1, F.T @ x2
-    algebraic = (x2 * lines2).sum(0)
-    return algebraic, (lines1[:2] ** 2).sum(0), (lines2[:2] ** 2).sum(0)
+    x1, x2 = points1.T, points2.T
+    lines2, lines1 = F[:, :2] @ x1 + F[:, 2:], F[:2, :2].T @ x2 + F[2:, :2].T
+    algebraic = (x2 * lines2[:2]).sum(0) + lines2[2]
+    return algebraic, (lines1**2).sum(0), (lines2[:2] ** 2).sum(0)
 
 
 def sampson_distance(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> np.ndarray:

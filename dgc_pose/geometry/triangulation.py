@@ -19,12 +19,13 @@ def depths(
     points1, points2: normalised (N, 2); pose: x2 = R x1 + t. The depths are those of the points at
     which the two rays come nearest to each other; infinite for parallel rays.
     """
-    a = homogeneous(points1) @ R.T  # rays 1 in the axes of camera 2
-    b = homogeneous(points2)
+    # Points as columns: NumPy is slow along short axes.
+    a = R[:, :2] @ points1.T + R[:, 2:]  # rays 1 in the axes of camera 2
+    b = homogeneous(points2).T
     # Least squares of d1 * a + t = d2 * b: two unknowns, solved by Cramer's rule.
-    aa, bb = (a**2).sum(1), (b**2).sum(1)
-    ab = (a * b).sum(1)
-    at, bt = a @ t, b @ t
+    aa, bb = (a**2).sum(0), (b**2).sum(0)
+    ab = (a * b).sum(0)
+    at, bt = t @ a, t @ b
     determinant = aa * bb - ab**2
     with np.errstate(divide="ignore", invalid="ignore"):
         depth1 = (ab * bt - bb * at) / determinant

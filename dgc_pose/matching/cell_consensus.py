@@ -67,7 +67,7 @@ def likely_cells(
         likelihood = np.take_along_axis(scores, candidates, 1)
         if len(scales) > 1:
             count = len(candidates)
-            children = children1[candidates].reshape(count, -1, children1.shape[2])
+            children = children1.take(candidates, 0).reshape(count, -1, children1.shape[2])
             four = (children2[rows] @ children.transpose(0, 2, 1)).reshape(count, 4, -1, 4)
             best = np.maximum(four[..., :2], four[..., 2:])  # in two steps: short axes are slow
             likelihood += 2 * scales[1] * np.maximum(best[..., 0], best[..., 1]).mean(1)

@@ -12,7 +12,9 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.pixels import cell_centres
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.system.threads import slices
 
+_CHUNK = 128  # coarse cells at a time, which stay in the processor's cache
 _CELLS = 1.0  # Sampson distance of the centres of two cells, in cells, below which they may match
 
 
@@ -39,7 +41,8 @@ class EpipolarBand:
     def all(self) -> np.ndarray:
         """(n, m) bool, for each cell of the target which of the source it may match."""
         every1, every2 = (np.arange(len(points))[None] for points in (self.points1, self.points2))
-        return self.among(every2, every1)[0]
+        parts = slices(every2.size, _CHUNK)
+        return np.concatenate([self.among(every2[:, part], every1)[0] for part in parts])
 
     def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
         """(n, q, m) bool, which of the source's cells (n, m) each of the target's (n, q) may

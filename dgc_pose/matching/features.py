@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
-from dgc_pose.geometry.pixels import Size, cell_centres, rescale, within
+from dgc_pose.geometry.pixels import Size, cell_centres, pixel_grid, rescale, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import ImageCache
@@ -49,7 +49,8 @@ _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features 
 _SMALL = 480  # pixels of the longer side, below which both images are enlarged
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around a match of stride 8
-_WINDOW = np.arange(-_RADIUS, _RADIUS + 1)
+_WINDOW = pixel_grid((2 * _RADIUS + 1,) * 2).reshape(-1, 2) - _RADIUS  # (49, 2)
+_NEAR = np.abs(_WINDOW[:, None] - _WINDOW).max(-1) <= 1  # which of its cells are within one of each
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
@@ -260,7 +261,7 @@ def mutual_neighbours(
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """The children (m, 4 K) of each cell's candidates, and their cosines (m, 4, 4 K)."""
         index = children1[candidates[rows]].reshape(-1, 4 * candidates.shape[1])
-        scores = middle2[children2[rows]] @ middle1[index].transpose(0, 2, 1)
+        scores = middle2.take(children2[rows], 0) @ middle1.take(index, 0).transpose(0, 2, 1)
         if band is not None:
             scores[~band.among(children2[rows], index)] = -np.inf
         return index, scores
@@ -290,8 +291,6 @@ def subcell_points(
     most similar in a window, weighted by the softmax of their cosines.
     """
     rows, columns, channels = fine1.shape
-    x, y = np.meshgrid(_WINDOW, _WINDOW)
-    window = np.stack([x.ravel(), y.ravel()], -1)
     # Points between the cells, where four of them meet: their cosines are the mean of the four's.
     x1, y1 = (2 * cells1[:, axis, None] + np.arange(-_RADIUS, _RADIUS + 2) for axis in (0, 1))
     inside_y, inside_x = (
@@ -299,7 +298,7 @@ def subcell_points(
     )
     inside = inside_y[:, :, None] & inside_x[:, None]
     cells = (columns * y1.clip(0, rows - 1))[:, :, None] + x1.clip(0, columns - 1)[:, None]
-    cells = cells.reshape(len(cells), -1)
+    cells = cells.reshape(len(cells), (2 * _RADIUS + 2) ** 2)
     rows1 = fine1.reshape(-1, channels)
     x2, y2 = 2 * cells2.T
     pairs = fine2[y2, x2] + fine2[y2, x2 + 1], fine2[y2 + 1, x2] + fine2[y2 + 1, x2 + 1]
@@ -307,19 +306,17 @@ def subcell_points(
 
     def compare(part: slice) -> np.ndarray:
         """Cosines (m, cells) of each match's window."""
-        return (rows1[cells[part]] @ wanted[part, :, None])[..., 0]
+        return (rows1.take(cells[part], 0) @ wanted[part, :, None])[..., 0]
 
     single = np.concatenate(in_threads(compare, slices(len(cells), _WINDOWS)))
     single = single.reshape(-1, 2 * _RADIUS + 2, 2 * _RADIUS + 2)
     pairs = single[:, :, 1:] + single[:, :, :-1]
     cosines = np.where(inside, (pairs[:, 1:] + pairs[:, :-1]) * np.float32(0.25), -np.inf)
-    cosines = cosines.reshape(-1, len(window))
-    best = window[cosines.argmax(1)]
-    far = np.abs(window - best[:, None]).max(-1) > 1
+    cosines = cosines.reshape(-1, len(_WINDOW))
     sharp = _SHARPNESS * (cosines - cosines.max(1, keepdims=True)).astype(np.float64)
-    weights = np.where(far, 0.0, np.exp(sharp))
+    weights = np.where(_NEAR[cosines.argmax(1)], np.exp(sharp), 0.0)
     weights /= weights.sum(1, keepdims=True)
-    return 2 * cells1 + 0.5 + weights @ window, 2 * cells2 + 0.5
+    return 2 * cells1 + 0.5 + weights @ _WINDOW, 2 * cells2 + 0.5
 
 
 def _guided_cells(

@@ -73,7 +73,7 @@ def _align(
             break
         centres = points1[moving].astype(np.float32)
         # The coordinates apart: NumPy is slow along an axis of two.
-        x, y = (affinity[moving].transpose(1, 0, 2) @ offsets.T).astype(np.float32)
+        x, y = affinity[moving].transpose(1, 0, 2).astype(np.float32) @ offsets.T
         x += centres[:, :1]
         y += centres[:, 1:]
         patch, contrast = _standardised(bilinear_at(grey1, x, y), weights)
@@ -106,7 +106,7 @@ def _template(
     the change of the affinity.
     """
     axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
-    offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2)
+    offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2).astype(np.float32)
     weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
     weights /= weights.sum()
     patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
@@ -118,7 +118,7 @@ def _template(
     jacobian = np.stack(slopes, 1).reshape(-1, 2, len(offsets)) / contrast[..., None]
     ridge = np.full(2, _RIDGE)
     if affine:
-        x, y = (offsets.T / radius).astype(np.float32)
+        x, y = offsets.T / np.float32(radius)
         jacobian = np.concatenate([jacobian, jacobian * x, jacobian * y], 1)
         ridge = np.append(ridge, np.full(4, _STIFFNESS))
         # Without what gain and offset explain: an enlargement can resemble a gain.

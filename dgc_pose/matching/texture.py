@@ -62,13 +62,14 @@ def textured(matches: Matches, first: Texture, second: Texture) -> Matches:
 
 def texture(image: Image) -> Texture:
     """Find the places where an image has structure."""
-    shrunk = resize_by(image.pixels, min(1.0, LONG_SIDE / max(image.size)))
-    grey = cv2.cvtColor(shrunk, cv2.COLOR_RGB2GRAY).astype(np.float32)
-    return Texture(structured(grey), image.size)
+    grey = cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)
+    shrunk = resize_by(grey, min(1.0, LONG_SIDE / max(image.size)))
+    return Texture(structured(shrunk.astype(np.float32)), image.size)
 
 
 def structured(grey: np.ndarray) -> np.ndarray:
-    """Find where a grey image (H, W) float32 has structure in every direction: (H, W)."""
+    """Find where a grey image (H, W) float32, of whole levels, has structure in every direction:
+    (H, W) bool."""
     mask = np.zeros(grey.shape, dtype=bool)
     rows = _content(grey)
     columns = _content(grey[rows].T)
@@ -82,16 +83,17 @@ def structured(grey: np.ndarray) -> np.ndarray:
 
 
 def noise_level(grey: np.ndarray) -> float:
-    """Standard deviation of the noise of an image (H, W), H, W >= 3, in the image's unit.
+    """Standard deviation of the noise of an image (H, W) float32, of whole grey levels, H, W >= 3.
 
     From the upper quartile of the response to the difference of two Laplacians, which cancels
-    planes and straight edges (Immerkær 1996). In single precision, which is exact for whole grey
-    levels of up to four million pixels. Fine texture counts as noise. Not the median: noise
+    planes and straight edges (Immerkær 1996). Fine texture counts as noise. Not the median: noise
     around black is cut off.
     """
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
-    response = cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1]
-    return float(np.quantile(np.abs(response), 0.75)) / (1.1503 * 6)
+    response = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1])
+    largest = 8 * 255  # a whole number, as all of them are, so that a histogram has their quartile
+    counts = cv2.calcHist([response], [0], None, [largest + 1], [0, largest + 1]).ravel()
+    return float(np.searchsorted(counts.cumsum(), 0.75 * response.size)) / (1.1503 * 6)
 
 
 def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
