@@ -21,9 +21,9 @@ _RAYLEIGH_MEDIAN = 1.1774
 _MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
 _PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
 _AT_A_TIME = 4000  # of them
+_MIN_ROUNDS = 8  # in each a point has another wrong partner
 # `Matches.surroundings` of right pairs falls with the logarithm of the rotation: method.md
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
-_MIN_ROUNDS = 8  # in each a point has another wrong partner
 
 
 ModelName = Literal["assumed", "squeezed", "off_centre", "zoomed", "fisheye", "cylinder"]
@@ -197,12 +197,13 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
     order = np.random.default_rng(problem.seed).permutation(count)[: _PAIRS // _MIN_ROUNDS]
     count = len(order)
     rounds = min(count - 1, max(_MIN_ROUNDS, math.ceil(_PAIRS / count)))
+    ours, theirs = problem.points1[order], problem.points2[order]
     hits = 0
     for part in slices(rounds, max(1, _AT_A_TIME // count)):
         shifts = np.arange(1, rounds + 1)[part, None]  # never a point with its match
-        points1 = np.tile(problem.points1[order], (len(shifts), 1))
-        points2 = problem.points2[order[(np.arange(count) - shifts) % count].ravel()]
-        hits += int((sampson_distance(points1, points2, E) < problem.threshold).sum())
+        wrong = theirs[((np.arange(count) - shifts) % count).ravel()]
+        distance = sampson_distance(np.tile(ours, (len(shifts), 1)), wrong, E)
+        hits += int((distance < problem.threshold).sum())
     return (hits + 1) / (rounds * count + 1)
 
 

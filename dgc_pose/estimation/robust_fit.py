@@ -18,7 +18,7 @@ from dgc_pose.system.threads import in_threads
 MAX_SAMPLED = 3000
 MINIMAL = 5  # matches that determine an essential matrix
 _MIN_ITERATIONS = 50  # of a run, however many inliers there are
-_TRIALS = 12.0  # times those that PoseLib expects one good sample in; docs/experiments.md
+_TRIALS = 12.0  # times those that PoseLib would do by its inliers; see docs/experiments.md
 
 _ROUNDS = 3  # of a refinement
 _MIN_KEPT = 0.98  # of the inliers, or a fit is rejected

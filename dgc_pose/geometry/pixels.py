@@ -42,6 +42,11 @@ def pixel_grid(size: Size) -> np.ndarray:
     return np.stack([x, y], -1)
 
 
+def window_offsets(radius: int) -> np.ndarray:
+    """The offsets (N, 2) float64, row by row, of a square window's cells from its middle one."""
+    return pixel_grid((2 * radius + 1, 2 * radius + 1)).reshape(-1, 2) - radius
+
+
 def cell_centres(cells: Size, size: ArrayLike) -> np.ndarray:
     """Centres (H, W, 2) float64 of a grid of `cells` (columns, rows) over an image of `size`."""
     return rescale(pixel_grid(cells), cells, size)

@@ -284,7 +284,7 @@ def _shown_range(array: np.ndarray, low: float, high: float) -> tuple[float, flo
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image (H, W, 3) at `size` (width, height): area means to shrink, bilinear to enlarge.
+    """An image (H, W[, 3]) at `size` (width, height): area means to shrink, bilinear to enlarge.
 
     Both keep the outer edges of the image in place, as the half-pixel rule of `pixels.rescale`. A
     large image of at least four times the sides, even ones, is halved first: that is far faster.

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
-from dgc_pose.geometry.pixels import Size, cell_centres, pixel_grid, rescale, within
+from dgc_pose.geometry.pixels import Size, cell_centres, rescale, window_offsets, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.cache import ImageCache
@@ -49,7 +49,7 @@ _UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features 
 _SMALL = 480  # pixels of the longer side, below which both images are enlarged
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around a match of stride 8
-_WINDOW = pixel_grid((2 * _RADIUS + 1,) * 2).reshape(-1, 2) - _RADIUS  # (49, 2)
+_WINDOW = window_offsets(_RADIUS)
 _NEAR = np.abs(_WINDOW[:, None] - _WINDOW).max(-1) <= 1  # which of its cells are within one of each
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dgc_pose.geometry.pixels import window_offsets
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.matching.consistency import LocalMatches
 from dgc_pose.system.threads import in_threads, slices
@@ -106,8 +107,8 @@ def _template(
     the change of the affinity.
     """
     axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
-    offsets = np.stack(np.meshgrid(axis, axis), -1).reshape(-1, 2).astype(np.float32)
-    weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2)).astype(np.float32)
+    offsets = window_offsets(radius).astype(np.float32)
+    weights = np.exp(-(offsets**2).sum(1) / (2 * (0.6 * radius) ** 2))
     weights /= weights.sum()
     patches, contrast = _standardised(_window(grey, points, axis, axis), weights)
     across, down = _window(grey, points, halves, axis), _window(grey, points, axis, halves)

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dgc_pose.geometry.neighbours import nearest_to
-from dgc_pose.geometry.pixels import cell_centres, pixel_grid, rescale, within
+from dgc_pose.geometry.pixels import cell_centres, pixel_grid, rescale, window_offsets, within
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.consistency import consistent
@@ -33,7 +33,7 @@ _PLACES = 4  # at random, that a cell is compared with
 _LEAST = 8  # cells of each kind, of an image that counts
 _LEAST_LIKENESS = 0.01  # of cells at matches
 _SEED = 0
-_WINDOW = pixel_grid((2 * _REACH + 1,) * 2).reshape(-1, 2).astype(np.int64) - _REACH
+_WINDOW = window_offsets(_REACH).astype(np.int64)
 
 _Encoded = tuple[View, NativeFeatures]
 _End = tuple[Image, _Encoded, Texture]

@@ -84,19 +84,18 @@ def _blas_threads() -> set[int]:
 
 
 def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
-    threads = _blas_threads
     with threadpool_limits(limits=2, user_api="blas"):
-        before = threads()
+        before = _blas_threads()
         assert before == {2}
-        assert one_blas_thread()(threads)() == {1}
+        assert one_blas_thread()(_blas_threads)() == {1}
         with pytest.raises(ZeroDivisionError):
             one_blas_thread()(lambda: 1 // 0)()
-        assert threads() == before
+        assert _blas_threads() == before
         found: list[set[int]] = []
-        other = threading.Thread(target=lambda: found.append(one_blas_thread()(threads)()))
+        other = threading.Thread(target=lambda: found.append(one_blas_thread()(_blas_threads)()))
         other.start()
         other.join()
-        assert found == [before] and threads() == before
+        assert found == [before] and _blas_threads() == before
 
 
 def test_a_pose_and_the_matches_of_a_network_have_products_in_one_thread(
