@@ -16,7 +16,7 @@ from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
-from dgc_pose.estimation.probability import is_contradicted
+from dgc_pose.estimation.camera_model import OF_STATED, is_contradicted
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.matches import Matches
@@ -77,7 +77,6 @@ def score(pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
         fitted, true = (pose.camera1, pose.camera2), (truth.camera1, truth.camera2)
         focal_errors = [float(np.log(a.focal / b.focal)) for a, b in zip(fitted, true, strict=True)]
         focal_stds = [camera.focal_std for camera in fitted]
-    check = None if pose.evidence is None else pose.evidence.focal_check
     return PairScore(
         **truth.ids,
         method=method.name,
@@ -99,8 +98,6 @@ def score(pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
         focal2_error=focal_errors[1],
         focal1_std=focal_stds[0],
         focal2_std=focal_stds[1],
-        focal_ratio=np.nan if check is None else check.factor,
-        focal_ratio_std=np.nan if check is None else check.std,
         doubts_camera=doubts_camera(pose, cameras),
         epipolar_all_px=everywhere_px[0],
         epipolar_confident_px=confident_px[0],
@@ -139,13 +136,9 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
         return True
     if pose.evidence is None or not STATUSES[pose.status].of_cameras:
         return False
-    if (check := pose.evidence.focal_check) is not None:
-        return is_contradicted(check.factor, check.std, check.log_odds)
     fitted = zip(cameras, (pose.camera1, pose.camera2), strict=True)
-    return any(
-        before.focal_source == "exif"
-        and after is not None
-        and is_contradicted(after.focal / before.focal, before.focal_std)
+    return pose.evidence.camera_model in OF_STATED or any(
+        before.focal_source == "exif" and after is not None and is_contradicted(before, after)
         for before, after in fitted
     )
 

@@ -59,8 +59,6 @@ class PairScore:
     focal2_error: float
     focal1_std: float  # what the pose expects of it; 0 if K was exact for it
     focal2_std: float
-    focal_ratio: float  # f that the matches suggest over that of K; NaN if they suggest none
-    focal_ratio_std: float  # of its logarithm
     doubts_camera: bool  # whether by the pose a K may be wrong
     epipolar_all_px: float  # medians
     epipolar_confident_px: float

@@ -17,6 +17,7 @@ _SOURCES = {
     "given": "by the given K",
     "exif": "by EXIF data",
     "size": "by the size of the image",
+    "lines": "by the lines of the image",
     "matches": "by the matches",
 }
 
@@ -29,11 +30,6 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     if pose.R is not None:
         lines += _pose_lines(pose.R, pose.t, pose.length_text)
     lines += _camera_lines(pose, priors)
-    if pose.success and pose.evidence is not None and (check := pose.evidence.focal_check):
-        factor, deviation = check.factor, check.std * check.factor
-        lines.append(
-            f"focal length by the matches: {factor:.2f} +- {deviation:.2f} times that of K"
-        )
     if pose.num_inliers:
         inliers = "are inliers" if pose.success else "are inliers of the best essential matrix"
         share = f"{100 * pose.inlier_ratio:.1f} %"

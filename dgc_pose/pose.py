@@ -113,7 +113,7 @@ def solve_pair(
     seconds: dict[str, float] = {}
     estimating = 0.0
     for step in STEPS[options.effort]:
-        if not may_change(step, pose, *cameras, options.effort):
+        if not may_change(step, pose, options.effort):
             continue
         start = time.perf_counter()
         if step == "full":
@@ -131,7 +131,8 @@ def solve_pair(
             if step == "refine":
                 result = matcher.refined(image1, image2, found)
             else:
-                hypotheses = [TwoViews(*cameras, h.R, h.t) for h in pose.hypotheses]
+                of_pose = pose.cameras or cameras
+                hypotheses = [TwoViews(*of_pose, h.R, h.t) for h in pose.hypotheses]
                 result = matcher.guided(image1, image2, found, hypotheses)
         if result is None:
             continue

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.focal_check import AGREEING_LOG_FOCAL
 from dgc_pose.estimation.options import Effort
 
 # What is done for a pose, in this order, as far as the matcher has the step, see `solve_pair`:
@@ -31,26 +28,20 @@ LIKELY = 0.9
 # It is not if its own is so probable, and the median epipolar error below this share of the
 # threshold: a scene that is nearly its mirror image does not fit as closely.
 _CLOSE = 0.1
-_FOCAL_AGREES_STD = 1.0  # standard deviations between the focal lengths of K and of the matches
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
 
-def may_change(
-    step: Step, pose: RelativePose | None, camera1: Camera, camera2: Camera, effort: Effort
-) -> bool:
+def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
     """Whether a step may change the answer. pose: after the steps before it, if there is one.
 
-    Cameras that are not exact skip all but the full step: few matches determine a focal length less
-    than many do, and epipolar lines that depend on it narrow nothing down.
+    A coarse pass has few matches, which distinguish a wrong camera from a right one less than many
+    do: they are refined if the pose hangs on it.
     """
-    exact = camera1.exact and camera2.exact
-    if step == "coarse":
-        return exact
     if pose is None:
-        return step == "full"
+        return step in ("coarse", "full")
     if step == "refine":
-        return certain(pose) and not (accurate(pose) and focal_agrees(pose))
+        return certain(pose) and not (accurate(pose) and agrees_on_cameras(pose))
     if step == "full":
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
@@ -59,7 +50,7 @@ def may_change(
             return False
         return likely < LIKELY or pose.evidence is None or pose.evidence.residual >= _CLOSE
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
-    return exact and (in_doubt(pose) or (pose.success and not accurate(pose, limit_deg)))
+    return in_doubt(pose) or (pose.success and not accurate(pose, limit_deg))
 
 
 def certain(pose: RelativePose) -> bool:
@@ -79,14 +70,12 @@ def accurate(pose: RelativePose, limit_deg: float = _ACCURATE_DEG) -> bool:
     return all(error is not None and error < limit_deg for error in errors)
 
 
-def focal_agrees(pose: RelativePose) -> bool:
-    """Whether the matches suggest roughly the focal lengths that the cameras have. If they do not,
-    it takes many matches to distinguish a wrong K from a right one."""
-    if pose.evidence is None:
+def agrees_on_cameras(pose: RelativePose) -> bool:
+    """Whether the pose hardly depends on whether other cameras than the assumed ones are right."""
+    evidence = pose.evidence
+    if evidence is None or evidence.camera_model != "assumed":
         return False
-    check = pose.evidence.focal_check
-    most = 0.0 if check is None else max(AGREEING_LOG_FOCAL, _FOCAL_AGREES_STD * check.std)
-    return check is None or abs(math.log(check.factor)) < most
+    return evidence.camera_agreement >= _MAX_SEARCHED
 
 
 def in_doubt(pose: RelativePose) -> bool:

@@ -17,6 +17,7 @@ from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.lines import calibrated, focal_scores
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.arrays import read_arrays
@@ -44,6 +45,8 @@ class StoredPair:
     # With those searched again; None if the pose by the true K is not in doubt.
     pooled: Matches | None
     map_matches: Matches | None  # an even sample of the dense map, whatever its matchability
+    # Of each image, what its lines state of the focal length: `log_likelihoods` (G,).
+    lines: tuple[np.ndarray, np.ndarray]
 
 
 def store_path(out: Path, method: str, entry: PlanEntry, number: int) -> Path:
@@ -89,6 +92,7 @@ def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> No
     known: dict[str, object] = {"scene": pair.scene}
     for n, image, camera in zip("12", images, cameras, strict=True):
         known |= {"K" + n: camera.K, "size" + n: image.size}
+        known["scores" + n], known["segments" + n] = focal_scores(image)
     if truth.R is not None:
         known |= {"R": truth.R, "t": truth.t}
     for name, path in missing.items():
@@ -123,8 +127,13 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
                     _matches("", arrays, weights),
                     _matches("pooled_", arrays, weights) if "pooled_points1" in arrays else None,
                     _matches("map_", arrays, weights) if "map_points1" in arrays else None,
+                    (_lines(arrays, "1"), _lines(arrays, "2")),
                 )
             yield stored
+
+
+def _lines(arrays: Mapping[str, np.ndarray], n: str) -> np.ndarray:
+    return calibrated(arrays["scores" + n], int(arrays["segments" + n]))
 
 
 def _arrays(prefix: str, matches: Matches) -> dict[str, object]:

@@ -16,7 +16,7 @@ from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import auto_camera
+from dgc_pose.cameras.prior import auto_camera, by_lines
 from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
@@ -102,7 +102,7 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     if len(problem) >= MIN_MATCHES:
         found = candidates(problem, matches, stated, options, pair.map_matches)
     if found is not None:
-        known = uncertainty(found, matches, options)
+        known = uncertainty(found)
         evidence, focal_error = gathered(found, known), _focal_error(known.cameras, truth)
         poses = tuple(_pose_record(choice, truth) for choice in found.hypotheses if choice.likely)
     facts = cameras, focal_error, _exact(truth)
@@ -127,10 +127,11 @@ def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
     # The same half whatever else is estimated
     identity = "both" if alike and zlib.crc32(f"2 {pair.name}".encode()) % 2 == 0 else None
-    first, second = (
+    assumed = [
         replace(auto_camera(Header("", size)), identity=identity)
         for size in (camera1.size, camera2.size)
-    )
+    ]
+    first, second = by_lines(assumed, pair.lines)
     return first, second
 
 

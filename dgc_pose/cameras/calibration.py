@@ -19,7 +19,7 @@ from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera, view_cam
 from dgc_pose.cameras.formats import colmap
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_cameras
+from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_cameras, with_lines
 from dgc_pose.errors import ArgumentName, InputError, shortened
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import check_type
@@ -40,7 +40,8 @@ def pair_cameras(
     """The cameras of two images, each from a Camera, an array (3, 3), fx, fy, cx, cy, or a text or
     path as of --K; or both by the horizontal field of view, degrees.
 
-    None is "auto"; if both are, by `auto_cameras`. A value without an identity gets that of its
+    None is "auto"; if both are, by `auto_cameras`. Focal lengths that are not stated have the
+    evidence of the lines. A value without an identity gets that of its
     argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable,
     does not fit the image, or is stated beside `fov`.
     """
@@ -58,9 +59,12 @@ def pair_cameras(
         if sharings[0] != sharings[1]:
             raise InputError(f"{names[0]} is {values[0]}, and {names[1]} is {values[1]}")
         _require_K(details, names[0])
-        return auto_cameras(*images, sharings[0])
-    first = image_camera(values[0], image1, names[0], details, "K1")
-    return first, image_camera(values[1], image2, names[1], details, "K2")
+        first, second = auto_cameras(*images, sharings[0])
+    else:
+        first = image_camera(values[0], image1, names[0], details, "K1")
+        second = image_camera(values[1], image2, names[1], details, "K2")
+    first, second = with_lines((first, second), images)
+    return first, second
 
 
 def image_camera(

@@ -13,13 +13,14 @@ from typing import Any, Literal
 import numpy as np
 
 from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
+from dgc_pose.cameras.focal_belief import FocalBelief
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.pixels import Size, exif_turn, rescale, turn_points
 from dgc_pose.system.options import check_type
 
-FocalSource = Literal["given", "exif", "size", "matches"]
+FocalSource = Literal["given", "exif", "size", "lines", "matches"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +41,13 @@ class Camera:
         lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
             distortion; 0: the lens is known. The estimation fits it like the focal lengths.
         focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
-            image, or the matches.
+            image, its lines, or the matches.
         identity: Images whose cameras have the same identity were taken by one camera: K is wrong
             by the same factor. None: a camera of its image alone.
         projection: That of a panorama, as its file states it; "": of a perspective or fisheye.
         aspect_std: Standard deviation of the logarithm of fy / fx; 0: it is exact.
+        belief: What is known of a focal length that no K states, see `FocalBelief`; of which K and
+            `focal_std` are the likeliest part.
     """
 
     K: np.ndarray
@@ -58,6 +61,7 @@ class Camera:
     identity: str | None = None
     projection: str = ""
     aspect_std: float = 0.0
+    belief: FocalBelief | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))

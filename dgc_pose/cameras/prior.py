@@ -1,4 +1,5 @@
-"""The camera of an image without a K: a focal length with its deviation, by EXIF data or the size.
+"""The camera of an image without a K: a focal length with its deviation, by EXIF data or the size,
+and by the image's lines.
 
 The principal point is the middle of the image, and the lens is not known.
 """
@@ -7,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import chain
@@ -19,8 +21,11 @@ from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
+from dgc_pose.cameras.focal_belief import FocalBelief, Part
+from dgc_pose.cameras.lines import LOG_FOCALS, log_likelihoods
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.header import Exif
+from dgc_pose.system.threads import in_threads
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -28,8 +33,13 @@ if TYPE_CHECKING:
 
 Sharing = Literal["files", "shared", "two"]
 SHARED = "shared"  # the identity of a camera that took all images, as stated
-SIZE_FOCAL = 1.1  # geometric middle of the focal lengths of photographs, over the longer side
-SIZE_STD = 0.45  # deviation of their logarithm
+# Geometric middle of the focal lengths of photographs, over the longer side, and the deviation of
+# their logarithm; the share, middle and deviation of those that are zoomed in or of long lenses.
+SIZE_FOCAL, SIZE_STD = 0.9, 0.35
+_LONG_SHARE, _LONG_FOCAL, _LONG_STD = 0.15, 2.0, 0.7
+OTHER_STD = 0.55  # of all together, around `SIZE_FOCAL`
+_OTHER_SHARE = 0.03  # of files whose EXIF data are of another crop or lens
+_BY_LINES = 0.8  # of the deviation before, below which the lines determine the focal length
 # Deviations of the first radial coefficient of a lens: of photographs, and of action cameras.
 LENS_STD, _ACTION_LENS_STD = 0.1, 0.3
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
@@ -95,9 +105,13 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         identity += "".join(f", {name or '-'}" for name in (*names, exif.digital_zoom))
     source: FocalSource = "size"
     focal, std, margin, warnings = SIZE_FOCAL * max(square), SIZE_STD, 0.0, list[str]()
+    usual = Part(math.log(1 - _LONG_SHARE), math.log(SIZE_FOCAL), SIZE_STD)
+    tail = Part(math.log(_LONG_SHARE), math.log(_LONG_FOCAL), _LONG_STD)
     if by_exif := _exif_focal(exif, square):
         source, (focal, std, margin) = "exif", by_exif
         identity += f", {mean * focal:.1f} px"  # parts of several sizes differ in nothing else
+        usual = Part(math.log(1 - _OTHER_SHARE), math.log(focal / max(square)), std)
+        tail = Part(math.log(_OTHER_SHARE), math.log(SIZE_FOCAL), OTHER_STD)
         if exif.size is not None and margin:
             warnings.append(
                 f"{width} x {height} pixels are a part of the {exif.size[0]} x {exif.size[1]} of "
@@ -120,7 +134,56 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         focal_source=source,
         identity={"files": identity, "shared": SHARED, "two": None}[sharing],
         projection=image.projection,
+        belief=FocalBelief(usual, tail, np.zeros(len(LOG_FOCALS))),
     )
+
+
+def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
+    """Cameras by the lines of their images, see `by_lines`; a camera that is stated stays."""
+    open_ = [image for c, image in zip(cameras, images, strict=True) if c.belief is not None]
+    found = iter(in_threads(log_likelihoods, open_))
+    return by_lines(cameras, [None if camera.belief is None else next(found) for camera in cameras])
+
+
+def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> list[Camera]:
+    """Cameras whose belief has the lines of their images, those of one `identity` together.
+
+    lines: (G,) of each, see `log_likelihoods`; None of a camera that stays as it is. EXIF data that
+    the lines contradict are not the camera's: there is a warning.
+    """
+    together = defaultdict[object, list[np.ndarray]](list)
+    for number, (camera, own) in enumerate(zip(cameras, lines, strict=True)):
+        if own is not None:
+            together[camera.identity or number].append(own)
+    return [
+        camera if own is None else _by_lines(camera, own, together[camera.identity or number])
+        for number, (camera, own) in enumerate(zip(cameras, lines, strict=True))
+    ]
+
+
+def _by_lines(camera: Camera, own: np.ndarray, lines: Sequence[np.ndarray]) -> Camera:
+    """The camera by the likelier part of its belief. own, lines: (G,) of its image, and of all
+    images of the camera."""
+    if camera.belief is None or not any(each.any() for each in lines):
+        return camera
+    part, _ = camera.belief.parts(lines)
+    found = of_part(replace(camera, belief=replace(camera.belief, lines=own)), part)
+    before, exif = camera.belief.usual, camera.focal_source == "exif"
+    if exif and abs(part.log_focal - before.log_focal) > 3 * math.hypot(before.std, part.std):
+        warning = (
+            f"the lines of the image agree with f = {found.focal:.0f} px +- "
+            f"{100 * part.std:.0f} %, and EXIF says {camera.focal:.0f}"
+        )
+        return replace(found, focal_source="lines", warnings=(*camera.warnings, warning))
+    by_lines = part.std < _BY_LINES * before.std
+    return replace(found, focal_source="lines") if by_lines else found
+
+
+def of_part(camera: Camera, part: Part) -> Camera:
+    """The camera with the focal length of a part of its belief."""
+    assert camera.size is not None
+    focal = math.exp(part.log_focal) * max(camera.size)
+    return replace(camera.with_focal(focal), focal_std=part.std)
 
 
 def _exif_focal(exif: Exif, size: tuple[float, float]) -> tuple[float, float, float] | None:
@@ -147,7 +210,7 @@ def auto_cameras(
     camera1, camera2 = auto_camera(image1, sharing), auto_camera(image2, sharing)
     if sharing == "two":
         return replace(camera1, identity="image1"), replace(camera2, identity="image2")
-    if sharing == "shared" and sorted(image1.size) == sorted(image2.size):
+    if sharing == SHARED and sorted(image1.size) == sorted(image2.size):
         best = min(camera1, camera2, key=lambda camera: camera.focal_std)
         return _with_focal(camera1, best), _with_focal(camera2, best)
     return camera1, camera2

@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.covariance import pose_covariance
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import (
     ASPECTS,
@@ -28,7 +27,6 @@ from dgc_pose.estimation.intrinsics_prior import (
     SIZE,
     IntrinsicsPrior,
     error_slopes,
-    pair_with_parameters,
     renormalised_pair,
     renormalised_slopes,
 )
@@ -45,7 +43,6 @@ from dgc_pose.estimation.robust_fit import (
 )
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
-from dgc_pose.matches import Matches
 from dgc_pose.system.threads import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
@@ -92,17 +89,6 @@ class JointFit:
         squares[~self._in_front(pose)] = 1.0
         return float(EFFICIENT**2 * squares.sum() / CORRELATED + pose.z @ pose.z) / 2
 
-    def log_likelihood(self, pose: JointPose, width: float) -> float:
-        """The logarithm of the likelihood of the errors, of a Cauchy distribution, cut off, and of
-        the parameters, up to a constant. width: of the distribution, the problem's unit."""
-        largest = MOST_ERROR * self.problem.threshold
-        error = np.where(self._in_front(pose), np.minimum(self._errors(pose), largest), largest)
-        return -float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
-
-    def inliers_in_front(self, pose: JointPose) -> np.ndarray:
-        """(N,) bool, matches below the threshold and in front of both cameras."""
-        return (self._errors(pose) < self.problem.threshold) & self._in_front(pose)
-
     def fitted(
         self, pose: JointPose, limits: Sequence[float] = LIMITS, iterations: int = _ITERATIONS
     ) -> JointPose:
@@ -128,16 +114,12 @@ class JointFit:
 
     def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
         """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
         of_prior = np.diag([*np.zeros(5), *np.ones(len(self.prior))])
         damping, cost = 1e-4, self._loss(pose, width)
         for _ in range(iterations):
-            error, slopes, tangent = error_slopes(
-                self.problem, pose.R, pose.t, self.prior, self.parameters(pose)
-            )
-            weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
-            hessian = weighted.T @ slopes + of_prior
-            gradient = weighted.T @ error + of_prior @ np.concatenate([np.zeros(5), pose.z])
+            hessian, gradient, tangent = self._slopes(pose, width, self.prior)
+            hessian += of_prior
+            gradient[5:] += pose.z
             before = cost
             while damping < 1e6:
                 damped = hessian + damping * np.diag(np.diag(hessian))
@@ -153,6 +135,26 @@ class JointFit:
             if before - cost <= _CONVERGED * (1 + before):
                 break
         return pose
+
+    def slopes(
+        self, pose: JointPose, width: float, prior: IntrinsicsPrior
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The information (5 + M, 5 + M) and the gradient (5 + M,) of the losses of errors that are
+        not cut off, by the pose and the parameters of a prior, and the axes (3, 2) of t. width: of
+        the losses, the problem's unit."""
+        counted = (self._errors(pose) < MOST_ERROR * self.problem.threshold) & self._in_front(pose)
+        part = replace(self, problem=self.problem.subset(counted))
+        return part._slopes(pose, width, prior)
+
+    def _slopes(
+        self, pose: JointPose, width: float, prior: IntrinsicsPrior
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        error, slopes, tangent = error_slopes(
+            self.problem, pose.R, pose.t, prior, self.parameters(pose)
+        )
+        inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
+        weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
+        return weighted.T @ slopes, weighted.T @ error, tangent
 
     def _loss(self, pose: JointPose, width: float) -> float:
         return float(cauchy_losses(self._errors(pose), width).sum() + pose.z @ pose.z / 2)
@@ -187,15 +189,6 @@ class JointFit:
             *renormalised_pair(self.problem, self.parameters(pose)), pose.R, pose.t
         )
         return (depth1 > 0) & (depth2 > 0)
-
-    def covariance(
-        self, pose: JointPose, matches: Matches, options: EstimationOptions
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        """`pose_covariance` of a fitted pose and its cameras, by matches in pixels."""
-        cameras = pair_with_parameters(self.cameras, self.parameters(pose))
-        problem = TwoViewProblem.of(matches, *cameras, options)
-        fitted = Hypothesis.of_pose(problem, pose.R, pose.t)
-        return pose_covariance(problem, fitted, IntrinsicsPrior.of(*cameras))
 
 
 def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:

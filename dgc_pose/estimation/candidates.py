@@ -20,11 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, joint_pose
+from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
 from dgc_pose.estimation.camera_model import CameraModel, likeliest_model
 from dgc_pose.estimation.evidence import map_agreement, measured
 from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
-from dgc_pose.estimation.intrinsics_prior import IntrinsicsPrior, pair_with_parameters
+from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.plane import (
     PLANAR_SHARE,
@@ -87,14 +87,14 @@ def candidates(
 
     problem: of the matches, normalised by the stated cameras. The others are of `estimate_pose`.
     """
-    of_stated, model = problem, CameraModel("assumed", stated)
-    fitted = fit_cameras and len(IntrinsicsPrior.of(*stated)) > 0
-    if fitted:
-        problem, model, runs = _fitted_runs(problem, matches, stated, options)
+    of_stated = problem
+    if fit_cameras:
+        problem, model, runs = _runs_by_model(problem, matches, stated, options)
     else:
-        runs = sample(problem, options)
+        model, runs = CameraModel("assumed", stated), sample(problem, options)
     if not runs:
         return None
+    fitted = fit_cameras and not all(camera.exact for camera in model.cameras)
     map_problem = None
     if map_matches is not None:
         # A threshold in pixels is that of the matches, not of the map.
@@ -104,7 +104,7 @@ def candidates(
         matches.weights,
         key_points=matches.key_points,
         with_map=bool(map_problem),
-        fitted=fitted and any(camera.focal_std for camera in stated),
+        fitted=fitted and any(camera.focal_std for camera in model.cameras),
     )
 
     first = refine(problem, runs[0]) if options.refine else runs[0]
@@ -133,22 +133,30 @@ def candidates(
     )
 
 
-def _fitted_runs(
+def _runs_by_model(
     problem: TwoViewProblem,
     matches: Matches,
     stated: tuple[Camera, Camera],
     options: EstimationOptions,
 ) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
-    """RANSAC with the focal lengths of cameras that are not exact among the unknowns.
+    """RANSAC, and the cameras by their likeliest model, fitted if they are not exact.
 
-    Returns the problem, normalised by the cameras; these, by their likeliest model; and the
-    hypotheses of the runs, that with most inliers first, none if there is no essential matrix.
+    Returns the problem, normalised by the cameras; these; and the hypotheses of the runs, that with
+    most inliers first, none if there is no essential matrix.
     """
-    joint = JointFit(problem, stated)
-    pose = joint_pose(joint, options)
+    joint, runs = JointFit(problem, stated), list[Hypothesis]()
+    if len(joint.prior):
+        pose = joint_pose(joint, options)
+    elif runs := sample(problem, options):
+        best = refine(problem, runs[0]) if options.refine else runs[0]
+        pose = JointPose(best.R, best.t, np.zeros(0))
+    else:
+        pose = None
     if pose is None:
         return problem, CameraModel("assumed", stated), []
     model = likeliest_model(problem, matches, stated, pose, options)
+    if model.name == "assumed" and runs:
+        return problem, model, runs
     if model.name != "assumed" and model.pose is not None:
         joint = JointFit(TwoViewProblem.of(matches, *model.cameras, options), model.cameras)
         pose = joint.fitted(model.pose)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -26,17 +26,25 @@ _MIN_ROUNDS = 8  # in each a point has another wrong partner
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 
 
-ModelName = Literal["assumed", "squeezed", "off_centre", "zoomed", "fisheye", "cylinder"]
-
-
-class FocalCheck(NamedTuple):
-    """The focal lengths that the matches suggest, where K is exact."""
-
-    factor: float  # of both, over those of K
-    std: float  # of its logarithm, calibrated
-    angle_deg: float  # between the pose with these and the pose with K, the larger of R and t
-    error_90_deg: float  # nine times in ten the former is off by less, not calibrated
-    log_odds: float = 0.0  # by which the matches are likelier with these than with K
+# The cameras that the matches agree with: as assumed or stated; without K those of an unusual focal
+# length, of one for each image, of pixels that are not square, and so on; in place of a K those of
+# another focal length, of one for each image, of a lens, of another principal point, without the
+# lens, and with the principal point in the middle.
+ModelName = Literal[
+    "assumed",
+    "tail",
+    "two",
+    "squeezed",
+    "off_centre",
+    "fisheye",
+    "cylinder",
+    "focal",
+    "focals",
+    "lens",
+    "centre",
+    "unlensed",
+    "middle",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +75,6 @@ class Evidence:
             it, not calibrated; None if it is not known.
         raw_translation_90_deg: The same of the direction of t.
         raw_focal_90_percent: The same of ln f, per cent; None if K is exact.
-        focal_check: The focal lengths that the matches suggest, where K is exact; None if they
-            suggest none, and of a plane that leaves no others over.
         other_ratio: Most inliers in front of another hypothesis, over this one's.
         map_matchability: Mean matchability of the dense map; None without one.
         map_agreement: Share of its cells, by matchability, that have the pose; None likewise.
@@ -81,6 +87,8 @@ class Evidence:
             not explain; 0 without. It is asked of a plane, and where the cameras are fitted.
         second_rotation_deg: Angle between the rotation of that motion and `rotation`.
         camera_model: The camera that the matches agree with, see `camera_model`.
+        camera_agreement: Probability that the pose is within 10 degrees of that of the right
+            camera, if a pose is right with each.
     """
 
     num_inliers: int
@@ -104,7 +112,6 @@ class Evidence:
     raw_rotation_90_deg: float | None = None
     raw_translation_90_deg: float | None = None
     raw_focal_90_percent: float | None = None
-    focal_check: FocalCheck | None = None
     other_ratio: float = 0.0
     map_matchability: float | None = None
     map_agreement: float | None = None
@@ -114,6 +121,7 @@ class Evidence:
     num_second_inliers: int = 0
     second_rotation_deg: float = 0.0
     camera_model: ModelName = "assumed"
+    camera_agreement: float = 1.0
 
     @property
     def over_chance(self) -> float:

@@ -23,10 +23,6 @@ FORMAT = 5  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
 _DOUBTFUL = 0.8  # probability that both images show one place, below which it is a reason
-_CONTRADICTED_STDS = 3.0  # standard deviations that a focal length may be off
-CONTRADICTED_LOG_ODDS = 10.0  # or by which other focal lengths are likelier
-_MIN_FOCAL_ERROR = 0.08  # of its logarithm, that is worth a warning
-_MIN_DEVIATION_DEG = 1.0  # of a pose
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
@@ -101,11 +97,12 @@ FEATURES: Mapping[str, Feature] = {
     "map_over_chance": Feature(
         "map_over_chance", 1, "the dense map agrees with it no more than by chance"
     ),
+    "camera_agreement": Feature("camera_agreement", 1, "other cameras explain the matches too"),
     "focal_error": Feature(
         "raw_focal_90_percent", -1, "the matches hardly tell the focal length", (0.3, 100)
     ),
 }
-OF_AUTO = ("focal_error",)  # of focal lengths that are fitted
+OF_AUTO = ("camera_agreement", "focal_error")  # of focal lengths that are fitted
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 
 
@@ -167,16 +164,16 @@ class ProbabilityModel:
         """The probability that a pose with R and t within 10 degrees is among those that explain
         the matches.
 
-        evidence: of the likeliest of them. The model is fitted on poses with a right K, and of
-        images of one place: see `same_place`. If the
-        matches contradict K, the pose is as right as it is near to that of the focal lengths that
-        they suggest. It is at most the probability that the expected errors leave.
+        evidence: of the likeliest of them. The model is fitted on poses of images of one place, see
+        `same_place`. It is at most the probability that other cameras and the expected errors
+        leave.
         """
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
-        fitted = _nearness(evidence) / (1 + math.exp(-min(max(total, -30.0), 30.0)))
-        return min(fitted, *map(_within, self.errors_90_deg(evidence)))
+        fitted = 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
+        within = map(_within, self.errors_90_deg(evidence))
+        return min(fitted, evidence.camera_agreement, *within)
 
     def against(self, evidence: Evidence) -> list[str]:
         """Reasons against the pose: the features that cost most log-odds, compared with their
@@ -264,14 +261,6 @@ def calibrated_focal_std(std: float) -> float:
     return std * shipped_models().focal_error.factor(100 * NORMAL_90 * std)
 
 
-def is_contradicted(ratio: float, std: float, log_odds: float = 0.0) -> bool:
-    """Whether a focal length is wrong: the matches suggest `ratio` times it, and the logarithm has
-    the standard deviation `std`, calibrated; or they hardly tell it, and are much likelier with any
-    other. log_odds: by which they are."""
-    least = _CONTRADICTED_STDS * std if log_odds < CONTRADICTED_LOG_ODDS else 0.0
-    return abs(math.log(ratio)) >= max(_MIN_FOCAL_ERROR, least)
-
-
 def of_right(error_90_deg: float) -> float:
     """What a normal error stays below nine times in ten if it is at most `RIGHT_DEG`, by the same
     without that condition."""
@@ -283,16 +272,6 @@ def _within(error_90_deg: float) -> float:
     """The probability that a normal error is at most `RIGHT_DEG`, by what it stays below nine times
     in ten."""
     return math.erf(NORMAL_90 * RIGHT_DEG / max(error_90_deg, 1e-9) / math.sqrt(2))
-
-
-def _nearness(evidence: Evidence) -> float:
-    """The probability that a pose with a K that is contradicted is within 10 degrees, if that of
-    the focal lengths suggested is; 1 if K is not contradicted."""
-    check = evidence.focal_check
-    if check is None or not is_contradicted(check.factor, check.std, check.log_odds):
-        return 1.0
-    deviation = max(check.error_90_deg / NORMAL_90, _MIN_DEVIATION_DEG)
-    return 0.5 * math.erfc((check.angle_deg - RIGHT_DEG) / deviation / math.sqrt(2))
 
 
 def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str, float]) -> float:

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_model import model_warnings
+from dgc_pose.estimation.camera_model import camera_warnings
 from dgc_pose.estimation.candidates import Candidates, candidates
 from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_covariance
-from dgc_pose.estimation.evidence import Evidence, FocalCheck, measured
-from dgc_pose.estimation.focal_check import check_focals, focal_warnings
+from dgc_pose.estimation.evidence import Evidence, measured
 from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
@@ -90,7 +89,7 @@ def _estimated(
     if found is None:
         reason = f"no essential matrix was found for {len(problem)} matches"
         return RelativePose("no_model", reason, inliers, len(problem), warnings=warnings)
-    known = uncertainty(found, matches, options)
+    known = uncertainty(found)
     evidence = gathered(found, known)
     pose = _judged(found, known, evidence, stated, options)
     inliers[found.problem.index] = pose.inliers
@@ -103,7 +102,6 @@ class Uncertainty:
     """The uncertainty of the likeliest pose."""
 
     cameras: tuple[Camera, Camera]  # with the standard deviations that are left, calibrated
-    check: FocalCheck | None = None  # of the focal lengths of exact cameras
     # (6, 6), see `pose_covariance`, not calibrated; None if the inliers do not determine it.
     covariance: np.ndarray | None = None
     camera_covariance: np.ndarray | None = None  # (12, 12), see `RelativePose`
@@ -112,18 +110,16 @@ class Uncertainty:
     focal_90_percent: float | None = None
 
 
-def uncertainty(found: Candidates, matches: Matches, options: EstimationOptions) -> Uncertainty:
-    """The uncertainty of the likeliest candidate and of its cameras. matches: that it is of."""
+def uncertainty(found: Candidates) -> Uncertainty:
+    """The uncertainty of the likeliest candidate and of its cameras."""
     problem, best, cameras = found.problem, found.hypotheses[0], found.model.cameras
-    prior, check = IntrinsicsPrior.of(*cameras), None
-    if not len(prior):  # K is to be right
-        check = check_focals(problem, best, matches, cameras, options, is_plane=found.on_plane)
+    prior = IntrinsicsPrior.of(*cameras)
     covariances = pose_covariance(problem, best, prior, fitted=found.fitted)
     if found.fitted:
         first, second = (replace(c, focal_source="matches") if c.focal_std else c for c in cameras)
         cameras = first, second
     if covariances is None:
-        return Uncertainty(cameras, check)
+        return Uncertainty(cameras)
     covariance, of_cameras = covariances[0] + found.model.pose_covariance, covariances[1]
     focal_std = float(np.sqrt(of_cameras.diagonal()[FOCALS].max()))
     camera_covariance = None
@@ -133,7 +129,7 @@ def uncertainty(found: Candidates, matches: Matches, options: EstimationOptions)
         cameras = first, second
         camera_covariance = of_cameras * np.outer(unit1 + unit2, unit1 + unit2)
     focal_90_percent = 100 * NORMAL_90 * focal_std or None
-    return Uncertainty(cameras, check, covariance, camera_covariance, focal_90_percent)
+    return Uncertainty(cameras, covariance, camera_covariance, focal_90_percent)
 
 
 def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, list[float]]:
@@ -185,9 +181,9 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
         raw_rotation_90_deg=errors[0],
         raw_translation_90_deg=errors[1],
         raw_focal_90_percent=known.focal_90_percent,
-        focal_check=known.check,
         other_ratio=most_of_others / max(best.num_in_front, 1),
         camera_model=found.model.name,
+        camera_agreement=found.model.agreement,
     )
 
 
@@ -211,8 +207,7 @@ def _judged(
         same_place,
     )
     if STATUSES[status].of_cameras:
-        warnings += focal_warnings(stated, known.cameras, evidence.focal_check)
-        warnings += model_warnings(evidence.camera_model, stated, known.cameras)
+        warnings += camera_warnings(evidence.camera_model, stated, known.cameras)
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
     rotation_alone, unusable = status == "rotation_only", status == "panorama"
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
@@ -239,6 +234,7 @@ def _judged(
         same_place_probability=same_place,
         alternatives=alternatives,
         hypotheses=() if unusable else tuple(found.hypotheses),
+        cameras=known.cameras,
         median_triangulation_angle_deg=evidence.median_triangulation_angle_deg,
         warnings=warnings,
     )

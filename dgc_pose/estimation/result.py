@@ -70,6 +70,7 @@ class RelativePose:
             another motion. With "ambiguous" all poses; with any other failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
             first. Their inliers, and those of the alternatives, are over the `num_matches` used.
+        cameras: Those of the hypotheses, also of a pose that is refused; None without hypotheses.
         median_triangulation_angle_deg: Of the inliers; None without a hypothesis.
         warnings: Sentences about what makes the pose uncertain, for people.
         seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.schedule`),
@@ -94,6 +95,7 @@ class RelativePose:
     same_place_probability: float = 1.0
     alternatives: tuple[Hypothesis, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
+    cameras: tuple[Camera, Camera] | None = None
     median_triangulation_angle_deg: float | None = None
     warnings: tuple[str, ...] = ()
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -224,6 +226,7 @@ class RelativePose:
             covariance=covariance,
             camera1=self.camera2,
             camera2=self.camera1,
+            cameras=None if self.cameras is None else self.cameras[::-1],
             camera_covariance=None
             if of_cameras is None
             else np.roll(of_cameras, len(of_cameras) // 2, (0, 1)),

@@ -41,8 +41,6 @@ def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, do
         focal2_error=known(math.log(focal)),
         focal1_std=known(std),
         focal2_std=known(std),
-        focal_ratio=math.nan,
-        focal_ratio_std=math.nan,
         doubts_camera=doubts,
         epipolar_all_px=math.nan,
         epipolar_confident_px=rotation,

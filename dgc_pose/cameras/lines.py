@@ -1,0 +1,131 @@
+"""The focal length by the lines of a picture: where people build, most run along three directions
+that are perpendicular to each other (Coughlan and Yuille 1999), whose vanishing points agree with
+few focal lengths.
+
+The first direction is that of a point in which many lines meet. The two others, perpendicular to it
+and to each other, have one degree of freedom, which is searched for each focal length of a grid
+(Lu et al., WACV 2017).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from dgc_pose.images.image import Image, resize_by
+
+# Logarithms of focal lengths over the longer side.
+LOG_FOCALS = np.linspace(np.log(0.3), np.log(8.0), 42)
+# The likelihood of a focal length, by its score s and the number n of segments, is that of the best
+# one times exp(SHARPNESS sqrt(n) (s - s of the best)), mixed with CHANCE of a uniform one, by
+# `dgc-pose fit-lines`.
+SHARPNESS, CHANCE = 3.0, 0.03
+_SIDE = 800  # pixels of the longer side that segments are detected at
+_MIN_LENGTH = 15.0  # pixels, of a segment
+_MOST, _LEAST = 160, 8  # segments, the longest; fewer determine nothing
+_WIDTH = 1.5  # pixels, that the end of a segment may be off a line to its vanishing point
+_PAIRS = 400  # of segments, whose lines meet in a point
+_POINTS = 8  # of these, in which most lines meet
+_COMMON = 0.6  # share of the lines of one that another may have too
+_ANGLES = np.radians(np.arange(0.0, 90.0, 2.0))  # of the second direction around the first
+
+
+def log_likelihoods(image: Image) -> np.ndarray:
+    """The logarithm of the likelihood of each of `LOG_FOCALS` (G,), for square pixels and a
+    principal point in the middle; 0 everywhere if the image has few segments, and if its pixels are
+    not square."""
+    if image.pixel_aspect != 1:
+        return np.zeros(len(LOG_FOCALS))
+    return calibrated(*focal_scores(image))
+
+
+def calibrated(
+    scores: np.ndarray, count: int, sharpness: float = SHARPNESS, chance: float = CHANCE
+) -> np.ndarray:
+    """The logarithms of the likelihoods (G,) of scores (G,) by a number of segments."""
+    likelihood = np.exp(sharpness * np.sqrt(count) * (scores - scores.max()))
+    mixed: np.ndarray = np.log((1 - chance) * likelihood / likelihood.mean() + chance)
+    return mixed
+
+
+def focal_scores(image: Image) -> tuple[np.ndarray, int]:
+    """The share of the segments' length that agrees with three perpendicular directions, for each
+    of `LOG_FOCALS` (G,), and the number of segments. Masked pixels have none."""
+    ends, scores = _segments(image), np.zeros(len(LOG_FOCALS))
+    if len(ends) < _LEAST:
+        return scores, 0
+    half, (x, y) = (ends[:, 1] - ends[:, 0]) / 2, ends.mean(1).T
+    length = np.linalg.norm(half, axis=1)
+    share = (length / length.sum()).astype(np.float32)
+    normals = np.column_stack([-half[:, 1], half[:, 0], half[:, 1] * x - half[:, 0] * y])
+    ones = np.ones_like(x)
+    squares = np.column_stack([ones, ones, x**2 + y**2, -2 * x, -2 * y])
+    lines = normals.astype(np.float32), squares.astype(np.float32)
+    points = _meeting_points(normals, lines, share)
+    if not len(points):
+        return scores, 0
+    of_first = _agreement(points, *lines)
+    side = min(max(image.size), _SIDE)
+    cos, sin = np.cos(_ANGLES)[:, None], np.sin(_ANGLES)[:, None]
+    for k, focal in enumerate(side * np.exp(LOG_FOCALS)):
+        rays = points / (focal, focal, 1.0)
+        for ray, agreeing in zip(rays, of_first, strict=True):
+            across = np.linalg.svd(ray[None])[2][1:]
+            others = np.concatenate(
+                [cos * across[0] + sin * across[1], cos * across[1] - sin * across[0]]
+            )
+            of_others = _agreement(others * (focal, focal, 1.0), *lines)
+            best = np.maximum(of_others.reshape(2, len(_ANGLES), -1).max(0), agreeing) @ share
+            scores[k] = max(scores[k], float(best.max()))
+    return scores, len(ends)
+
+
+def _segments(image: Image) -> np.ndarray:
+    """The ends (N, 2, 2) of the longest segments, pixels of the shrunk image, from its middle."""
+    scale = min(1.0, _SIDE / max(image.size))
+    grey = resize_by(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), scale)
+    found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(grey)[0]
+    ends = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
+    ends = ends[~image.is_masked((ends + 0.5) / scale - 0.5).any(1)]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    longest = np.argsort(-length, kind="stable")[:_MOST]
+    ends = ends[longest[length[longest] >= _MIN_LENGTH]]
+    middle: np.ndarray = (np.array(grey.shape[::-1]) - 1) / 2
+    return ends - middle
+
+
+def _agreement(points: np.ndarray, normals: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """How well segments point to each of (P, 3) homogeneous pixels, (P, N): 1 - d^2, at least 0, d
+    the distance of an end from the line through the middle and the point, over `_WIDTH`.
+
+    normals (N, 3): of the line, of the length of half the segment. squares (N, 5): of which the
+    squared distance between the middle and the point is a sum.
+    """
+    points = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
+    x, y, z = points.T
+    away = np.column_stack([x * x, y * y, z * z, x * z, y * z]) @ squares.T
+    distance = points @ normals.T
+    distance *= distance
+    distance /= np.maximum(away, np.float32(1e-12)) * np.float32(_WIDTH**2)
+    np.subtract(1, distance, out=distance)
+    return np.maximum(distance, 0, out=distance)
+
+
+def _meeting_points(
+    normals: np.ndarray, lines: tuple[np.ndarray, np.ndarray], share: np.ndarray
+) -> np.ndarray:
+    """Points (P, 3), homogeneous pixels, in which the lines of most segments meet: each has others
+    than those before."""
+    by_length = share.astype(float) / share.sum(dtype=float)
+    first, second = np.random.default_rng(0).choice(len(share), (2, _PAIRS), p=by_length)
+    points = np.cross(normals[first], normals[second])
+    points = points[np.linalg.norm(points, axis=1) > 1e-9]
+    agreeing = _agreement(points, *lines) * share
+    kept: list[int] = []
+    for k in np.argsort(-agreeing.sum(1), kind="stable").tolist():
+        most = _COMMON * agreeing[k].sum()
+        if all(np.minimum(agreeing[k], agreeing[other]).sum() < most for other in kept):
+            kept.append(k)
+        if len(kept) == _POINTS:
+            break
+    return points[kept]
