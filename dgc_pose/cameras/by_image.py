@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import Sharing, auto_camera
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, InputError, shortened
 from dgc_pose.geometry.pixels import EXCHANGING, Size, exif_turn
 from dgc_pose.images.image import size_in_file
 
@@ -61,6 +61,7 @@ class Calibration:
     auto: Sharing | None = None
     details: KDetails = NO_DETAILS
     poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
+    rig: tuple[str, ...] = ()  # all cameras of a file that names them; `parts` are the calibrated
 
     def camera(
         self, root: Path, name: str, image: Image | Header, part: str | None = None
@@ -81,7 +82,8 @@ class Calibration:
             return auto_camera(image, self.auto)
         if self.parts or self.by_name:
             *_, last = ("", *self.parts)
-            other = f": another of its cameras is {self.where}:{last}" if last else ""
+            names = shortened(", ".join(self.parts))
+            other = f": state one of {names}, as in {self.where}:{last}" if last else ""
             raise InputError(f"{self.where} has no camera for {name}{other}")
         raise InputError(f"no camera for {name}: give", ArgumentName("K"), "or auto in its place")
 
@@ -125,6 +127,14 @@ class Calibration:
             match = _PART_FOLDER.fullmatch(folder)
             if match and (key := f"{match[1]}{int(match[2])}") in self.parts:
                 return self.parts[key]
+        if part is not None and len(self.rig) == 2:
+            first, second = self.rig
+            warning = (
+                f"{self.where} has two cameras, and no name is stated: by their order {first} is "
+                f"that of image 1, and {second} that of image 2"
+            )
+            taken = self.parts.get(second if part == "K2" else first)
+            return taken and replace(taken, warnings=(*taken.warnings, warning))
         kinds = {(*camera.K.ravel().tolist(), camera.distortion) for camera in self.parts.values()}
         if self.common is None or len(kinds) < 2:
             return self.common

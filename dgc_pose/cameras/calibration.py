@@ -127,10 +127,12 @@ def read_calibration(
     except OSError as error:
         raise InputError(f"{name}: {error.filename or head}: {error.strerror or error}") from error
     if part:
-        if part not in cameras.parts:
-            parts = ", ".join(cameras.parts) or "a single camera"
-            raise InputError(f"{name}: {head} has {parts}, and no {shortened(part)}")
-        return Calibration(text, common=cameras.parts[part], details=details)
+        named = {**cameras.by_name, **cameras.parts}
+        if part not in named:
+            parts = shortened(", ".join(cameras.parts)) or "a single camera"
+            lacks = "no matrix of" if part in cameras.rig else "no"
+            raise InputError(f"{name}: {head} has {parts}, and {lacks} {shortened(part)}")
+        return Calibration(text, common=named[part], details=details)
     common = cameras.common
     if common is not None and common.identity is None:
         common = replace(common, identity=head)

@@ -51,7 +51,7 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
     (tmp_path / f"images.{ending}").unlink()
     with pytest.raises(
-        InputError, match=f"has no camera for d/1.jpg: another of its cameras is {source}:2"
+        InputError, match=f"has no camera for d/1.jpg: state one of 1, 2, as in {source}:2"
     ):
         _K(read_calibration(str(source)), "d/1.jpg")
     assert _K(read_calibration(f"{source}:2"), "d/1.jpg") == [600, 600, 320, 240]

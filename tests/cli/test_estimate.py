@@ -206,6 +206,19 @@ def test_unusable_input_is_refused(folder, monkeypatch, arguments, words):
     assert sorted(os.listdir(folder)) == ["one.png", "two.png"]
 
 
+def test_a_damaged_rig_is_refused_with_its_line_and_a_rig_tells_its_order(folder, network):
+    K = np.array([*map(float, dense_scene.K_TEXT.split(","))]).tolist()
+    table = f"matrix = {K}\ndistortions = []\n"
+    (folder / "rig.toml").write_text(f"[left]\n{table}[right]\n{table}".replace("]\n[", "\n["))
+    assert_refused(estimate("--json", "p.json", "--K", "rig.toml"), "rig.toml is not TOML", "line ")
+    assert sorted(os.listdir(folder)) == ["one.png", "rig.toml", "two.png"]
+    (folder / "rig.toml").write_text(f"[left]\n{table}[right]\n{table}")
+    result = estimate(*FAST, "--json", "p.json", "--K", "rig.toml")
+    assert result.exit_code == 0, result.output
+    (warning,) = json.loads((folder / "p.json").read_text())["warnings"]
+    assert warning.startswith("rig.toml has two cameras, and no name is stated")
+
+
 @pytest.mark.parametrize("command", ["estimate", "match"])
 def test_masked_pixels_are_not_matched_and_what_is_no_mask_is_refused(folder, network, command):
     left = np.zeros((240, 320), np.uint8)

@@ -73,6 +73,9 @@ def _make_calibrations(folder):
         "kalibr.yaml": "cam0: {intrinsics: [9, 9, 5, 4], resolution: [10, 8]}\n",
         "text/cameras.txt": "1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n",
         "text/images.txt": "1 1 0 0 0 0 0 0 1 a.png\n2 3 -1\n",
+        "rig.toml": "[cam_0]\nname = 'A'\nsize = [10, 8]\nmatrix = [[9, 0, 5], "
+        "[0, 9, 4], [0, 0, 1.0]]\ndistortions = [0.1, 0.0, 0.0, 0.0]\n",
+        "stereo.json": json.dumps({"M1": [9, 9, 5, 4], "D1": [0.1, 0, 0, 0], "M2": [9, 9, 5, 4]}),
         "calib.txt": "P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n",
     }
     (folder / "text").mkdir()

@@ -30,12 +30,12 @@ _MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "intrin
 _SIZES = (
     *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
-    ("w", "h"),
+    *(("w", "h"), ("W", "H")),
 )
 _FOUR = ("fx", "fy", "cx", "cy")
 _POSE = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
-_MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye")
+MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye", "fisheye")
 _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
     **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "OPENCV"),
     **dict.fromkeys(("radial", "simple_radial", "plumb_bob", "rational_polynomial"), "OPENCV"),
@@ -43,14 +43,15 @@ _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
     **dict.fromkeys(("1", "true", "fisheye", "opencv_fisheye", "equidistant"), "OPENCV_FISHEYE"),
     **{"fov": "FOV", "none": "none"},
 }
-_LIST = re.compile(r"d|dist(ortion)?|(dist(ortion)?_?)?coeff?(icient)?s?", re.IGNORECASE)
+_LIST = re.compile(r"d|dist(ortions?)?|(dist(ortion)?_?)?coeff?(icient)?s?", re.IGNORECASE)
 _SINGLE = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4")}
 _MAY_MATTER = re.compile(
     r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?param.*)?
     | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)).*
     | ((camera|projection|lens)_?)?model | [xy]_fov | latlong | equirect.* | orthogr.* | ftheta.*
     # of another camera
-    | m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.* | (?!std).*intrinsic.*""",
+    | m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.*
+    | (?!std|fps_).*intrinsic(?!_wait).*""",
     re.IGNORECASE | re.VERBOSE,
 )
 
@@ -211,10 +212,7 @@ def require_read(data: Mapping[str, Any], *read: str | None) -> None:
             continue
         held = numbers(value)
         if held is None or any(held):
-            raise InputError(
-                f"{key} may be of the lens or of another camera, and is not read: take it out if "
-                "it does not matter"
-            )
+            raise InputError(f"{key} may be of the lens or of another camera, and is not read")
 
 
 def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
@@ -225,7 +223,7 @@ def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
     another number of coefficients, and as `require_read` does.
     """
     model = "OPENCV"
-    for key in _MODEL_KEYS:
+    for key in MODEL_KEYS:
         word = str(data.get(key) or "").strip()
         if (named := _MODELS.get(word.lower())) is None:
             raise InputError(f"the {key} {word!r} has no COLMAP model")
@@ -238,7 +236,7 @@ def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
         singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
         keys = [key for key, held in singles.items() if held is not None and len(held) < 2]
         coefficients = [(singles[k] or [0.0])[0] if k in keys else 0.0 for k in singles]
-    require_read(data, *read, *_MODEL_KEYS, *keys)
+    require_read(data, *read, *MODEL_KEYS, *keys)
     if model == "none":
         return None
     if model == "OPENCV":
@@ -286,7 +284,7 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
 
 
 def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
-    """The cameras of a rig, each of the images below a folder of its name; the first is that of
-    other images."""
+    """The cameras of a rig, each of the image of its name and of those below a folder of its name;
+    the first is that of other images."""
     parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return Calibration(parts=parts, common=next(iter(parts.values())))
+    return Calibration("", parts, parts, next(iter(parts.values())))

@@ -6,6 +6,8 @@
 | `[id] MODEL width height parameters...`, COLMAP's line | (0.5, 0.5) | - |
 | NeRF's transforms.json | (0.5, 0.5) | name |
 | OpenCV's cv::FileStorage, YAML, XML or JSON | (0, 0) | - |
+| OpenCV's stereo file; EasyMocap's intri.yml | (0, 0) | name of the camera |
+| TOML of anipose, caliscope, Pose2Sim | (0, 0) | name of the camera |
 | ROS's camera_info, YAML | (0, 0) | - |
 | Kalibr's camchain, YAML | (0, 0) | folder `cam0`, `cam1`, ... |
 | KITTI's calib.txt, calib_cam_to_cam.txt | (0, 0) | folder `image_0`, `image_02`, ... |
@@ -30,11 +32,12 @@ import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats import colmap, keyed
+from dgc_pose.cameras.formats import colmap, keyed, rigs
 from dgc_pose.cameras.formats.keyed import numbers, numbers_camera
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.files.arrays import read_array
 from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.files.toml_files import toml_data
 from dgc_pose.files.yaml_files import yaml_data
 
 # KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
@@ -72,6 +75,8 @@ def _read_file(path: Path) -> Calibration:
     text = read_text(path, "a file of cameras")
     if not text.strip():
         raise InputError(f"{path} is empty")
+    if ending == ".toml":
+        return _of_mapping(toml_data(text, path), path)
     if "<opencv_storage>" in text:
         return _of_mapping(keyed.xml_data(ElementTree.fromstring(text)), path)
     if ending == ".json" or text.lstrip().startswith("{"):
@@ -104,7 +109,7 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
         return rig
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
         return _nerf_cameras(data, str(path))
-    return keyed.keyed_cameras(data)
+    return rigs.named_rig(data, path) or keyed.keyed_cameras(data)
 
 
 def _kitti_cameras(text: str, path: Path) -> Calibration:

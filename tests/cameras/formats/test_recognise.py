@@ -95,7 +95,7 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path) -> None:
         np.testing.assert_array_equal(camera2.K, second.K)
     assert (camera1.focal_std, camera1.centre_std, camera2.distortion) == (0.02, 3.0, lens)
     assert parse_camera(f"{path}:K2").K[0, 0] == 1000
-    with pytest.raises(InputError, match=r"a\.jpg: another of its cameras is .*pose\.json:K2$"):
+    with pytest.raises(InputError, match=r"a\.jpg: state one of K1, K2, as in .*pose\.json:K2$"):
         read_calibration(str(path)).camera(Path(), "a.jpg", Header("JPEG", SIZE))
 
 
