@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,20 +16,20 @@ class Matches:
     """Point matches between two images, in pixels of the original images.
 
     Points of OpenCV's shape (N, 1, 2), or of a batch of one, (1, N, 2), become (N, 2). Raises
-    InputError if the shapes do not agree or `error_px` is not positive. Coordinates may be
-    non-finite: the estimation drops and counts such matches.
+    InputError if the shapes do not agree, and for a value that its attribute does not allow.
+    Coordinates may be non-finite: the estimation drops and counts such matches.
 
     Attributes:
         points1: Points (N, 2) float64 in image 1, pixels of the original.
         points2: Points (N, 2) float64 in image 2, pixels of the original.
         confidence: Confidence (N,) float64 in [0, 1]; of a map's matches the matchability.
-        error_px: Expected error of a good match, pixels of the original images.
+        error_px: Expected error of a good match, pixels of the original images; positive.
         key_points: Whether the matches are independent detections (key points). Errors of a dense
             map's matches are correlated among neighbours.
         weights: Fingerprint of the weights of the network that made the matches; None if none did.
             The probability of a pose is fitted on the matches of certain weights.
-        surroundings: How alike both images are around the matches, over how alike they are at them;
-            None if it is not known, and if nothing surrounds them.
+        surroundings: How alike both images are around the matches, over how alike they are at them,
+            any finite number; None if it is not known, and if nothing surrounds them.
     """
 
     points1: np.ndarray
@@ -55,8 +56,13 @@ class Matches:
                 f"points1, points2 and confidence must have the same length, "
                 f"not {counts[0]}, {counts[1]} and {confidence.shape}"
             )
-        if not self.error_px > 0:
-            raise InputError(f"error_px must be positive, not {self.error_px}")
+        outside = confidence[~((confidence >= 0) & (confidence <= 1))]
+        if len(outside):
+            raise InputError(f"confidence must lie in 0 to 1, not {outside[0]}")
+        if not 0 < self.error_px < math.inf:
+            raise InputError(f"error_px must be positive and finite, not {self.error_px}")
+        if self.surroundings is not None and not math.isfinite(self.surroundings):
+            raise InputError(f"surroundings must be finite or None, not {self.surroundings}")
 
     def __repr__(self) -> str:
         kind = "key points" if self.key_points else "of a dense map"

@@ -5,9 +5,12 @@ COLMAP has (0.5, 0.5) at the centre of the top-left pixel, a `Model` (0, 0).
 
 from __future__ import annotations
 
+import codecs
 import os
+import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +21,7 @@ from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.inputs import read_as
+from dgc_pose.files.inputs import read_as, read_bytes, read_start
 from dgc_pose.files.outputs import replaced_folder, writing
 from dgc_pose.geometry.pixels import exif_turn, turn_points
 from dgc_pose.geometry.rotation import is_rotation
@@ -84,11 +87,11 @@ class Model:
         centre: np.ndarray = -pose[:, :3].T @ pose[:, 3]
         return centre
 
-    @property
+    @cached_property
     def extent(self) -> float:
         """The largest distance of two cameras, in the model's unit."""
         centres = np.stack([self.centre(name) for name in self.poses])
-        return float(np.linalg.norm(centres[:, None] - centres, axis=-1).max())
+        return max(float(np.linalg.norm(centres - centre, axis=1).max()) for centre in centres)
 
     def require_addable(self, out: Path, paths: Iterable[str | Path]) -> None:
         """Raise InputError if the folder `out` holds other files than a model's, an image of these
@@ -161,7 +164,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
         raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
     with read_as("a COLMAP model", path):
         has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
-        whole = Model.of_colmap(pycolmap.Reconstruction(path), root) if has_points else None
+        whole = Model.of_colmap(_reconstruction(path), root) if has_points else None
     cameras, poses, seen = {}, {}, {}
     for stated, name in names.items():
         pose = file.poses[stated]
@@ -194,7 +197,18 @@ def read_colmap(source: Path) -> pycolmap.Reconstruction:
     if not read_file(path).poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
     with read_as("a COLMAP model", path):
-        return pycolmap.Reconstruction(path)
+        return _reconstruction(path)
+
+
+def _reconstruction(folder: Path) -> pycolmap.Reconstruction:
+    """As of pycolmap, which reads no text that has a byte order mark."""
+    texts = [] if any(folder.glob("*.bin")) else [*folder.glob("*.txt")]
+    if all(read_start(text, 3) != codecs.BOM_UTF8 for text in texts):
+        return pycolmap.Reconstruction(folder)
+    with tempfile.TemporaryDirectory() as plain:
+        for text in texts:
+            (Path(plain) / text.name).write_bytes(read_bytes(text).removeprefix(codecs.BOM_UTF8))
+        return pycolmap.Reconstruction(plain)
 
 
 def model_path(path: Path) -> Path:

@@ -24,9 +24,11 @@ def test_points_of_opencv_and_of_a_batch_of_one(count: int) -> None:
         (np.zeros((4, 2)), np.zeros((3, 2)), np.zeros(4), 1.0, "same length"),
         (np.zeros((4, 2)), np.zeros((4, 2)), np.zeros((4, 1)), 1.0, "confidence"),
         (np.zeros((4, 2)), np.zeros((4, 2)), np.zeros(4), np.nan, "error_px"),
+        (np.zeros((4, 2)), np.zeros((4, 2)), np.zeros(4), np.inf, "error_px"),
+        *((np.zeros((1, 2)), np.zeros((1, 2)), [c], 1.0, "confidence") for c in (np.nan, 5, -0.1)),
     ],
 )
-def test_wrong_shapes_are_named(
+def test_wrong_shapes_and_values_are_named(
     points1: np.ndarray, points2: np.ndarray, confidence: np.ndarray, error: float, named: str
 ) -> None:
     with pytest.raises(InputError, match=named) as caught:
@@ -50,3 +52,11 @@ def test_joined_matches_are_there_once_in_order() -> None:
     assert joined.error_px == 2.0 and not joined.key_points and joined.weights == "abc"
     with pytest.raises(ValueError):
         Matches.joined([])
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_surroundings_are_finite_or_none(value: float) -> None:
+    matches = _of_rows([[1, 2, 3, 4]], 1.0, 1.0)
+    assert replace(matches, surroundings=-0.2).surroundings == -0.2
+    with pytest.raises(InputError, match="^surroundings must be finite or None, not"):
+        replace(matches, surroundings=value)

@@ -1,5 +1,6 @@
 """Models as files have them, and what is refused."""
 
+import codecs
 import json
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import DgcPoseError, InputError
 from dgc_pose.geometry.rotation import quaternion_wxyz
-from dgc_pose.model import load_model
+from dgc_pose.model import Model, load_model, read_colmap
 
 SCENE = world_scene(count=20)
 
@@ -71,6 +72,9 @@ def test_models_have_the_poses_of_their_files(kind: str, images: Path, tmp_path:
     centres = np.stack([centre for _, centre in SCENE.references])
     furthest = max(np.linalg.norm(a - b) for a in centres for b in centres)
     assert model.extent == pytest.approx(furthest)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Model, "centre", None)
+        assert model.extent == pytest.approx(furthest)  # it is known
     if kind in ("binary", "text", "results"):
         assert sorted(model.seen) == SCENE.names[:2] and len(model.points) == len(SCENE.points)
         which, pixels = model.seen[SCENE.names[1]]
@@ -173,3 +177,15 @@ def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path)
         with pytest.raises(InputError, match=words):
             model.require_addable(tmp_path / "out", paths)
     model.require_addable(tmp_path / "out", [first])
+
+
+@pytest.mark.parametrize("name", ["cameras", "points3D"])
+def test_a_text_of_colmap_may_have_a_byte_order_mark(
+    name: str, images: Path, tmp_path: Path
+) -> None:
+    source = write_colmap(SCENE, tmp_path / "model", binary=False)
+    plain, text = load_model(source, images), source / f"{name}.txt"
+    text.write_bytes(codecs.BOM_UTF8 + text.read_bytes())
+    model = load_model(source, images)
+    assert sorted(model.poses) == SCENE.names and len(read_colmap(source).images) > 0
+    np.testing.assert_array_equal(model.points, plain.points)

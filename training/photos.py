@@ -62,7 +62,8 @@ def load_photos(
 
     light: a folder of folders, each with aligned photographs of one place in other light, which
     train. A photograph's name alone decides whether it is held back: one that validates a run never
-    trains another. Raises ImageError if there are none of either, or a folder holds no place.
+    trains another, unless the folder is so small that this would leave none of either. Raises
+    ImageError for fewer than two photographs, or if a folder holds no place.
     """
     training, held_back = _split(Path(root))
     places = [] if light is None else _places(Path(light))
@@ -78,14 +79,18 @@ def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
 
 def _split(root: Path) -> tuple[list[Path], list[Path]]:
     """The photographs below a folder, sorted: those that train, those held back."""
-    parts: tuple[list[Path], list[Path]] = [], []
-    for path in _images(root):
-        digest = hashlib.sha256(path.name.encode()).hexdigest()[:8]
-        parts[int(digest, 16) % _HELD_BACK == 0].append(path)
-    if not all(parts):
-        counts = f"{len(parts[0])} photographs train and {len(parts[1])} are held back"
-        raise ImageError(f"{root}: {counts}, by their names; some of each are needed")
-    return parts
+    numbers = {path: _number(path) for path in _images(root)}
+    if len(numbers) < 2:
+        raise ImageError(f"{root}: one trains and one is held back, and it holds {len(numbers)}")
+    ranked = sorted(numbers, key=lambda path: (numbers[path] % _HELD_BACK != 0, numbers[path]))
+    count = sum(number % _HELD_BACK == 0 for number in numbers.values())
+    count = min(max(1, count), len(ranked) - 1)  # of a few names none may be, or all
+    return sorted(ranked[count:]), sorted(ranked[:count])
+
+
+def _number(path: Path) -> int:
+    """A number by the name of a file, as if at random."""
+    return int(hashlib.sha256(path.name.encode()).hexdigest()[:8], 16)
 
 
 def _images(root: Path) -> list[Path]:

@@ -1,14 +1,15 @@
 """Which images of a folder are paired: all, neighbours in a sequence, or the most similar."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from functools import partial
 from typing import Literal, cast
 
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.system.threads import in_threads, one_blas_thread
 
 Way = Literal["exhaustive", "sequential", "auto"]
 _PAIRS = ArgumentName("pairs")
@@ -39,15 +40,21 @@ def parse_pair_choice(text: str) -> PairChoice:
     )
 
 
-def similarities(features: Sequence[np.ndarray]) -> np.ndarray:
+@one_blas_thread()
+def similarities(
+    features: Sequence[np.ndarray], progress: Callable[[int, int], None] = lambda done, of: None
+) -> np.ndarray:
     """Scores (N, N) float32 of all pairs, within -1 and 1; the diagonal is 1.
 
-    features: for each image its coarsest cells (cells, C), of unit length.
+    features: for each image its coarsest cells (cells, C), of unit length. progress: takes how many
+    pairs are compared, of how many.
     """
     cells = [feature.astype(np.float32) for feature in features]
-    scores = np.eye(len(cells), dtype=np.float32)
-    for i, j in combinations(range(len(cells)), 2):
-        scores[i, j] = scores[j, i] = similarity(cells[i], cells[j])
+    scores, count = np.eye(len(cells), dtype=np.float32), len(cells)
+    for i in range(1, count):
+        row = in_threads(partial(similarity, cells[i]), cells[:i])
+        scores[i, :i] = scores[:i, i] = row
+        progress(i * (i + 1) // 2, count * (count - 1) // 2)
     return scores
 
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -204,7 +205,8 @@ def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan
                 features[name] = found
         progress("images", len(features) + len(bad), len(plan.names))
     usable = [i for i, name in enumerate(plan.names) if name in features]
-    scores = similarities([features[plan.names[i]] for i in usable])
+    found = [features[plan.names[i]] for i in usable]
+    scores = similarities(found, partial(progress, "comparisons"))
     pairs = [(usable[i], usable[j]) for i, j in most_similar(scores, number)]
     return replace(plan, bad=bad, pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2))
 

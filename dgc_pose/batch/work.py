@@ -105,8 +105,9 @@ class Worker:
         if row.status == "mirrored":  # perhaps by wrong cameras
             exact = camera1.exact and camera2.exact
             return pair if exact else self._matched(names, cameras)
-        # Two cameras err each by itself.
-        known = is_known(camera1) and is_known(camera2) and camera1.identity == camera2.identity
+        # Two cameras err each by itself, and so does each without an identity.
+        same = camera1.identity is not None and camera1.identity == camera2.identity
+        known = same and is_known(camera1) and is_known(camera2)
         matches = replace(pair.matches, weights=self.matcher.fingerprint)
         pose = estimate_pose(
             matches,

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
 _MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
 _MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
+_TURNED_OFFSET = 2 * _MAX_CENTRE_OFFSET  # more is of the image turned, whose middle is nearer
 _LEAST_FOCAL = 0.1339  # of a pinhole, over the width: a field of view of 150 degrees
 _MAX_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
 _SAME_ASPECT = 0.03  # of the logarithms of two aspect ratios that are the same
@@ -216,8 +217,12 @@ def may_be_of(camera: Camera, image_size: Size, size: Size | None = None) -> boo
     size = size or camera.size
     if size is not None:
         return (size[0] - size[1]) * (image_size[0] - image_size[1]) >= 0
-    offsets = (camera.K[:2, 2] + 0.5) / image_size - 0.5
-    return float(np.abs(offsets).max()) < _MAX_CENTRE_OFFSET
+    return _offset(camera, image_size) < _MAX_CENTRE_OFFSET
+
+
+def _offset(camera: Camera, size: Size) -> float:
+    """The larger distance of the principal point from the middle, along an axis, over its side."""
+    return float(np.abs((camera.K[:2, 2] + 0.5) / size - 0.5).max())
 
 
 def _fits(camera: Camera, image: Image | Header, size: Size | None) -> tuple[bool, bool]:
@@ -251,6 +256,8 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
         is_scaled = abs(x - y) <= _SAME_ASPECT
         is_turned = abs(turned_x - turned_y) <= _SAME_ASPECT
         is_turned = is_turned and abs(np.log(size[0] / size[1])) > _MAX_SAME_SCALE
+        # About the other middle, and far from that of the image.
+        is_turned |= may_be_of(camera, size[::-1]) and _offset(camera, size) > _TURNED_OFFSET
         scale = abs(np.log(of_K.max() / max(size)))
         if is_turned or (is_scaled and scale > _MAX_SAME_SCALE):
             problem = (

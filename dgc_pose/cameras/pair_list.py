@@ -152,7 +152,7 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
     """The lines that are neither blank nor comments, each with its path and number."""
     if path.suffix == ".gz":
         with read_as("a packed list of pairs", path), gzip.open(path) as stream:
-            text = stream.read(TEXT_BYTES).decode()
+            text = stream.read(TEXT_BYTES).decode("utf-8-sig")
     else:
         text = read_text(path, "a list of pairs")
     for number, line in enumerate(text.splitlines(), start=1):

@@ -14,6 +14,7 @@ from dgc_pose.images.image import image_header
 from dgc_pose.system.colmap_library import pycolmap
 
 _MAX_ERROR_M = 15.0  # of a GPS position that agrees with the model
+_AS_WELL = 1.5  # times the median residual, up to which another similarity fits as well
 _MIN_WIDTH = 0.02  # of GPS positions, as a share of their length: less is a line
 
 
@@ -77,11 +78,31 @@ def to_metres(
         if aligned is None:
             cameras = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
             raise MappingError(f"pycolmap has no similarity that brings {cameras}")
-        similarity = aligned
-        off = [np.linalg.norm(aligned * centres[name] - known[name]) for name in both]
+        similarity = _upright(aligned, model, np.array([centres[n] for n in both]), places)
+        off = [np.linalg.norm(similarity * centres[name] - known[name]) for name in both]
         residuals["median_gps_residual_m"] = round(float(np.median(off)), 3)
         residuals["largest_gps_residual_m"] = round(float(max(off)), 3)
     else:
         return {}
     model.transform(similarity)
     return {"unit": "m", "frame": frame, **residuals}
+
+
+def _upright(
+    aligned: pycolmap.Sim3d, model: pycolmap.Reconstruction, centres: np.ndarray, places: np.ndarray
+) -> pycolmap.Sim3d:
+    """A similarity, or if it turns cameras in a plane at `centres`, (N, 3), upside down, it and 180
+    degrees about their length, where that brings them as near to `places`, (N, 3) metres: of a
+    narrow survey the noise of the altitudes would decide. One of cameras on a line is kept.
+    """
+    at = aligned * centres
+    _, (length, width, _), (axis, _, normal) = np.linalg.svd(at - at.mean(0), full_matrices=False)
+    posed = [image.cam_from_world().rotation for image in model.images.values() if image.has_pose]
+    # Down is y of an upright photograph, and z of one from above.
+    lower = aligned.rotation * np.sum([(0, 2, 1) @ turn.matrix() for turn in posed], 0)
+    half = 2 * np.outer(axis, axis) - np.eye(3)
+    by_half = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(half), at.mean(0) - half @ at.mean(0))
+    off, off_turned = (np.median(np.linalg.norm(p - places, axis=1)) for p in (at, by_half * at))
+    is_down = (lower @ normal) * normal[2] <= 0
+    is_kept = is_down or width <= _MIN_WIDTH * length or off_turned > _AS_WELL * off
+    return aligned if is_kept else by_half * aligned

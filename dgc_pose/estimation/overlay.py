@@ -32,7 +32,8 @@ def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
     moved = np.hypot(*(points2 - matches.points1).T) / max(_STAY_PX, matches.error_px)
     stay = moved < 1
     little = (moved >= 1) & (moved < _NEAR)
-    if stay.sum() < max(_MIN_COUNT, _MIN_SHARE * len(stay)) or stay.sum() <= little.sum():
+    least = max(_MIN_COUNT, _MIN_SHARE * np.isfinite(moved).sum())
+    if stay.sum() < least or stay.sum() <= little.sum():
         return np.zeros(len(stay), dtype=bool)
     return stay
 
@@ -50,10 +51,12 @@ def are_far(pose: RelativePose, camera: Camera) -> bool:
 def of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     """The pose of the matches that move, as that of all. stay: (N,) bool, the others. Where most
     stay, the camera may have stood still as well."""
-    share = f"{stay.sum()} of {len(stay)} matches ({100 * stay.mean():.0f} %)"
+    count = int(stay.sum()) + pose.num_matches  # without those that are not finite
+    part = stay.sum() / count
+    share = f"{stay.sum()} of {count} matches ({100 * part:.0f} %)"
     inliers = np.zeros(len(stay), dtype=bool)
     inliers[~stay] = pose.inliers
-    if stay.mean() <= _MOST:
+    if part <= _MOST:
         warning = (
             f"{share} stay at the same pixels while others move, and are left out: an overlay, or "
             "a background that stood still (mask1 and mask2 exclude it from the matching)"
@@ -61,15 +64,15 @@ def of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
         return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))
     reason = f"{share} stay at the same pixels"
     if not pose.success:
-        reason += "" if stay.all() else ", and the others determine no pose"
-        return RelativePose("same_picture", reason, inliers, len(stay), warnings=pose.warnings)
+        reason += "" if part == 1 else ", and the others determine no pose"
+        return RelativePose("same_picture", reason, inliers, count, warnings=pose.warnings)
     reason += f", and {pose.num_inliers} agree on a motion: which is the camera's does not show"
     both = (pose.hypotheses[0], *pose.alternatives)
     return RelativePose(
         "ambiguous",
         reason,
         inliers,
-        len(stay),
+        count,
         probability=0.0,
         any_probability=pose.any_probability,
         same_place_probability=pose.same_place_probability,

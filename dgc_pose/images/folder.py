@@ -69,8 +69,8 @@ def search_images(folder: str | Path) -> FolderImages:
 
 
 def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
-    """The images that have the bytes of another, but the first by name; and of one name, but for
-    its folder and ending, the smaller ones with the same picture."""
+    """The images that have the bytes of another, but the shortest name, of several the first; and
+    of one name, but for its folder and ending, the smaller ones with the same picture."""
     groups = defaultdict[Hashable, list[str]](list)
     for name in names:
         groups[Path(name).stem].append(name)
@@ -84,7 +84,7 @@ def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
 
 def _is_copy(path: Path, of: Path) -> bool:
     if filecmp.cmp(path, of, shallow=False):
-        return path > of
+        return (len(path.name), path) > (len(of.name), of)  # as "x (1).jpg" than "x.jpg"
     try:
         size, larger = (image_size(file) for file in (path, of))
         if size[0] >= larger[0] or not same_shape(size, larger):

@@ -231,10 +231,10 @@ def _position(tags: Mapping[int, Any]) -> tuple[float, float, float] | None:
     try:
         degrees = [sum(float(part) / 60**n for n, part in enumerate(tags[k])) for k in (2, 4)]
         altitude = float(tags.get(6, 0)) * (-1 if tags.get(5) in (1, b"\1") else 1)
+        latitude = degrees[0] * {"N": 1, "S": -1}[tags[1]]
+        longitude = degrees[1] * {"E": 1, "W": -1}[tags[3]]
     except (KeyError, TypeError, ValueError, ArithmeticError):
         return None
-    latitude = -degrees[0] if tags.get(1) == "S" else degrees[0]
-    longitude = -degrees[1] if tags.get(3) == "W" else degrees[1]
     is_there = abs(latitude) <= 90 and abs(longitude) <= 180 and math.isfinite(altitude)
     return (latitude, longitude, altitude) if is_there else None
 

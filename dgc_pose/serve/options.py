@@ -6,7 +6,7 @@ from dgc_pose.system.options import option
 
 UPLOAD_SECONDS = 60.0  # for sending one image
 DECODE_SECONDS = 10.0  # for reading one image
-IMAGES = 16  # that are stored; the oldest is dropped first
+IMAGES = 64  # that are stored, of five pages of 12; the oldest is dropped first
 
 
 @dataclass(frozen=True)

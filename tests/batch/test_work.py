@@ -8,12 +8,13 @@ import pytest
 from batch_runs import view_folder
 from multi_view import SIZE, K
 
-from dgc_pose.batch.rows import row_of
+from dgc_pose.batch.rows import MatchedPair, PairRow, row_of
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.images.image import load_image
 from dgc_pose.matchers import MatcherOptions, load_matcher
+from dgc_pose.matches import Matches
 from dgc_pose.pose import solve_pair
 
 COUNT = 3
@@ -66,3 +67,27 @@ def test_a_pose_that_is_estimated_again_has_its_probability(tmp_path):
     assert after.row.probability == pytest.approx(before.row.probability, abs=1e-3)
     assert before.row.pose is not None and after.row.pose is not None
     np.testing.assert_allclose(after.row.pose.R, before.row.pose.R, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("identities", "fitted"), [("aa", False), ("ab", True), ([None] * 2, True)]
+)
+def test_two_cameras_are_fitted_anew_unless_they_are_one(tmp_path, monkeypatch, identities, fitted):
+    """A camera without an identity is one of its own."""
+    asked = []
+    pose = RelativePose("no_model", "", np.zeros(1, bool), 1)
+
+    def estimated(*arguments, fit_cameras, **more):
+        asked.append(fit_cameras)
+        return pose
+
+    monkeypatch.setattr("dgc_pose.batch.work.estimate_pose", estimated)
+    cameras = {
+        name: replace(CAMERA, focal_std=0.03, identity=identity)
+        for name, identity in zip(NAMES, identities, strict=False)
+    }
+    job = Job(tmp_path, cameras, {}, MatcherOptions(weights="sift"), ESTIMATION, 2**30)
+    matches = Matches(np.zeros((1, 2)), np.zeros((1, 2)), np.ones(1), 1.0)
+    pair = MatchedPair(PairRow(*NAMES[:2], "no_model", "", pose), matches)
+    Worker(job).estimate([pair], cameras, fit_cameras=False)
+    assert asked == [fitted]

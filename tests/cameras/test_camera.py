@@ -205,6 +205,9 @@ LARGE = (1600, 1200)
         ("2800,2800,1599.5,1199.5", "", "the middle of an image of about 3200x2400"),
         ("700,700,399.5,299.5", "", "about 800x600, and image 2 has 1600x1200"),
         ("1400,1400,599.5,799.5", "", "K is of the image turned by 90 degrees"),
+        ("1400,1400,617.5,775.5", "", "K is of the image turned by 90 degrees"),  # 1.5 % off
+        ("1400,1400,557.5,855.5", "", "K is of the image turned by 90 degrees"),  # 3.5 % off
+        ("1400,1400,690,670", "", ""),  # 7 and 6 % off the middle
         ("1400,1400,1700,300", "", "at (1700, 300), outside image 2 of 1600x1200"),
         ("35,35,799.5,599.5", "", "a focal length of 35 pixels, a field of view above 150 degrees"),
         ("PINHOLE,800,600,700,700,400,300", "", "of 800 x 600 pixels, image 2 has 1600 x 1200"),

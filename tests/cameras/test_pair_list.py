@@ -1,3 +1,4 @@
+import gzip
 from dataclasses import replace
 from pathlib import Path
 
@@ -134,3 +135,11 @@ def test_a_file_that_is_no_list_is_an_error(tmp_path, read, content, reason):
     path.write_bytes(content)
     with pytest.raises(InputError, match=reason):
         read(path)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_byte_order_mark_is_no_part_of_a_name(tmp_path, packed):
+    path = tmp_path / ("pairs.txt.gz" if packed else "pairs.txt")
+    data = line().encode("utf-8-sig")
+    path.write_bytes(gzip.compress(data) if packed else data)
+    assert read_pairs(path)[0].name1 == "a.png"

@@ -86,6 +86,15 @@ def test_the_pose_is_that_of_the_others_alone() -> None:
     assert (alone.probability, alone.warnings) == (pose.probability, pose.warnings[:-1])
 
 
+def test_matches_that_are_not_finite_are_in_no_share_that_is_told() -> None:
+    scene = _with(camera_scene(CAMERA, CAMERA, **TURN), 0.65, STRIP)
+    nowhere = np.full((2000, 2), np.nan)
+    poses = [each.estimate(*scene.cameras) for each in (scene, joined(scene, nowhere, nowhere))]
+    assert poses[0].status == poses[1].status == "ambiguous"
+    assert poses[0].reason == poses[1].reason
+    assert poses[0].num_matches == poses[1].num_matches == len(scene.matches)
+
+
 @pytest.mark.parametrize("share", [0.15, 0.35])
 @pytest.mark.parametrize("seed", range(3))
 def test_far_points_of_a_stereo_pair_are_kept(share: float, seed: int) -> None:
@@ -186,6 +195,10 @@ def test_how_many_have_to_stay(
     by = np.repeat([0.3, 1.5, 40.0], (still, slow, moving))
     turn = rng.uniform(0, 2 * np.pi, len(by))
     moved = points + by[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-    stay = staying(Matches(points, moved, np.ones(len(by)), error_px), CAMERA, CAMERA)
     expected = found & (by < max(1.0, error_px))
+    rows = np.column_stack([points, moved])
+    rows = np.vstack([rows, np.full((1000, 4), np.nan)])  # which are in no share
+    expected = np.append(expected, np.zeros(1000, bool))
+    matches = Matches(rows[:, :2], rows[:, 2:], np.ones(len(rows)), error_px)
+    stay = staying(matches, CAMERA, CAMERA)
     np.testing.assert_array_equal(stay, expected)

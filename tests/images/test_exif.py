@@ -125,3 +125,23 @@ def test_units_of_the_resolution_and_names_in_one_line() -> None:
     assert exif.pixels_per_mm == pytest.approx(10000 / 25.4)
     assert exif.make == "OLYMPUS"
     assert exif.model.startswith("a bccc") and len(exif.model) == 80
+
+
+@pytest.mark.parametrize(
+    ("letters", "position"),
+    [
+        ({1: "S", 3: "E"}, (-33.5, 70.25, 12.0)),
+        ({1: "N", 3: "W"}, (33.5, -70.25, 12.0)),
+        ({}, None),
+        ({1: "S"}, None),
+        ({1: "S", 3: ""}, None),
+        ({1: "W", 3: "S"}, None),
+    ],
+)
+def test_a_position_has_the_letters_of_its_hemispheres(
+    letters: dict[int, str], position: tuple[float, float, float] | None
+) -> None:
+    exif = PIL.Image.Exif()
+    exif[271] = "Maker"  # Pillow writes no block of GPS alone
+    exif.get_ifd(34853).update({2: (33.0, 30.0, 0.0), 4: (70.0, 15.0, 0.0), 6: 12.0, **letters})
+    assert exif_of(exif.tobytes()).position == position

@@ -94,6 +94,13 @@ def test_copies_are_known_by_their_content(tmp_path: Path) -> None:
     assert copies_of_others(tmp_path, ["images_4/x.png", "x.jpg"]) == {"images_4/x.png"}
 
 
+@pytest.mark.parametrize("copy", ["x (1).jpg", "x copy.jpg", "x - Copy.jpg", "a/Copy of x.jpg"])
+def test_of_equal_files_the_one_with_the_plain_name_is_kept(tmp_path: Path, copy: str) -> None:
+    for name in (copy, "x.jpg"):
+        _save(tmp_path / name)
+    assert copies_of_others(tmp_path, [copy, "x.jpg"]) == {copy}
+
+
 def test_different_photographs_are_no_copies(tmp_path: Path) -> None:
     """Of one size or not: a rig's, those of two days, a crop, and of a camera that moved by 1/50 of
     the width; nor are the same pictures of other names."""

@@ -1,6 +1,7 @@
 import base64
 import io
 import json
+import re
 import shlex
 import struct
 import tempfile
@@ -140,6 +141,12 @@ def test_only_the_last_images_are_kept(client, folder):
     answer = client.post("/poses", json=body)
     assert answer.status_code == 410  # by which the page sends it again
     assert "no longer there" in answer.text
+
+
+def test_the_images_of_several_pages_are_kept(client):
+    """A table takes so many."""
+    (most,) = re.findall(r"const MOST = (\d+)", client.get("/static/pairs.js").text)
+    assert 5 * int(most) <= IMAGES
 
 
 def png_claiming(width, height):

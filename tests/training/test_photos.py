@@ -46,9 +46,18 @@ def test_places_give_two_of_their_photographs(folder, tmp_path):
         load_photos(folder, tmp_path / "light")
 
 
+@pytest.mark.parametrize("count", range(2, 12))
+def test_one_of_few_photographs_is_held_back_whatever_their_names(folder, count):
+    for path in sorted(folder.glob("*.png"))[count:]:
+        path.unlink()
+    training, held_back = load_photos(folder)
+    assert training.single + held_back.single == count and training.single and held_back.single
+    assert torch.equal(load_held_back(folder).bank.texels, held_back.bank.texels)
+
+
 def test_a_folder_without_any_is_named(folder):
     for path in folder.glob("*.png"):
         if path.name != "p000.png":
             path.unlink()
-    with pytest.raises(ImageError, match="1 photographs train and 0 are held back"):
+    with pytest.raises(ImageError, match="one trains and one is held back, and it holds 1"):
         load_held_back(folder)
