@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import SHARED
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.outputs import writing
@@ -80,7 +81,9 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
     cameras = pose.camera1, pose.camera2
     text1, text2 = map(_camera_text, cameras, priors or cameras)
     if text1 == text2 and cameras[0].identity == cameras[1].identity is not None:
-        return [f"camera of both images: {text1}"] if text1 else []
+        assumed = priors is not None and priors[0].belief and priors[0].identity != SHARED
+        why = " (assumed: sizes and EXIF data agree)" if assumed else ""
+        return [f"camera of both images{why}: {text1}"] if text1 else []
     return [f"camera {n}: {text}" for n, text in enumerate((text1, text2), start=1) if text]
 
 

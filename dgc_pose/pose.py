@@ -12,9 +12,11 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
+from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
+from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image, flipped, load_image
 from dgc_pose.images.mask import masked
 from dgc_pose.matchers import load_matcher
@@ -166,12 +168,10 @@ def _mirrored(
     matcher.forget(mirror_image)  # no other pair has it
     if result is None:
         return None
-    K = cameras[1].K.copy()
-    if flips:
-        K[:2, 1:] = [[-K[0, 1], K[0, 2]], [K[1, 1], image2.size[1] - 1 - K[1, 2]]]
-    else:
-        K[0, 1:] = -K[0, 1], image2.size[0] - 1 - K[0, 2]
-    second = replace(cameras[1], K=K)
+    try:
+        second = cameras[1].turned(exif_turn(4 if flips else 2), image2.size)
+    except InputError:  # a lens that is not turned
+        return None
     of_mirror_image = estimate_pose(
         result.matches, cameras[0], second, options, map_matches=result.map_matches
     )

@@ -6,28 +6,26 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.options import Effort
 
 # What is done for a pose, in this order, as far as the matcher has the step, see `solve_pair`:
 # - coarse: a pass over small images, which is enough for an easy pair
 # - refine: more accurate matches by the map of the coarse step, for a pose that is certain
 # - full: all that `Matcher.match` does
-# - mirrored: a coarse pass over image 1 and the mirror image of image 2, which may end the search
 # - guided: matches of squeezed images and near epipolar lines, pooled with those that are there
-Step = Literal["coarse", "refine", "full", "mirrored", "guided"]
+# - mirrored: without a pose, a coarse pass over image 1 and the mirror image of image 2
+Step = Literal["coarse", "refine", "full", "guided", "mirrored"]
 STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("coarse", "full", "mirrored"),
-    "auto": ("coarse", "refine", "full", "mirrored", "guided"),
-    "thorough": ("full", "mirrored", "guided"),
+    "auto": ("coarse", "refine", "full", "guided", "mirrored"),
+    "thorough": ("full", "guided", "mirrored"),
 }
 # Probabilities that a pose or an alternative is right beyond which no more is searched, and the
 # share of the pose that this needs.
 _MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
 # Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
 LIKELY = 0.9
-# It is not if its own is so probable, and the median epipolar error below this share of the
-# threshold: a scene that is nearly its mirror image does not fit as closely.
-_CLOSE = 0.1
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
@@ -45,10 +43,10 @@ def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
     if step == "full":
         return effort != "fast" and not certain(pose)
     if step == "mirrored":
-        likely = pose.any_probability
-        if likely is None or pose.status in ("rotation_only", "same_picture"):
+        if pose.any_probability is None or pose.success:
             return False
-        return likely < LIKELY or pose.evidence is None or pose.evidence.residual >= _CLOSE
+        known = pose.evidence is None or pose.evidence.camera_model not in OF_STATED
+        return known and pose.status not in ("rotation_only", "same_picture")
     limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
     return in_doubt(pose) or (pose.success and not accurate(pose, limit_deg))
 

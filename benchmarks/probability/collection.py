@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.lines import calibrated, focal_scores
+from dgc_pose.cameras.lines import focal_scores
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.arrays import read_arrays
@@ -45,8 +45,7 @@ class StoredPair:
     # With those searched again; None if the pose by the true K is not in doubt.
     pooled: Matches | None
     map_matches: Matches | None  # an even sample of the dense map, whatever its matchability
-    # Of each image, what its lines state of the focal length: `log_likelihoods` (G,).
-    lines: tuple[np.ndarray, np.ndarray]
+    scores: tuple[tuple[np.ndarray, int], tuple[np.ndarray, int]]  # `focal_scores` of each image
 
 
 def store_path(out: Path, method: str, entry: PlanEntry, number: int) -> Path:
@@ -127,13 +126,12 @@ def read_collection(out: Path, method: str, entries: Sequence[PlanEntry]) -> Ite
                     _matches("", arrays, weights),
                     _matches("pooled_", arrays, weights) if "pooled_points1" in arrays else None,
                     _matches("map_", arrays, weights) if "map_points1" in arrays else None,
-                    (_lines(arrays, "1"), _lines(arrays, "2")),
+                    (
+                        (arrays["scores1"], int(arrays["segments1"])),
+                        (arrays["scores2"], int(arrays["segments2"])),
+                    ),
                 )
             yield stored
-
-
-def _lines(arrays: Mapping[str, np.ndarray], n: str) -> np.ndarray:
-    return calibrated(arrays["scores" + n], int(arrays["segments" + n]))
 
 
 def _arrays(prefix: str, matches: Matches) -> dict[str, object]:

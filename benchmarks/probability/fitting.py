@@ -6,7 +6,7 @@ each scene gets from weights fitted on the other scenes. The expected error is a
 on right poses of scenes whose reference is exact.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,10 @@ from scipy import optimize
 from sklearn.linear_model import LogisticRegression, QuantileRegressor
 
 from dgc_pose.benchmarks.metrics import folded
+from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.records import Record
+from dgc_pose.cameras.lines import LOG_FOCALS, calibrated
+from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
@@ -26,6 +29,7 @@ from dgc_pose.estimation.probability import (
     choice_shares,
     log_error,
 )
+from dgc_pose.images.header import Header
 
 _STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # inverse regularisation, of standardised features
 _MIN_POSES = 20  # right poses and wrong ones that a fit needs
@@ -37,6 +41,7 @@ _CERTAIN = 30.0  # log-odds
 _LEAST_SLOPE = 0.2  # of the calibrated log-odds
 _RIDGE = 1e-3  # on the weights of the choice
 _LAPSE, _MOST_LAPSE = 0.05, 0.5  # of the choice: where the fit begins, and ends at the latest
+_SHARPNESSES, _CHANCES = (1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0), (0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
 Samples = Sequence[tuple[Record, Evidence]]
 
 
@@ -130,6 +135,37 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     if len(samples) < _MIN_POSES:
         return {"slope": 0.0, "intercept": 0.0}
     return _error_model(samples, "focal")
+
+
+def fit_lines(pairs: Iterable[StoredPair]) -> dict[str, float]:
+    """`SHARPNESS` and `CHANCE` of `cameras.lines`, with which the true focal lengths of the images
+    of the part `fit` are most probable after the lines; and how much more than before, the mean of
+    the logarithms."""
+    images = {}
+    for pair in pairs:
+        for camera, scores in zip(
+            (pair.truth.camera1, pair.truth.camera2), pair.scores, strict=True
+        ):
+            if pair.entry.part == "fit" and pair.entry.kind == "list" and camera.size:
+                true = np.log(camera.focal / max(camera.size))
+                images[pair.scene, round(float(true), 6), scores[0].tobytes()] = (true, *scores)
+    belief = auto_camera(Header("", (640, 480))).belief
+    assert belief is not None
+    prior = sum(
+        np.exp(part.log_weight - ((LOG_FOCALS - part.log_focal) / part.std) ** 2 / 2) / part.std
+        for part in (belief.usual, belief.tail)
+    )
+
+    def gain(sharpness: float, chance: float) -> float:
+        gains = []
+        for true, scores, count in images.values():
+            lines = calibrated(scores, count, sharpness, chance)
+            evidence = np.log((np.exp(lines) * prior).sum() / prior.sum())
+            gains.append(np.interp(true, LOG_FOCALS, lines) - evidence)
+        return float(np.mean(gains)) if gains else 0.0
+
+    best = max(((s, c) for s in _SHARPNESSES for c in _CHANCES), key=lambda both: gain(*both))
+    return {"sharpness": best[0], "chance": best[1], "gain": round(gain(*best), 3)}
 
 
 def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:

@@ -9,6 +9,8 @@ never on both sides. Kinds:
   folder that their images are relative to.
 - `pasted`: the same, of which image 2 keeps a part and has other surroundings: two places that have
   it alike, and no pose in common.
+- `zoomed`: the same as `list`, of which both images are zoomed in, as by a longer lens; of every
+  fourth pair image 2 alone is, as by a zoom that no file states.
 - `unrelated`: two photographs of different places; the names of such a list alone.
 - `rendered`: `path` is a folder of photographs as textures.
 - `planes`: the same, of planes with a relief, whose homographies have two poses.
@@ -25,7 +27,7 @@ from dgc_pose.files.json_files import read_json
 from dgc_pose.system.options import check_options, option
 
 Part = Literal["fit", "report"]
-EntryKind = Literal["list", "pasted", "unrelated", "rendered", "planes", "textureless"]
+EntryKind = Literal["list", "pasted", "zoomed", "unrelated", "rendered", "planes", "textureless"]
 DEFAULT_PLAN = Path(__file__).with_name("plan.json")
 
 

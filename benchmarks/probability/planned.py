@@ -29,6 +29,7 @@ BlankKind = Literal["gradient", "noise", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
 Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
 ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
+_LONGER, _ZOOM, _ZOOM_EACH = (1.4, 3.0), (1.1, 1.6), 4  # factors of f; and one pair in so many
 _SCALE, _BORDER, _GAMMA = 1.5, 0.1, 1.8  # the border over the longer side
 _TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # of the axes of an image turned clockwise
 PLANE_SIZE = 640  # pixels a side of a view
@@ -56,11 +57,14 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     folder, listed = data / entry.path, lists / f"{entry.name}.txt.gz"
     scenes = entry.pairs * [entry.name]
     make: Callable[[int], PosedPair]  # of a pair by its number
-    if entry.kind in ("list", "pasted"):
+    if entry.kind in ("list", "pasted", "zoomed"):
         pairs = read_pairs(listed, folder)
         require_images(pairs)
         of_list = ListedPairs(pairs)
-        make = of_list.pair if entry.kind == "list" else partial(_pasted, of_list, entry.seed)
+        make = of_list.pair
+        if entry.kind != "list":
+            of_kind = _pasted if entry.kind == "pasted" else _zoomed
+            make = partial(of_kind, of_list, entry.seed)
         scenes = [Path(p.name1).parts[0] if entry.scene_by_folder else entry.name for p in pairs]
     elif entry.kind == "unrelated":
         with gzip.open(listed, "rt", encoding="utf-8") as lines:
@@ -129,6 +133,27 @@ def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
     pasted = mask * pixels + (1 - mask) * other[:height, :width]
     image2 = replace(pair.image2, pixels=pasted.round().astype(np.uint8))
     return PosedPair(replace(pair.truth, R=None, t=None), pair.image1, image2)
+
+
+def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
+    """A pair of longer lenses, or of a zoom between the images: their middles, enlarged."""
+    rng, pair = np.random.default_rng([seed, number]), listed.pair(number)
+    factors = np.full(2, np.exp(rng.uniform(*np.log(_LONGER))))
+    if number % _ZOOM_EACH == 0:
+        factors = np.array([1.0, rng.uniform(*_ZOOM)])
+    images, cameras = [], []
+    for image, camera, factor in zip(
+        (pair.image1, pair.image2), (pair.truth.camera1, pair.truth.camera2), factors, strict=True
+    ):
+        width, height = image.size
+        part = round(width / factor), round(height / factor)
+        left, top = (width - part[0]) // 2, (height - part[1]) // 2
+        pixels = image.pixels[top : top + part[1], left : left + part[0]]
+        K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
+        images.append(replace(image, pixels=resize(np.ascontiguousarray(pixels), image.size)))
+        cameras.append(replace(camera, K=K, size=part).resized(image.size))
+    truth = replace(pair.truth, camera1=cameras[0], camera2=cameras[1])
+    return PosedPair(truth, images[0], images[1])
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:

@@ -16,6 +16,7 @@ from dgc_pose.benchmarks.posed_pairs import Truth
 from dgc_pose.benchmarks.probability.collection import StoredPair
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.lines import calibrated
 from dgc_pose.cameras.prior import auto_camera, by_lines
 from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.candidates import candidates
@@ -126,12 +127,13 @@ def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
     assert camera1.size is not None and camera2.size is not None
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
     # The same half whatever else is estimated
+    alike = alike or pair.entry.kind == "zoomed"  # as their sizes say
     identity = "both" if alike and zlib.crc32(f"2 {pair.name}".encode()) % 2 == 0 else None
     assumed = [
         replace(auto_camera(Header("", size)), identity=identity)
         for size in (camera1.size, camera2.size)
     ]
-    first, second = by_lines(assumed, pair.lines)
+    first, second = by_lines(assumed, [calibrated(*scores) for scores in pair.scores])
     return first, second
 
 

@@ -11,7 +11,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
-from dgc_pose.benchmarks.probability.fitting import fit_focal_error, fit_model, fit_same_place
+from dgc_pose.benchmarks.probability.fitting import (
+    fit_focal_error,
+    fit_lines,
+    fit_model,
+    fit_same_place,
+)
 from dgc_pose.benchmarks.probability.plan import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
@@ -139,8 +144,10 @@ def fit_all(
     """
     engines: dict[str, Any] = {}
     by_kind: dict[MatchKind, list[Record]] = {}
+    lines = ""
     for method in methods:
         engine = read_engine(out, method)
+        lines = f"lines of the images: {fit_lines(read_collection(out, method, entries))}"
         kinds = _by_kind(list(records(read_collection(out, method, entries), options)))
         if kinds.keys() - by_kind.keys():  # of several networks the first
             engines[method] = engine
@@ -176,7 +183,7 @@ def fit_all(
     curves = {str(kind): reliability(rows) for kind, rows in reported.items()}
     draw_reliability(axes, curves, right="within 10 degrees")
     axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    return text, "\n\n\n".join(parts), figure
+    return text, "\n\n\n".join([*parts, lines]), figure
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:

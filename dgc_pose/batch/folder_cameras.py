@@ -18,7 +18,7 @@ from dgc_pose.batch.pooling import PooledCamera, by_image, centre_moved, fit_of,
 from dgc_pose.batch.poses import Poses, epipolar_error_px
 from dgc_pose.batch.rows import MatchedPair, PairRow
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.prior import SHARED, SIZE_STD
+from dgc_pose.cameras.prior import OTHER_STD, SHARED
 from dgc_pose.estimation.camera_model import with_model
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.geometry.pixels import Size, same_shape
@@ -62,6 +62,8 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
     for i, one in enumerate(listed):
         others = [whose[name] for name in one.cameras if name in whose]
         why = f"the camera of {others[0]}, at its size" if others else one.why
+        if not why and any(cameras[n].identity and not start[n].identity for n in one.cameras):
+            why = "most pairs of its size agree with a focal length of each photograph"
         listed[i] = replace(one, cameras={name: final[name] for name in one.cameras}, why=why)
     return listed
 
@@ -155,7 +157,7 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
     for name, names in groups.items():
         of_group = weights[names[0]]
         for model, weight in of_group.items():
-            if weight > sum(of_group.values()) / 2 and (model != "zoomed" or len(names) == 1):
+            if weight > sum(of_group.values()) / 2:
                 changed[name] = with_model(cameras[name], model)
     return changed
 
@@ -199,10 +201,10 @@ def _own(camera: Camera, *, doubted: bool) -> Camera:
     """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data state it
     and nothing contradicts them."""
     camera = replace(camera, identity=None)
-    if not doubted and camera.focal_source != "size" and camera.focal_std < SIZE_STD:
+    if not doubted and camera.focal_source == "exif" and camera.focal_std < OTHER_STD:
         return camera
     centre_std = _CENTRE_OF_PART * max(camera.size or (0,))
-    return replace(camera, focal_std=SIZE_STD, centre_std=centre_std)
+    return replace(camera, focal_std=OTHER_STD, centre_std=centre_std)
 
 
 def _agrees(camera: Camera, other: Camera) -> bool:

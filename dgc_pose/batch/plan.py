@@ -14,6 +14,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, InputError, shortened
 
 _VERSION = 8
+_BY_PHOTOGRAPHS = ("K", "focal_std", "focal_source")
 _RESUME = ArgumentName("resume")
 
 
@@ -130,5 +131,8 @@ def _facts(plan: Plan, names: Iterable[str], *, pairs: bool) -> dict[str, Any]:
     for name in names:
         camera = plan.cameras.get(name)
         data = {} if camera is None else camera_data(camera)
-        facts |= {f"of {name} the {key}": data[key] for key in data if key != "warnings"}
+        # What no K states is of the photographs, and the lines of one count for all of a camera.
+        open_ = data.get("focal_source") != "given"
+        left_out = {"warnings", *(_BY_PHOTOGRAPHS if open_ else ())}
+        facts |= {f"of {name} the {key}": data[key] for key in data if key not in left_out}
     return facts

@@ -55,7 +55,7 @@ class CameraFit:
 
 def fit_of(row: PairRow) -> tuple[Camera, Camera] | None:
     """The cameras that a pair with a pose fits by the assumed camera model."""
-    return row.fitted_cameras if row.success and row.camera_model == "assumed" else None
+    return row.fitted_cameras if row.success and row.camera_model in ("assumed", "tail") else None
 
 
 def is_known(camera: Camera) -> bool:
@@ -95,7 +95,7 @@ def pool(
     for names in dict.fromkeys(shared.values()):
         first = cameras[names[0]]
         prior = np.array(parameter_stds(first)) * ([1, first.focal, first.focal, 1, 1, 1])
-        cut = first.focal_source == "size" and is_of_part(first) and len(names) > 1
+        cut = first.focal_source in ("size", "lines") and is_of_part(first) and len(names) > 1
         if cut or len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # what is fitted

@@ -1,6 +1,7 @@
 """The source of a batch: photographs, their cameras and sizes, and the pairs if they are given."""
 
 import os
+from collections import defaultdict
 from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -11,16 +12,20 @@ import numpy as np
 from dgc_pose.cameras.by_image import Calibration, may_be_of, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database
+from dgc_pose.cameras.lines import log_likelihoods
 from dgc_pose.cameras.pair_list import read_pair_list
-from dgc_pose.errors import ArgumentName, ImageError, InputError
+from dgc_pose.cameras.prior import by_lines
+from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import Size, exif_turn
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.header import Header
-from dgc_pose.images.image import image_header, size_in_file
-from dgc_pose.images.mask import mask_file
+from dgc_pose.images.image import image_header, load_image, size_in_file
+from dgc_pose.images.mask import mask_file, masked
+from dgc_pose.system.threads import in_threads
 
 STORE = "batch.db"  # in the folder of a batch
 BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction
+_MOST_WITH_LINES = 16  # photographs of one camera whose lines are detected
 _DATABASES = (".db", ".sqlite", ".sqlite3")
 # Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
 FileState = tuple[int, ...]
@@ -138,7 +143,26 @@ def survey(
             unturned = replace(header, size=of_K, exif=replace(header.exif, orientation=1))
             camera = of_image.camera(source.root, name, unturned).turned_either_way(of_K)
         cameras[name] = replace(camera, size=header.size)
-    return cameras, bad, states
+    return _with_lines(source, cameras), bad, states
+
+
+def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Camera]:
+    """The cameras with what the lines of their photographs state, of some of each camera."""
+    groups = defaultdict[str, list[str]](list)
+    for name, camera in cameras.items():
+        if camera.belief is not None:
+            groups[camera.identity or name].append(name)
+    some = [n for names in groups.values() for n in names[:: -(-len(names) // _MOST_WITH_LINES)]]
+
+    def lines(name: str) -> np.ndarray | None:
+        with suppress(DgcPoseError):  # its pairs have the reason
+            image = load_image(source.root / name)
+            return log_likelihoods(masked(image, mask_file(source.masks, name)))
+        return None
+
+    found = dict(zip(some, in_threads(lines, some), strict=True))
+    with_lines = by_lines([*cameras.values()], [found.get(name) for name in cameras])
+    return dict(zip(cameras, with_lines, strict=True))
 
 
 def _size_of_common(calibration: Calibration, headers: Collection[Header]) -> Size | None:

@@ -179,6 +179,7 @@ def fitted_camera(
     camera = upright_camera(camera, image)
     return replace(
         camera,
+        size=image.size,
         focal_std=details.focal_std or camera.focal_std,
         centre_std=details.centre_std or camera.centre_std,
         lens_std=camera.lens_std if camera.distortion else details.lens_std or camera.lens_std,

@@ -69,14 +69,12 @@ def focal_scores(image: Image) -> tuple[np.ndarray, int]:
     cos, sin = np.cos(_ANGLES)[:, None], np.sin(_ANGLES)[:, None]
     for k, focal in enumerate(side * np.exp(LOG_FOCALS)):
         rays = points / (focal, focal, 1.0)
-        for ray, agreeing in zip(rays, of_first, strict=True):
-            across = np.linalg.svd(ray[None])[2][1:]
-            others = np.concatenate(
-                [cos * across[0] + sin * across[1], cos * across[1] - sin * across[0]]
-            )
-            of_others = _agreement(others * (focal, focal, 1.0), *lines)
-            best = np.maximum(of_others.reshape(2, len(_ANGLES), -1).max(0), agreeing) @ share
-            scores[k] = max(scores[k], float(best.max()))
+        across = np.linalg.svd(rays[:, None])[2][:, 1:, None]  # (P, 2, 1, 3)
+        second = cos * across[:, 0] + sin * across[:, 1]
+        third = cos * across[:, 1] - sin * across[:, 0]
+        others = np.stack([second, third]).reshape(-1, 3) * (focal, focal, 1.0)
+        of_others = _agreement(others, *lines).reshape(2, len(points), len(_ANGLES), -1).max(0)
+        scores[k] = float((np.maximum(of_others, of_first[:, None]) @ share).max())
     return scores, len(ends)
 
 

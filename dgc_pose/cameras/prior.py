@@ -40,8 +40,9 @@ _LONG_SHARE, _LONG_FOCAL, _LONG_STD = 0.15, 2.0, 0.7
 OTHER_STD = 0.55  # of all together, around `SIZE_FOCAL`
 _OTHER_SHARE = 0.03  # of files whose EXIF data are of another crop or lens
 _BY_LINES = 0.8  # of the deviation before, below which the lines determine the focal length
-# Deviations of the first radial coefficient of a lens: of photographs, and of action cameras.
-LENS_STD, _ACTION_LENS_STD = 0.1, 0.3
+# Deviations of the first radial coefficient of a lens: of photographs as cameras wrote them, of
+# action cameras, and of pictures without EXIF data, which have mostly been corrected.
+LENS_STD, _ACTION_LENS_STD, _SIZE_LENS_STD = 0.1, 0.3, 0.05
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 
@@ -124,13 +125,16 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
             f"the focal length of the EXIF data, {words}, is that of no camera with {width} x "
             f"{height} pixels: it is taken from the size"
         )
+    lens_std = LENS_STD if any(names) else _SIZE_LENS_STD
+    if _ACTION.search(f"{exif.make} {exif.model}"):
+        lens_std = _ACTION_LENS_STD
     return Camera(
         np.array([[focal / aspect, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]),
         image.size,
         warnings=tuple(warnings),
         focal_std=std,
         centre_std=mean * math.hypot(CENTRE_STD * max(square), margin / math.sqrt(12)),
-        lens_std=_ACTION_LENS_STD if _ACTION.search(f"{exif.make} {exif.model}") else LENS_STD,
+        lens_std=lens_std,
         focal_source=source,
         identity={"files": identity, "shared": SHARED, "two": None}[sharing],
         projection=image.projection,
@@ -146,30 +150,35 @@ def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camer
 
 
 def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> list[Camera]:
-    """Cameras whose belief has the lines of their images, those of one `identity` together.
+    """Cameras with the lines of their images, those of one `identity` together: by the likelier
+    part of their belief.
 
-    lines: (G,) of each, see `log_likelihoods`; None of a camera that stays as it is. EXIF data that
-    the lines contradict are not the camera's: there is a warning.
+    lines: (G,) of each image, see `log_likelihoods`; None where they are not known. A camera
+    without a belief stays. EXIF data that the lines contradict are of another camera: there is a
+    warning.
     """
+    keys = [camera.identity or number for number, camera in enumerate(cameras)]
     together = defaultdict[object, list[np.ndarray]](list)
-    for number, (camera, own) in enumerate(zip(cameras, lines, strict=True)):
-        if own is not None:
-            together[camera.identity or number].append(own)
+    for key, own in zip(keys, lines, strict=True):
+        if own is not None and own.any():
+            together[key].append(own)
     return [
-        camera if own is None else _by_lines(camera, own, together[camera.identity or number])
-        for number, (camera, own) in enumerate(zip(cameras, lines, strict=True))
+        _by_lines(camera, own, together[key]) if camera.belief and together[key] else camera
+        for key, camera, own in zip(keys, cameras, lines, strict=True)
     ]
 
 
-def _by_lines(camera: Camera, own: np.ndarray, lines: Sequence[np.ndarray]) -> Camera:
+def _by_lines(camera: Camera, own: np.ndarray | None, lines: Sequence[np.ndarray]) -> Camera:
     """The camera by the likelier part of its belief. own, lines: (G,) of its image, and of all
     images of the camera."""
-    if camera.belief is None or not any(each.any() for each in lines):
-        return camera
+    assert camera.belief is not None
     part, _ = camera.belief.parts(lines)
-    found = of_part(replace(camera, belief=replace(camera.belief, lines=own)), part)
-    before, exif = camera.belief.usual, camera.focal_source == "exif"
-    if exif and abs(part.log_focal - before.log_focal) > 3 * math.hypot(before.std, part.std):
+    found = of_part(camera, part)
+    if own is not None:
+        found = replace(found, belief=replace(camera.belief, lines=own))
+    before = camera.belief.usual
+    off = abs(part.log_focal - before.log_focal)
+    if camera.focal_source == "exif" and off > 3 * math.hypot(before.std, part.std):
         warning = (
             f"the lines of the image agree with f = {found.focal:.0f} px +- "
             f"{100 * part.std:.0f} %, and EXIF says {camera.focal:.0f}"
@@ -182,8 +191,9 @@ def _by_lines(camera: Camera, own: np.ndarray, lines: Sequence[np.ndarray]) -> C
 def of_part(camera: Camera, part: Part) -> Camera:
     """The camera with the focal length of a part of its belief."""
     assert camera.size is not None
-    focal = math.exp(part.log_focal) * max(camera.size)
-    return replace(camera.with_focal(focal), focal_std=part.std)
+    (width, height), (fx, fy) = camera.size, camera.K.diagonal()[:2].tolist()
+    along_y = math.exp(part.log_focal) * max(width * fy / fx, height)
+    return replace(camera.with_focal(camera.focal * along_y / fy), focal_std=part.std)
 
 
 def _exif_focal(exif: Exif, size: tuple[float, float]) -> tuple[float, float, float] | None:
@@ -221,7 +231,8 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
         return camera
     K, focals = camera.K.copy(), other.K.diagonal()[:2]
     K[[0, 1], [0, 1]] = focals if camera.size == other.size else focals[::-1]
-    return replace(camera, K=K, focal_std=other.focal_std, focal_source=other.focal_source)
+    focal = {"focal_std": other.focal_std, "focal_source": other.focal_source}
+    return replace(camera, K=K, belief=other.belief, **focal)
 
 
 def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:

@@ -49,7 +49,8 @@ SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
 _REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side
 _STEP = 0.23  # of ln f from each of them to the next
 _SHARE = 4  # a run at one of them has the iterations over this
-_MAX_STARTS = 3  # that are fitted
+_MAX_STARTS = 3  # that are fitted, on so many matches
+_FITTED = 1000
 LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
 MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
@@ -197,8 +198,9 @@ def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:
     starts = [start for start in _starts(joint, options) if start is not None]
     if not starts:
         return None
+    some = replace(joint, problem=draw(joint.problem, options.seed, _FITTED))
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
-    fits = in_threads(lambda start: joint.fitted(start, LIMITS[:-1]), best)
+    fits = in_threads(lambda start: some.fitted(start, LIMITS[:-1]), best)
     return joint.fitted(min(fits, key=joint.cost), LIMITS[-1:])
 
 

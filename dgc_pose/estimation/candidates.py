@@ -21,10 +21,11 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
-from dgc_pose.estimation.camera_model import CameraModel, likeliest_model
+from dgc_pose.estimation.camera_model import CameraModel
 from dgc_pose.estimation.evidence import map_agreement, measured
 from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
+from dgc_pose.estimation.model_comparison import likeliest_model
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.plane import (
     PLANAR_SHARE,
@@ -41,9 +42,9 @@ from dgc_pose.geometry.epipolar import homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.matches import Matches
 
-# Of the inliers, that another motion needs: of a plane's, see docs/experiments.md; and of others',
-# where the cameras are fitted.
-_MIN_SECOND_SHARE, _MIN_SECOND_SHARE_FITTED = 0.1, 0.3
+# Of the inliers, that another motion needs: of a plane's, see docs/experiments.md; of others' where
+# the cameras are fitted, and where they are known.
+_MIN_SECOND_SHARE_OF_PLANE, _MIN_SECOND_SHARE_FITTED, _MIN_SECOND_SHARE = 0.1, 0.3, 0.5
 LIKELY_SHARE = 0.75  # of the first one's inliers, at which another explains the matches as well
 _MIN_REFINED_SHARE = 0.3  # of the first one's inliers, in front of both cameras
 _MIN_LEFT = 20  # matches left over that are searched
@@ -120,10 +121,10 @@ def candidates(
     hypotheses = compared(problem, first, others, map_problem, options)
     hypotheses = ranked(hypotheses, None if logistic is None else logistic.choice)
 
-    best, second, still = hypotheses[0], None, None
-    if on_plane or fitted:
-        least = _MIN_SECOND_SHARE if on_plane else _MIN_SECOND_SHARE_FITTED
-        second = _second_motion(problem, best, options, least * best.num_inliers)
+    best, still = hypotheses[0], None
+    least = _MIN_SECOND_SHARE_FITTED if fitted else _MIN_SECOND_SHARE
+    least = _MIN_SECOND_SHARE_OF_PLANE if on_plane else least
+    second = _second_motion(problem, best, options, least * best.num_inliers)
     if fitted:
         of_inliers = np.isin(of_stated.index, problem.index[best.inliers])
         still = still_camera(of_stated.subset(of_inliers))

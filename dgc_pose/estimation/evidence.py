@@ -29,7 +29,7 @@ _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 # The cameras that the matches agree with: as assumed or stated; without K those of an unusual focal
 # length, of one for each image, of pixels that are not square, and so on; in place of a K those of
 # another focal length, of one for each image, of a lens, of another principal point, without the
-# lens, and with the principal point in the middle.
+# lens, with the principal point in the middle, and those of the other image.
 ModelName = Literal[
     "assumed",
     "tail",
@@ -44,6 +44,7 @@ ModelName = Literal[
     "centre",
     "unlensed",
     "middle",
+    "swapped",
 ]
 
 
@@ -84,7 +85,7 @@ class Evidence:
         still_ratio: Share of inliers that a camera explains which did not move, where the focal
             lengths are not known (`still_camera`); 0 if they are.
         num_second_inliers: Inliers of another motion among the matches left over, which chance does
-            not explain; 0 without. It is asked of a plane, and where the cameras are fitted.
+            not explain; 0 without.
         second_rotation_deg: Angle between the rotation of that motion and `rotation`.
         camera_model: The camera that the matches agree with, see `camera_model`.
         camera_agreement: Probability that the pose is within 10 degrees of that of the right

@@ -22,7 +22,11 @@ RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 5  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
-_DOUBTFUL = 0.8  # probability that both images show one place, below which it is a reason
+_FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))  # 2 % in place of 8 %
+DOUBTFUL = 0.8  # probability that both images show one place, below which it is a reason
+# A belief that is wrong of the focal length is so for all pairs of a camera, and what is fitted on
+# pairs is too sure: of log-odds, where the error of ln f at nine in ten, per cent, is the second.
+_OPEN_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
@@ -141,10 +145,12 @@ class SamePlace:
     intercept: float
 
     def probability(self, evidence: Evidence) -> float:
-        """1 if what surrounds the matches is not known."""
+        """1 if what surrounds the matches is not known. Of pairs as people give them fewer are of
+        two places than of those that it is fitted on."""
         if evidence.surroundings is None:
             return 1.0
-        return 1 / (1 + math.exp(-self.intercept - self.slope * evidence.surroundings))
+        log_odds = self.intercept + self.slope * evidence.surroundings + _FEWER_TWO_PLACES
+        return 1 / (1 + math.exp(-log_odds))
 
 
 @dataclass(frozen=True)
@@ -171,6 +177,7 @@ class ProbabilityModel:
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
+        total -= _OPEN_LOG_ODDS * _openness(evidence.raw_focal_90_percent)
         fitted = 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
         within = map(_within, self.errors_90_deg(evidence))
         return min(fitted, evidence.camera_agreement, *within)
@@ -184,7 +191,7 @@ class ProbabilityModel:
         }
         worst = sorted((name for name in costs if costs[name] > 0), key=lambda n: -costs[n])
         words = [FEATURES[name].words(evidence) for name in worst[:_MAX_REASONS]]
-        if self.same_place.probability(evidence) >= _DOUBTFUL:
+        if self.same_place.probability(evidence) >= DOUBTFUL:
             return words
         return [
             "what surrounds the matches is not alike in both images",
@@ -272,6 +279,12 @@ def _within(error_90_deg: float) -> float:
     """The probability that a normal error is at most `RIGHT_DEG`, by what it stays below nine times
     in ten."""
     return math.erf(NORMAL_90 * RIGHT_DEG / max(error_90_deg, 1e-9) / math.sqrt(2))
+
+
+def _openness(focal_90_percent: float | None) -> float:
+    """How far a belief decides on the focal length, and not the matches: 0 to 1."""
+    low, high = _OPEN_FOCAL_PERCENT
+    return (_log(focal_90_percent or low, low, high) - math.log(low)) / math.log(high / low)
 
 
 def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str, float]) -> float:

@@ -18,7 +18,7 @@ from dgc_pose.estimation.evidence import Evidence, measured
 from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
-from dgc_pose.estimation.probability import calibrated_focal_std
+from dgc_pose.estimation.probability import DOUBTFUL, calibrated_focal_std
 from dgc_pose.estimation.problem import TwoViewProblem, odd_extent
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import STATUSES
@@ -211,13 +211,15 @@ def _judged(
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
     rotation_alone, unusable = status == "rotation_only", status == "panorama"
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
-    if second := found.second:  # nothing shows whose motion is the camera's
+    if ambiguous and (second := found.second):  # nothing shows whose motion is the camera's
         poses = [replace(h, share=h.share / 2) for h in poses if not second.is_among([h])]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
     if probability is not None:
         poses = [replace(h, probability=same_place * probability * h.share) for h in poses]
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if has_t else ())
+    if has_t and same_place < DOUBTFUL:
+        warnings += ("what surrounds the matches is not alike in both images",)
     if alternatives and not ambiguous:
         count = len(alternatives)
         others = "1 other pose explains" if count == 1 else f"{count} other poses explain"

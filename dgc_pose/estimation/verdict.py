@@ -35,8 +35,6 @@ _MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more f
 # Raw error of R and of t, nine times in ten. Of normal errors with more,
 # less than half are within 10 degrees.
 _MAX_ERROR_DEG = 24.0
-# A prior of the focal length is wrong for all pairs of a camera alike: fitted ones ask for more.
-_FITTED_ODDS = 9.0
 # Error of a fitted focal length, at nine in ten, with which a plane has a pose: a prior may be as
 # sure, and the matches only seem to be.
 _MAX_FOCAL_PERCENT = 4.0
@@ -70,8 +68,7 @@ def judge(
     probability: that a right pose is among those that explain the matches. against: what speaks
     against it, in words. shares: the probabilities of these poses if one is right, the likeliest
     first; () for a single one. same_place: the probability that both images show one place, which
-    the others take for granted. Where focal lengths were fitted, the odds of `min_probability`
-    count `_FITTED_ODDS` times.
+    the others take for granted.
     """
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
@@ -81,14 +78,9 @@ def judge(
     impossible = _random(evidence) or _panorama(evidence) or undetermined or _behind(evidence)
     if impossible is not None:
         return by_chance(evidence) or impossible
-    needed = min_probability  # if both images show one place
-    if evidence.raw_focal_90_percent is not None:
-        odds = _FITTED_ODDS * min_probability
-        needed = odds / (odds + 1 - min_probability)
     share = shares[0] if shares else 1.0
-    of_one_place = share * probability
-    whole = same_place * of_one_place
-    if probability >= needed:
+    whole = same_place * share * probability
+    if probability >= min_probability:
         if moved := _moved_plane(evidence):
             return moved
         if share < MIN_SHARE:
@@ -97,11 +89,11 @@ def judge(
             listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
             reason = f"{count} poses explain the matches, with probabilities of {listed}"
             return Verdict("ambiguous", reason)
-        if of_one_place >= needed and whole >= min_probability:
+        if whole >= min_probability:
             return _pose(evidence)
     failed = None
-    if of_one_place < needed:  # else it is of two places alone
-        failed, min_probability = by_chance(evidence) or _implausible(evidence), needed
+    if share * probability < min_probability:  # else it is of two places alone
+        failed = by_chance(evidence) or _implausible(evidence)
     reason = (
         f"the pose is right with a probability of {percent_text(whole)}, and "
         f"{percent_text(min_probability)} is the least"

@@ -14,6 +14,7 @@ import numpy as np
 from dgc_pose.batch.pair_choice import similarity
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import image_camera
+from dgc_pose.cameras.prior import with_lines
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
@@ -98,7 +99,8 @@ class Locator:
         warnings = list[str]()
         if same and same[0] not in left_out:
             warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
-        camera = image_camera(K, image, "K", details or KDetails())
+        stated = image_camera(K, image, "K", details or KDetails())
+        (camera,) = with_lines([stated], [image])
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
         self.describe()

@@ -142,7 +142,7 @@ def _binary_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
 def _text_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
     """The same from an images.txt: two lines an image, the second of its points."""
     images: dict[str, tuple[int, np.ndarray]] = {}
-    lines = iter(data.decode().splitlines())
+    lines = iter(data.decode("utf-8-sig").splitlines())
     for line in lines:
         words = line.split(maxsplit=9)
         if words and not words[0].startswith("#"):

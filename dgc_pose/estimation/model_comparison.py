@@ -1,0 +1,312 @@
+"""Which cameras the matches agree with.
+
+The evidence of a model is the likelihood of the errors in the image with all parameters integrated
+out, by the normal distribution around their fit (Laplace; MacKay 1992), so that models of any
+number of parameters can be compared. A model that is far less likely by the slopes at the fit of
+the assumed cameras is not fitted itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.camera_fit import (
+    MOST_ERROR,
+    JointFit,
+    JointPose,
+    of_focals,
+    solved_start,
+    start_at,
+)
+from dgc_pose.estimation.camera_model import OF_STATED, WIDE, CameraModel, other_models
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
+from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
+from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
+from dgc_pose.estimation.problem import TwoViewProblem, image_size
+from dgc_pose.estimation.robust_fit import draw, run_seeds
+from dgc_pose.geometry.triangulation import unit_rays
+from dgc_pose.matches import Matches
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from dgc_pose.system.threads import in_threads
+
+_SAMPLED, _MOST_WEIGHT = 500, 6.0  # matches, and how many others each stands for at most
+_ITERATIONS = 120  # of a RANSAC run at most
+# Of the errors of the rounds of a fit, thresholds: from a start, and from a fit.
+_OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
+_FIT_ITERATIONS = 12  # of a round
+_MIN_SHOWN = 0.02  # probability of a model that the expected errors contain
+_MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kept
+# Of the cost, that the inliers of the assumed cameras may cost more; unless there are so many times
+# as many inliers.
+_AS_WELL, _MORE = 1.0, 1.2
+_EXPLAINED = 0.8  # share of the sample below the threshold, with which nothing far is searched
+_HOPELESS = 6.0  # log-odds below the assumed cameras, by the slopes, of a model that is not fitted
+_UNUSUAL = 2.0  # squares of the parameters of assumed cameras that two may explain
+_WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
+_LEAST_SPREAD_DEG = 1.0  # standard deviation of the pose of a model
+# By how many standard deviations the parameters that K states must be off, and the variance of
+# each over that before the matches.
+_LEAST_STDS, _DETERMINED = 3.5, 0.25
+_OPEN_STD = 0.1  # of ln f, below which the matches determine it whatever was believed
+# The parameters of both cameras that K states in another way.
+_TESTED = {
+    "focal": FOCALS,
+    "focals": FOCALS,
+    "lens": [3, SIZE + 3],
+    "centre": [1, 2, SIZE + 1, SIZE + 2],
+}
+_STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f that are tried
+_ALL = IntrinsicsPrior(np.eye(2 * SIZE))
+
+
+def likeliest_model(
+    problem: TwoViewProblem,
+    matches: Matches,
+    stated: tuple[Camera, Camera],
+    pose: JointPose,
+    options: EstimationOptions,
+) -> CameraModel:
+    """The most probable model.
+
+    problem: of the matches, normalised by the cameras as stated. pose: fitted with these.
+    """
+    drawn = matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
+    pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
+    weight = min(max(len(problem) / max(len(drawn), 1), 1.0), _MOST_WEIGHT)
+    fast = replace(options, iterations=_ITERATIONS)
+    sample = _Sample.of(drawn, pixels, weight, fast, stated, pose)
+    assumed = sample.valued(CameraModel("assumed", stated), pose)
+    if not math.isfinite(assumed.log_evidence):
+        return replace(assumed, pose=pose)
+    others = [model for model in other_models(stated) if not sample.excludes(model, assumed)]
+    fits = in_threads(lambda model: sample.fitted(model, pose, assumed), others)
+    models = [assumed, *fits]
+    shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
+    best, share = max(zip(models, shares, strict=True), key=lambda item: item[1])
+    if shares[0] > _MIN_SHARE or (best.name in OF_STATED and best.stds < _LEAST_STDS):
+        best = assumed
+    assert best.pose is not None  # of a finite evidence
+    covariance, agreement = np.zeros((6, 6)), 0.0
+    for share, model in zip(shares, models, strict=True):
+        if model is best or model.pose is None:
+            agreement += share
+            continue
+        R, t = model.pose.R, model.pose.t
+        angle = max(rotation_error_deg(R, best.pose.R), translation_error_deg(t, best.pose.t))
+        own = math.degrees(math.sqrt(max(np.linalg.eigvalsh(model.covariance)[-1], 0.0)))
+        spread = min(max(own, _LEAST_SPREAD_DEG), RIGHT_DEG)
+        right = 0.5 * math.erfc((angle - RIGHT_DEG) / spread / math.sqrt(2))
+        agreement += share * right
+        if share * right >= _MIN_SHOWN:
+            rotation = cv2.Rodrigues(R @ best.pose.R.T)[0][:, 0]
+            difference = np.concatenate([rotation, t - best.pose.t])
+            covariance += share * right * (np.outer(difference, difference) + model.covariance)
+    return replace(best, pose_covariance=covariance, agreement=min(agreement, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Sample:
+    """Some of the matches, and their errors with the assumed cameras."""
+
+    matches: Matches
+    pixels: float  # the threshold
+    weight: float  # of each, as there are others
+    options: EstimationOptions  # of RANSAC
+    joint: JointFit  # of the assumed cameras
+    error: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (N,), as of `errors`
+    width: float = 1.0  # of the losses
+    # Hessian (17, 17) and gradient (17,) at the assumed fit by the pose and by all parameters of
+    # both cameras; the axes (3, 2) of t.
+    slopes: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    @classmethod
+    def of(
+        cls,
+        matches: Matches,
+        pixels: float,
+        weight: float,
+        options: EstimationOptions,
+        stated: tuple[Camera, Camera],
+        pose: JointPose,
+    ) -> _Sample:
+        """The sample with the errors of the pose of the assumed cameras."""
+        joint = JointFit(TwoViewProblem.of(matches, *stated, options), stated)
+        sample = cls(matches, pixels, weight, options, joint)
+        error = sample.errors(joint, pose)
+        near = error[error < 1]
+        width = loss_width(near, 1.0) if len(near) else 1.0
+        hessian, gradient, tangent = joint.slopes(pose, width * joint.problem.threshold, _ALL)
+        slopes = weight * hessian, weight * gradient, tangent
+        return replace(sample, error=error, width=width, slopes=slopes)
+
+    def errors(self, joint: JointFit, pose: JointPose) -> np.ndarray:
+        """Errors in the image of all matches (N,), thresholds, cut off."""
+        error = np.full(len(self.matches), MOST_ERROR)  # also where a distortion cannot be undone
+        error[joint.problem.index] = joint.errors_px(pose) / self.pixels
+        return np.minimum(error, MOST_ERROR)
+
+    @property
+    def is_explained(self) -> bool:
+        """Whether the assumed cameras explain the matches so well that others are near them."""
+        return bool((self.error < 1).mean() > _EXPLAINED)
+
+    def excludes(self, model: CameraModel, assumed: CameraModel) -> bool:
+        """Whether a model is no other one, or too far away."""
+        if model.name == "tail":
+            return assumed.focal_std < _OPEN_STD
+        return model.name in WIDE and self.is_explained
+
+    def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
+        """The model with the likeliest of its fits, or as the slopes at the pose of the assumed
+        cameras have it, if that is hopeless."""
+        near_assumed = all(
+            np.array_equal(own.K, other.K) and own.distortion == other.distortion
+            for own, other in zip(model.cameras, assumed.cameras, strict=True)
+        )
+        joint = JointFit(
+            TwoViewProblem.of(self.matches, *model.cameras, self.options), model.cameras
+        )
+        # The focal length of one camera is unusual where there are two.
+        odd = model.name == "two" and float(pose.z @ pose.z) > _UNUSUAL
+        searches = odd or not self.is_explained
+        z, start = np.zeros(len(joint.prior)), pose
+        if near_assumed:
+            z = np.linalg.lstsq(joint.prior.basis, self.joint.parameters(pose), rcond=None)[0]
+            by_slopes = self._along_slopes(model, joint.prior, replace(pose, z=z))
+            odds = by_slopes.log_evidence + model.log_odds - assumed.log_evidence
+            if odds < -_HOPELESS and not searches:
+                return by_slopes
+            searches = searches or odds > 0
+        else:  # the middles of the images stay where they are
+            searches = searches or model.name != "two"
+            before, after = (_to_middles(cameras) for cameras in (assumed.cameras, model.cameras))
+            turn1, turn2 = (a @ b.T for a, b in zip(after, before, strict=True))
+            start = replace(pose, R=turn2 @ pose.R @ turn1.T, t=turn2 @ pose.t)
+        starts = _starts(model, self.joint.parameters(pose)) if searches else []
+        seeds = run_seeds(replace(self.options, runs=1 + len(starts)))
+        rough, best = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE, None
+        runs = [
+            start_at(joint, at, self.options, seed)
+            for at, seed in zip(starts, seeds[:-1], strict=True)
+        ]
+        if searches and model.name in ("two", "focal", "focals"):
+            runs.append(solved_start(joint, self.options, seeds[-1]))
+        for run in runs:
+            loss = math.inf
+            if run is not None:
+                loss = float(cauchy_losses(self.errors(joint, run), 1.0).sum())
+            if loss < rough:
+                rough, best = loss, run
+        fits = [] if best is None else [joint.fitted(best, _OF_START, _FIT_ITERATIONS)]
+        if model.name not in WIDE:
+            limits = _OF_FIT if near_assumed else _OF_START
+            fits.append(joint.fitted(replace(start, z=z), limits, _FIT_ITERATIONS))
+        valued = [self.valued(model, fit, joint) for fit in fits]
+        return max([model, *valued], key=lambda each: each.log_evidence)
+
+    def valued(
+        self, model: CameraModel, pose: JointPose, joint: JointFit | None = None
+    ) -> CameraModel:
+        """The model with a pose and its evidence; without one if the inliers of the assumed cameras
+        are not explained as well, as they are by what is likelier, unless far more others are."""
+        joint = joint or self.joint
+        error = self.errors(joint, pose)
+        losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
+        near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
+        if losses[near].sum() > before[near].sum() + _AS_WELL and not has_more:
+            return model
+        width = self.width * joint.problem.threshold
+        hessian, _, tangent = joint.slopes(pose, width, joint.prior)
+        loss = self.weight * float(losses.sum())
+        return _with_evidence(model, joint.prior, pose, loss, self.weight * hessian, tangent)
+
+    def _along_slopes(
+        self, model: CameraModel, prior: IntrinsicsPrior, pose: JointPose
+    ) -> CameraModel:
+        """The model at the minimum of the quadratic function that the slopes determine."""
+        assert self.slopes is not None
+        hessian, gradient, tangent = self.slopes
+        basis = np.zeros((len(gradient), 5 + len(prior)))
+        basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis
+        hessian, gradient = basis.T @ hessian @ basis, basis.T @ gradient
+        of_prior = np.diag([*np.zeros(5), *np.ones(len(prior))])
+        gradient[5:] += pose.z
+        step = -np.linalg.lstsq(hessian + of_prior, gradient, rcond=None)[0]
+        R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
+        moved = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
+        cost = self.weight * float(cauchy_losses(self.error, self.width).sum())
+        cost += float(pose.z @ pose.z + gradient @ step - moved.z @ moved.z) / 2
+        return _with_evidence(model, prior, moved, cost, hessian, tangent)
+
+
+def _to_middles(cameras: tuple[Camera, Camera]) -> list[np.ndarray]:
+    """For each camera the rotation (3, 3) of the optical axis to the ray of the image's middle."""
+    rotations = []
+    for camera in cameras:
+        middle = (np.array(image_size(camera)) - 1) / 2
+        ray = unit_rays(camera.normalise(middle[None]))[0]
+        axis = np.array([-ray[1], ray[0], 0.0])  # the angle is small
+        rotations.append(cv2.Rodrigues(axis)[0])
+    return rotations
+
+
+def _with_evidence(
+    model: CameraModel,
+    prior: IntrinsicsPrior,
+    pose: JointPose,
+    loss: float,
+    hessian: np.ndarray,
+    tangent: np.ndarray,
+) -> CameraModel:
+    """The model with a fit. loss: of the matches; hessian (5 + M, 5 + M): of that."""
+    total = hessian + np.diag([*np.zeros(5), *np.ones(len(pose.z))])
+    sign, log_determinant = np.linalg.slogdet(total)
+    if sign <= 0:
+        return model
+    inverse, expand = np.linalg.inv(total), np.zeros((6, 5))
+    expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
+    evidence = -loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2
+    of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
+    variances, before = of_cameras.diagonal(), (prior.basis**2).sum(1)
+    off = math.inf
+    if rows := _TESTED.get(model.name):
+        stds = np.abs(prior.basis @ pose.z)[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
+        determined = variances[rows] < _DETERMINED * before[rows]
+        off = float(stds[determined].max(initial=0.0))
+        if rows == FOCALS and not determined.all():
+            off = 0.0
+    return replace(
+        model,
+        pose=pose,
+        log_evidence=evidence,
+        covariance=expand @ inverse[:5, :5] @ expand.T,
+        stds=off,
+        focal_std=float(np.sqrt(variances[FOCALS].max())),
+    )
+
+
+def _starts(model: CameraModel, at: np.ndarray) -> list[np.ndarray]:
+    """Parameters (2 * SIZE,) of the model's cameras that RANSAC is run at. at: (2 * SIZE,) of the
+    assumed cameras."""
+    focals = at[FOCALS]
+    stds = np.array([camera.focal_std for camera in model.cameras])
+    if model.name in WIDE:
+        return [of_focals(k * stds) for k in _STEPS]
+    if model.name == "tail":
+        return [of_focals(k * stds) for k in (-1.0, 0.0, 1.0)]
+    if model.name == "squeezed":
+        aspects = np.array([camera.aspect_std for camera in model.cameras])
+        return [
+            of_focals(focals + fewer * np.abs(k * aspects), k * aspects)
+            for k in (-2.0, -1.0, 1.0, 2.0)
+            for fewer in (0.0, -0.5)
+        ]
+    if model.name in ("two", "focals"):
+        return [of_focals(np.array([-k, k])) for k in (-0.35, -0.18, 0.18, 0.35)]
+    return [np.zeros(2 * SIZE)] if model.name in ("unlensed", "middle", "swapped") else []
