@@ -30,7 +30,6 @@ GOOD_EVIDENCE = Evidence(
     raw_rotation_90_deg=0.5,
     raw_translation_90_deg=1.0,
     raw_focal_90_percent=None,
-    focal_check=None,
     residual=0.2,
     threshold_cells=0.05,
     confidence=0.95,

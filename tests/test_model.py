@@ -179,7 +179,7 @@ def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path)
     model.require_addable(tmp_path / "out", [first])
 
 
-@pytest.mark.parametrize("name", ["cameras", "points3D"])
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D"])
 def test_a_text_of_colmap_may_have_a_byte_order_mark(
     name: str, images: Path, tmp_path: Path
 ) -> None:

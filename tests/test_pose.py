@@ -139,7 +139,8 @@ def test_a_mask_is_turned_and_mirrored_with_its_image(
     monkeypatch.setattr(NetworkMatcher, "match", match)
     path = tmp_path / "a.png"
     estimate_relative_pose(path, path, mask2=used)
-    upright, mirrored = matched
+    *_, upright, mirrored = matched  # coarse, full and mirrored
+    assert len(matched) == 3
     assert upright.mask is not None and mirrored.mask is not None
     np.testing.assert_array_equal(upright.mask, np.rot90(used, -1))
     expected = np.rot90(pixels, -1)[upright.mask]
@@ -223,7 +224,7 @@ def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, 
         if prior.focal_std == 0:
             np.testing.assert_array_equal(camera.K, dense_scene.K)
             continue
-        assert abs(prior.focal / truth - 1) > 0.15
+        assert prior.focal_std > 0.2 and prior.focal_source in ("size", "lines")
         error = abs(camera.focal / truth - 1)
         assert error < 0.01 and error < 2 * camera.focal_std < 0.2
         assert camera.focal_source == "matches"

@@ -23,7 +23,9 @@ from dgc_pose import (
     solve_pair,
 )
 from dgc_pose.cameras.camera import TwoViews
+from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
+from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
 from dgc_pose.matches import Matches
@@ -86,16 +88,23 @@ def _with(monkeypatch: pytest.MonkeyPatch, *answers: Mapping[str, Any]) -> list[
     return estimated
 
 
-# Inliers that do not agree closely, as of a scene that is nearly its mirror image.
-LOOSELY = {"evidence": replace(GOOD_EVIDENCE, residual=0.2)}
-
-
 def _doubt(probability: float | None, others: float = 0.0) -> dict[str, Any]:
     if probability is None:
-        return {"probability": None, "any_probability": None} | LOOSELY
+        return {"probability": None, "any_probability": None}
     total = probability + others
     values = {"probability": probability, "any_probability": total}
-    return values | {"hypotheses": (_of_share(probability / total),)} | LOOSELY
+    return values | {"hypotheses": (_of_share(probability / total),)}
+
+
+def _refused(probability: float, **evidence: Any) -> dict[str, Any]:
+    """A pair without a pose, with a hypothesis that is right with so much."""
+    return _doubt(probability) | {
+        "status": "improbable",
+        "R": None,
+        "t": None,
+        "covariance": None,
+        "evidence": replace(GOOD_EVIDENCE, **evidence),
+    }
 
 
 def _of_share(share: float) -> Hypothesis:
@@ -110,35 +119,50 @@ CERTAIN: dict[str, Any] = {
 }
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
-SEARCHED = ["mirrored", "guided"]
+OTHER_CAMERAS, TAIL = (
+    CERTAIN | {"evidence": replace(GOOD_EVIDENCE, **values)}
+    for values in ({"camera_agreement": 0.98}, {"camera_model": "tail"})
+)
+AMBIGUOUS = _doubt(0.0, 0.9) | {"status": "ambiguous"}
 
 
 @pytest.mark.parametrize(
     ("effort", "answers", "steps"),
     [
         ("auto", [CERTAIN], ["coarse"]),
-        ("auto", [CERTAIN | LOOSELY], ["coarse", "mirrored"]),
-        ("fast", [CERTAIN | _doubt(0.96)], ["coarse", "mirrored"]),
-        ("fast", [CERTAIN | {"any_probability": 0.89}], ["coarse", "mirrored"]),
-        ("fast", [CERTAIN | {"any_probability": 0.91}], ["coarse"]),
+        ("fast", [CERTAIN | _doubt(0.96)], ["coarse"]),
+        ("fast", [CERTAIN | {"any_probability": 0.89}], ["coarse"]),
         ("auto", [_doubt(0.9), CERTAIN], ["coarse", "full"]),
         ("auto", [LOOSE], ["coarse", "refine"]),  # certain, but not accurate
         ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["coarse", "refine", "full"]),
-        ("auto", [LOOSER], ["coarse", "refine", *SEARCHED[1:]]),
-        ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare the mirror image with
-        ("auto", [_doubt(0.5)], ["coarse", "full", *SEARCHED]),
-        ("auto", [_doubt(0.0, 0.9)], ["coarse", "full", *SEARCHED]),  # an ambiguous pair
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", *SEARCHED[1:]]),
+        ("auto", [LOOSER], ["coarse", "refine", "guided"]),
+        ("auto", [OTHER_CAMERAS], ["coarse", "refine"]),  # few matches tell cameras apart less
+        ("auto", [TAIL], ["coarse", "refine"]),
+        ("fast", [OTHER_CAMERAS], ["coarse"]),
+        ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare with
+        ("auto", [_doubt(0.5)], ["coarse", "full", "guided"]),  # a pose is of no mirror image
+        ("auto", [_refused(0.4)], ["coarse", "full", "guided", "mirrored"]),
+        ("auto", [_refused(0.4), CERTAIN], ["coarse", "full"]),
+        ("auto", [_refused(0.4), _refused(0.4), CERTAIN], ["coarse", "full", "guided"]),
+        ("auto", [_refused(0.4, camera_model="two")], ["coarse", "full", "guided", "mirrored"]),
+        # The camera is what is wrong.
+        *(
+            ("auto", [_refused(0.4, camera_model=name)], ["coarse", "full", "guided"])
+            for name in OF_STATED
+        ),
+        ("auto", [AMBIGUOUS], ["coarse", "full", "guided", "mirrored"]),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided"]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
-        ("auto", [_doubt(0.8)], ["coarse", "full", *SEARCHED]),
-        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", *SEARCHED]),  # one of two is right
-        ("auto", [_doubt(0.96, 0.035)], ["coarse", "mirrored"]),
-        ("auto", [_doubt(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
-        ("fast", [_doubt(0.5)], ["coarse", "mirrored"]),
+        ("auto", [_doubt(0.8)], ["coarse", "full", "guided"]),
+        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", "guided"]),  # one of two is right
+        ("auto", [_doubt(0.96, 0.035)], ["coarse"]),
+        ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
+        ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
+        ("fast", [_doubt(0.5)], ["coarse"]),
         ("fast", [LOOSE], ["coarse"]),
         ("thorough", [CERTAIN], ["full"]),
-        ("thorough", [LOOSE, CERTAIN], ["full", *SEARCHED[1:]]),
-        ("thorough", [_doubt(0.5)], ["full", *SEARCHED]),
+        ("thorough", [LOOSE, CERTAIN], ["full", "guided"]),
+        ("thorough", [_refused(0.4)], ["full", "guided", "mirrored"]),
     ],
 )
 def test_steps_are_done_as_long_as_they_may_change_the_answer(
@@ -167,40 +191,99 @@ def test_a_coarse_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("uncertain", [1, 2])
-def test_focal_lengths_that_are_not_known_need_all_the_matches(
+def test_cameras_that_are_not_exact_have_all_steps(
     monkeypatch: pytest.MonkeyPatch, uncertain: int
 ) -> None:
-    _with(monkeypatch, _doubt(0.5))
-    first, second = (replace(EXACT, focal_std=0.02 * (n == uncertain)) for n in (1, 2))
+    """The lines of the guided matches are of the cameras as fitted so far."""
+    _with(monkeypatch, _refused(0.4))
+    first, second = (replace(EXACT, focal_std=0.05 * (n == uncertain)) for n in (1, 2))
     matcher = _Steps()
     solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
-    assert matcher.steps == ["full", "mirrored"]
+    assert matcher.steps == ["coarse", "full", "guided", "mirrored"]
+    assert matcher.views
+    for views in matcher.views:
+        cameras = views.camera1, views.camera2
+        fitted, exact = cameras[uncertain - 1], cameras[2 - uncertain]
+        assert exact is (first, second)[2 - uncertain]
+        assert fitted.focal_source == "matches" and fitted.focal_std < 0.05
+        assert abs(fitted.focal / EXACT.focal - 1) < 3 * fitted.focal_std
+    _with(monkeypatch, CERTAIN | {"evidence": GOOD_EVIDENCE, "covariance": 1e-6 * np.eye(6)})
+    matcher = _Steps()
+    solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
+    assert matcher.steps == ["coarse"]
 
 
 @pytest.mark.parametrize(
     ("own", "answer", "status"),
     [
-        (_doubt(0.5), _doubt(0.91), "mirrored"),
-        (_doubt(0.5), _doubt(0.89), "ok"),
-        (_doubt(0.97), _doubt(0.98), "mirrored"),
-        (_doubt(0.98), _doubt(0.97), "ok"),
-        (_doubt(0.0, 0.98), _doubt(0.97), "ok"),  # two poses, one of which is right
-        (_doubt(0.5), _doubt(None), "ok"),
+        (_refused(0.4), _doubt(0.91), "mirrored"),
+        (_refused(0.4), _doubt(0.89), "improbable"),
+        (_refused(0.4) | {"any_probability": 0.97}, _doubt(0.98), "mirrored"),
+        (_refused(0.4) | {"any_probability": 0.98}, _doubt(0.97), "improbable"),
+        (_refused(0.4), _doubt(None), "improbable"),
+        (_refused(0.4), _refused(0.99), "improbable"),
     ],
 )
-def test_a_likely_pose_of_the_mirror_image_ends_the_search(
+def test_a_likely_pose_of_the_mirror_image_is_that_of_a_mirrored_one(
     monkeypatch: pytest.MonkeyPatch, own: Mapping[str, Any], answer: Mapping[str, Any], status: str
 ) -> None:
     """If it is more probable than that of the image as it is."""
-    estimated = _with(monkeypatch, own, own, answer)
+    estimated = _with(monkeypatch, own, own, own, answer)
     matcher = _Steps(of_mirror_image=True)
     result = solve_pair(*PICTURES, (EXACT, EXACT), matcher, OPTIONS)
-    steps, pose = ["coarse", "full", "mirrored"], result.pose
-    assert matcher.steps == (steps if status == "mirrored" else [*steps, "guided"])
+    pose = result.pose
+    assert matcher.steps == ["coarse", "full", "guided", "mirrored"]
     assert pose.status == status and len(pose.inliers) == len(result.matches)
+    assert result.matches is estimated[2]
     if status == "mirrored":
-        assert result.matches is estimated[1] and not pose.success and "mirror image" in pose.reason
+        assert not pose.success and "mirror image" in pose.reason
         assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
+
+
+LENSES = [
+    None,
+    Distortion("RADIAL", (-0.1, 0.02)),
+    Distortion("OPENCV", (-0.1, 0.02, 0.01, -0.02)),
+    Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize("upside_down", [False, True])
+@pytest.mark.parametrize("lens", LENSES)
+def test_the_camera_of_the_mirror_image_sees_the_mirrored_scene(
+    monkeypatch: pytest.MonkeyPatch, lens: Distortion | None, upside_down: bool
+) -> None:
+    """Left to right; or top to bottom, of a pose that is upside down."""
+    R = np.diag([-1.0, -1.0, 1.0]) if upside_down else np.eye(3)
+    hypothesis = replace(_of_share(1.0), R=R)
+    cameras: list[Camera] = []
+
+    def estimate(matches: Matches, *arguments: Any, **options: Any) -> RelativePose:
+        cameras.append(arguments[1])
+        pose = estimate_pose(matches, EXACT, EXACT, OPTIONS)
+        return replace(pose, **_refused(0.4) | {"hypotheses": (hypothesis,)})
+
+    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
+    width, height = dense_scene.SIZE
+    camera = Camera(np.array([[300.0, 0, 170], [0, 290, 110], [0, 0, 1]]), (width, height), lens)
+    options = replace(OPTIONS, effort="fast")
+    solve_pair(*PICTURES, (EXACT, camera), _Steps(of_mirror_image=True), options)
+    first, mirrored = cameras
+    assert first is camera and mirrored.size == (width, height)
+    rays = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 2))
+    flip = np.array([1, -1]) if upside_down else np.array([-1, 1])
+    offset = np.array([0, height - 1]) if upside_down else np.array([width - 1, 0])
+    np.testing.assert_allclose(
+        mirrored.project(flip * rays), offset + flip * camera.project(rays), atol=1e-6
+    )
+
+
+def test_a_lens_without_a_mirror_image_is_not_mirrored(monkeypatch: pytest.MonkeyPatch) -> None:
+    _with(monkeypatch, _refused(0.4))
+    lens = Distortion("THIN_PRISM_FISHEYE", (0.01,) * 8)
+    matcher = _Steps(of_mirror_image=True)
+    pose = solve_pair(*PICTURES, (EXACT, replace(EXACT, distortion=lens)), matcher, OPTIONS).pose
+    assert pose.status == "improbable" and matcher.steps[-1] == "mirrored"
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -215,16 +298,14 @@ def test_a_mirrored_photograph_is_recognised(axis: int) -> None:
     assert pose.status == "mirrored", pose
 
 
-def test_a_scene_that_is_nearly_its_mirror_image_has_the_pose_of_the_likelier_of_both() -> None:
-    """The bundled photographs: each way round they have a likely pose. Features are kept of the two
-    images alone."""
-    first, second = map(load_image, bundled_photographs())
-    mirrored = load_image(np.ascontiguousarray(second.pixels[:, ::-1]))
+def test_features_are_kept_of_the_two_images_and_not_of_the_mirror_image() -> None:
     cache = image_cache()
     matcher = load_matcher(cache=cache)
-    assert estimate_relative_pose(first, second, matcher=matcher).success
-    assert len({key[0] for key in cache._kept}) == 2
-    assert estimate_relative_pose(first, mirrored, matcher=matcher).status == "mirrored"
+    noise = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
+    for first, second in (map(load_image, bundled_photographs()), map(load_image, noise)):
+        cache._kept.clear()
+        estimate_relative_pose(first, second, matcher=matcher)
+        assert len({key[0] for key in cache._kept}) == 2
 
 
 @pytest.mark.parametrize("effort", ["fast", "auto"])

@@ -144,16 +144,15 @@ def fit_all(
     """
     engines: dict[str, Any] = {}
     by_kind: dict[MatchKind, list[Record]] = {}
-    lines = ""
     for method in methods:
         engine = read_engine(out, method)
-        lines = f"lines of the images: {fit_lines(read_collection(out, method, entries))}"
         kinds = _by_kind(list(records(read_collection(out, method, entries), options)))
         if kinds.keys() - by_kind.keys():  # of several networks the first
             engines[method] = engine
         by_kind = {**kinds, **by_kind}
     if not by_kind:
         raise InputError(f"{out}: no pose was found in any stored pair")
+    of_images = fit_lines(read_collection(out, methods[0], entries))
     focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
     data = {"format": FORMAT, "engine": engines, "focal_error": focal_error}
@@ -183,7 +182,7 @@ def fit_all(
     curves = {str(kind): reliability(rows) for kind, rows in reported.items()}
     draw_reliability(axes, curves, right="within 10 degrees")
     axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    return text, "\n\n\n".join([*parts, lines]), figure
+    return text, "\n\n\n".join([*parts, f"lines of the images: {of_images}"]), figure
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:

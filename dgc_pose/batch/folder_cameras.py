@@ -19,7 +19,7 @@ from dgc_pose.batch.poses import Poses, epipolar_error_px
 from dgc_pose.batch.rows import MatchedPair, PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import OTHER_STD, SHARED
-from dgc_pose.estimation.camera_model import with_model
+from dgc_pose.estimation.camera_model import OF_STATED, with_model
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.geometry.pixels import Size, same_shape
 
@@ -157,7 +157,7 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
     for name, names in groups.items():
         of_group = weights[names[0]]
         for model, weight in of_group.items():
-            if weight > sum(of_group.values()) / 2:
+            if weight > sum(of_group.values()) / 2 and model not in OF_STATED:
                 changed[name] = with_model(cameras[name], model)
     return changed
 

@@ -55,7 +55,7 @@ class CameraFit:
 
 def fit_of(row: PairRow) -> tuple[Camera, Camera] | None:
     """The cameras that a pair with a pose fits by the assumed camera model."""
-    return row.fitted_cameras if row.success and row.camera_model in ("assumed", "tail") else None
+    return row.fitted_cameras if row.success and row.camera_model == "assumed" else None
 
 
 def is_known(camera: Camera) -> bool:
@@ -179,7 +179,7 @@ def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) ->
     fitted."""
     moved = with_parameters(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
-        moved = replace(moved, focal_source="matches")
+        moved = replace(moved, focal_source="matches", belief=None)
     focal, *centre, lens, _, aspect = std.tolist()
     centre_std = float(np.sqrt(np.square(centre).mean())) or camera.centre_std
     return replace(moved, focal_std=focal, centre_std=centre_std, lens_std=lens, aspect_std=aspect)

@@ -21,7 +21,7 @@ from dgc_pose.images.folder import copies_of_others, left_out_line, search_image
 from dgc_pose.images.header import Header
 from dgc_pose.images.image import image_header, load_image, size_in_file
 from dgc_pose.images.mask import mask_file, masked
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.threads import in_threads, one_blas_thread
 
 STORE = "batch.db"  # in the folder of a batch
 BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction
@@ -146,6 +146,7 @@ def survey(
     return _with_lines(source, cameras), bad, states
 
 
+@one_blas_thread()
 def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Camera]:
     """The cameras with what the lines of their photographs state, of some of each camera."""
     groups = defaultdict[str, list[str]](list)

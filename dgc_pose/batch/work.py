@@ -11,7 +11,7 @@ from dgc_pose.batch.pooling import is_known
 from dgc_pose.batch.rows import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError, ImageError
-from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.estimation import EstimationOptions, estimate_pose, of_stated
 from dgc_pose.images.image import Image
 from dgc_pose.images.store import ImageStore
 from dgc_pose.matchers import MatcherOptions
@@ -92,6 +92,7 @@ class Worker:
             return MatchedPair(PairRow(*names, BAD_INPUT, reason, bad_images=bad))
         pair = cameras[names[0]], cameras[names[1]]
         solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
+        solved = replace(solved, pose=of_stated(solved.pose, pair))
         dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
         sample = None if dense is None or exact else dense.sample
         row = row_of(names, solved.pose, solved.matches.error_px)

@@ -18,7 +18,7 @@ from dgc_pose.images.image import Image, resize_by
 LOG_FOCALS = np.linspace(np.log(0.3), np.log(8.0), 42)
 # The likelihood of a focal length, by its score s and the number n of segments, is that of the best
 # one times exp(SHARPNESS sqrt(n) (s - s of the best)), mixed with CHANCE of a uniform one, by
-# `dgc-pose fit-lines`.
+# `dgc-pose fit-probability`.
 SHARPNESS, CHANCE = 3.0, 0.03
 _SIDE = 800  # pixels of the longer side that segments are detected at
 _MIN_LENGTH = 15.0  # pixels, of a segment

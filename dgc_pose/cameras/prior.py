@@ -25,7 +25,7 @@ from dgc_pose.cameras.focal_belief import FocalBelief, Part
 from dgc_pose.cameras.lines import LOG_FOCALS, log_likelihoods
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.header import Exif
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.threads import in_threads, one_blas_thread
 
 if TYPE_CHECKING:
     from dgc_pose.images.header import Header
@@ -142,6 +142,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     )
 
 
+@one_blas_thread()
 def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
     """Cameras by the lines of their images, see `by_lines`; a camera that is stated stays."""
     open_ = [image for c, image in zip(cameras, images, strict=True) if c.belief is not None]
@@ -184,7 +185,7 @@ def _by_lines(camera: Camera, own: np.ndarray | None, lines: Sequence[np.ndarray
             f"{100 * part.std:.0f} %, and EXIF says {camera.focal:.0f}"
         )
         return replace(found, focal_source="lines", warnings=(*camera.warnings, warning))
-    by_lines = part.std < _BY_LINES * before.std
+    by_lines = camera.focal_source != "exif" and part.std < _BY_LINES * before.std
     return replace(found, focal_source="lines") if by_lines else found
 
 

@@ -2,7 +2,7 @@
 
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.relative_pose import estimate_pose
+from dgc_pose.estimation.relative_pose import estimate_pose, of_stated
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.scale import ScaleSource
 from dgc_pose.estimation.status import Status
@@ -14,4 +14,5 @@ __all__ = [
     "ScaleSource",
     "Status",
     "estimate_pose",
+    "of_stated",
 ]

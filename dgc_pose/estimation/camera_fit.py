@@ -54,7 +54,7 @@ _FITTED = 1000
 LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
 MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
 _ITERATIONS = 30  # of a fit, which converges in 10 as a rule
-_CONVERGED = 1e-4  # relative change of the cost
+_CONVERGED = 1e-5  # relative change of the cost
 _LARGEST_STEP = 0.5  # of ln f in an iteration
 
 
@@ -143,7 +143,7 @@ class JointFit:
         """The information (5 + M, 5 + M) and the gradient (5 + M,) of the losses of errors that are
         not cut off, by the pose and the parameters of a prior, and the axes (3, 2) of t. width: of
         the losses, the problem's unit."""
-        counted = (self._errors(pose) < MOST_ERROR * self.problem.threshold) & self._in_front(pose)
+        counted = self._errors(pose) < MOST_ERROR * self.problem.threshold
         part = replace(self, problem=self.problem.subset(counted))
         return part._slopes(pose, width, prior)
 
@@ -167,8 +167,8 @@ class JointFit:
         return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
 
     def errors_px(self, pose: JointPose) -> np.ndarray:
-        """Sampson errors (N,) in the images, pixels; infinite behind a camera and where a
-        distortion is not undone."""
+        """Sampson errors (N,) in the images, pixels; infinite where a distortion is not undone. Of
+        either side of the cameras: points far away lie on both, by noise."""
         parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
         points1, points2 = renormalised_pair(self.problem, parameters)
         lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
@@ -182,7 +182,7 @@ class JointFit:
             squared += (by_pixel**2).sum(1)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.abs((homogeneous(points2) * lines2).sum(1)) / np.sqrt(squared)
-        return np.where(self._in_front(pose) & np.isfinite(error), error, np.inf)
+        return np.where(np.isfinite(error), error, np.inf)
 
     def _in_front(self, pose: JointPose) -> np.ndarray:
         """Whether the points are in front of both cameras, (N,)."""

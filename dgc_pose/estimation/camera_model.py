@@ -7,27 +7,28 @@ the middle, the same in all images of a camera.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
-from dgc_pose.cameras.focal_belief import FocalBelief
+from dgc_pose.cameras.focal_belief import Part
 from dgc_pose.cameras.prior import CENTRE_STD, OTHER_STD, of_part
 from dgc_pose.estimation.camera_fit import JointPose
 from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.problem import image_size
 
-# Logarithms of the odds of another model before the matches are seen: of a picture with EXIF data,
-# of one without, and of one that no sensor has the shape of, which was cut, squeezed or joined.
-_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -1.5
+# Logarithms of the odds of another model before the matches are seen: for a picture with EXIF data;
+# without, for a wide lens, and for one that was edited and has a sensor's shape; and for one that
+# no sensor has the shape of, which was cut, squeezed or joined.
+_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -10.0, -1.5
 # Of two cameras whose images are of one size, and have no EXIF data, or the same.
 _TWO, _TWO_OF_EXIF = -2.2, -9.0
 # Of another camera than K states; of the middle, where the principal point of K is far from it.
-_STATED, _FAR_FROM_MIDDLE = -5.0, -0.5
+_STATED, _FAR_FROM_MIDDLE = -8.0, -0.5
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _ASPECT_STD = 0.3  # of ln fy / fx of squeezed pixels
@@ -67,25 +68,25 @@ class CameraModel:
 def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """The models beside that of the cameras as they are."""
     if any(map(_is_open, stated)):
-        before = max(map(_log_odds, stated))
         names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
         for name in names:
+            odds = max(_log_odds(camera, name) for camera in stated)
             yield CameraModel(
-                name, (with_model(stated[0], name), with_model(stated[1], name)), before
+                name, (with_model(stated[0], name), with_model(stated[1], name)), odds
             )
         yield from _other_focals(stated)
-    elif all(camera.focal_source == "given" for camera in stated):
+    if any(camera.focal_source == "given" for camera in stated):
         yield from _others_than_stated(stated)
 
 
 def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """Focal lengths of the less likely part of a belief; and one of each image."""
     first, second = stated
-    beliefs = [_belief(camera) for camera in stated]
+    beliefs = [camera.belief for camera in stated]
     if first.identity is None or first.identity != second.identity:
         for number, belief in enumerate(beliefs):
             if belief is not None:
-                usual, tail = belief.parts([belief.lines])
+                usual, tail = _parts(stated[number], [belief.lines])
                 cameras = [*stated]
                 cameras[number] = of_part(stated[number], tail)
                 odds = tail.log_weight - usual.log_weight
@@ -93,7 +94,7 @@ def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
         return
     if beliefs[0] is None or beliefs[1] is None:
         return
-    usual, tail = beliefs[0].parts([belief.lines for belief in beliefs if belief])
+    usual, tail = _parts(first, [belief.lines for belief in beliefs if belief])
     odds = tail.log_weight - usual.log_weight
     yield CameraModel("tail", (of_part(first, tail), of_part(second, tail)), odds)
     exif = first.focal_source == "exif"
@@ -108,20 +109,35 @@ def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     yield CameraModel("two", (cameras[0], cameras[1]), odds)
 
 
+def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
+    """The part of the belief that the camera is of, and the other."""
+    assert camera.belief is not None
+
+    def distance(part: Part) -> float:
+        return abs(math.log(of_part(camera, part).focal / camera.focal))
+
+    one, other = sorted(camera.belief.parts(lines), key=distance)
+    return one, other
+
+
 def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """Other cameras than K states."""
-    one = all(camera.identity == stated[0].identity is not None for camera in stated)
+    first, second = stated
+    same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
+    given = [camera.focal_source == "given" for camera in stated]
+    one = same_size and ratio < _OTHER_FOCAL and all(given)  # then a lens is left out of both
     for name in _CHANGED:
-        cameras = tuple(with_model(camera, name) for camera in stated)
+        cameras = tuple(
+            with_model(camera, name) if is_given else camera
+            for camera, is_given in zip(stated, given, strict=True)
+        )
         if name == "lens" and one:
             cameras = tuple(replace(camera, identity="both") for camera in cameras)
         far = name == "middle" and max(map(_from_middle, stated)) > _FAR_OFF
         if any(own is not other for own, other in zip(cameras, stated, strict=True)):
             odds = _FAR_FROM_MIDDLE if far else _STATED
             yield CameraModel(name, (cameras[0], cameras[1]), odds)
-
-    first, second = stated
-    if first.size == second.size and abs(math.log(first.focal / second.focal)) > _OTHER_FOCAL:
+    if same_size and all(given) and not one:
         yield CameraModel("swapped", (second, first), _STATED)
 
 
@@ -185,17 +201,14 @@ def is_contradicted(stated: Camera, fitted: Camera) -> bool:
     return off >= max(_MIN_FOCAL_ERROR, 3 * stated.focal_std)
 
 
-def _log_odds(camera: Camera) -> float:
-    """Of another model, before the matches are seen."""
+def _log_odds(camera: Camera, name: ModelName) -> float:
+    """The logarithm of the odds of another model, before the matches are seen."""
     shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
     if all(abs(shape - math.log(usual)) > _SAME_SHAPE for usual in _SHAPES):
         return _LOG_ODDS_OF_SHAPE
-    return _LOG_ODDS_OF_EXIF if camera.focal_source == "exif" else _LOG_ODDS
-
-
-def _belief(camera: Camera) -> FocalBelief | None:
-    """What is known of a focal length that is not fitted yet."""
-    return camera.belief if camera.focal_source in ("size", "exif", "lines") else None
+    if camera.focal_source == "exif":
+        return _LOG_ODDS_OF_EXIF
+    return _LOG_ODDS if name in WIDE else _LOG_ODDS_OF_EDITED
 
 
 def _is_open(camera: Camera) -> bool:
@@ -239,6 +252,8 @@ def with_model(camera: Camera, name: ModelName) -> Camera:
         return replace(camera, aspect_std=_ASPECT_STD)
     if name == "off_centre":  # of a part of an image, whose principal point is its own
         return replace(camera, centre_std=max(camera.centre_std, _CENTRE_STD * longer))
+    if name == "tail" and camera.belief is not None:
+        return of_part(camera, _parts(camera, [camera.belief.lines])[1])
     if name == "two":  # or cut, perhaps of one image, of which EXIF data say nothing
         return replace(camera, focal_std=OTHER_STD, identity=None)
     if name not in WIDE:

@@ -38,21 +38,22 @@ from dgc_pose.system.threads import in_threads
 _SAMPLED, _MOST_WEIGHT = 500, 6.0  # matches, and how many others each stands for at most
 _ITERATIONS = 120  # of a RANSAC run at most
 # Of the errors of the rounds of a fit, thresholds: from a start, and from a fit.
-_OF_START, _OF_FIT = (3.0, 1.0), (1.0, 1.0)
-_FIT_ITERATIONS = 12  # of a round
+_OF_START, _OF_FIT = (3.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
+_FIT_ITERATIONS = 30  # of a round
 _MIN_SHOWN = 0.02  # probability of a model that the expected errors contain
-_MIN_SHARE = 0.25  # probability of the assumed cameras, with which they are kept
+# Probabilities of the assumed cameras, and of those that K states, with which they are kept.
+_MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Of the cost, that the inliers of the assumed cameras may cost more; unless there are so many times
 # as many inliers.
 _AS_WELL, _MORE = 1.0, 1.2
 _EXPLAINED = 0.8  # share of the sample below the threshold, with which nothing far is searched
 _HOPELESS = 6.0  # log-odds below the assumed cameras, by the slopes, of a model that is not fitted
-_UNUSUAL = 2.0  # squares of the parameters of assumed cameras that two may explain
+_UNUSUAL = 0.5  # squares of the parameters of assumed cameras that two may explain
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _LEAST_SPREAD_DEG = 1.0  # standard deviation of the pose of a model
 # By how many standard deviations the parameters that K states must be off, and the variance of
 # each over that before the matches.
-_LEAST_STDS, _DETERMINED = 3.5, 0.25
+_LEAST_STDS, _DETERMINED = 5.0, 0.25
 _OPEN_STD = 0.1  # of ln f, below which the matches determine it whatever was believed
 # The parameters of both cameras that K states in another way.
 _TESTED = {
@@ -62,6 +63,8 @@ _TESTED = {
     "centre": [1, 2, SIZE + 1, SIZE + 2],
 }
 _STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f that are tried
+# Models of the same lenses and middles as the assumed ones: the slopes at their fit are theirs too.
+_BY_SLOPES = ("two", "squeezed", "off_centre", "focal", "focals", "lens", "centre")
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
 
 
@@ -89,8 +92,11 @@ def likeliest_model(
     models = [assumed, *fits]
     shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
     best, share = max(zip(models, shares, strict=True), key=lambda item: item[1])
-    if shares[0] > _MIN_SHARE or (best.name in OF_STATED and best.stds < _LEAST_STDS):
-        best = assumed
+    if best.name in OF_STATED:
+        is_kept = shares[0] > _MIN_STATED_SHARE or best.stds < _LEAST_STDS
+    else:
+        is_kept = shares[0] > _MIN_SHARE
+    best = assumed if is_kept else best
     assert best.pose is not None  # of a finite evidence
     covariance, agreement = np.zeros((6, 6)), 0.0
     for share, model in zip(shares, models, strict=True):
@@ -165,29 +171,27 @@ class _Sample:
     def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
         """The model with the likeliest of its fits, or as the slopes at the pose of the assumed
         cameras have it, if that is hopeless."""
-        near_assumed = all(
-            np.array_equal(own.K, other.K) and own.distortion == other.distortion
-            for own, other in zip(model.cameras, assumed.cameras, strict=True)
-        )
         joint = JointFit(
             TwoViewProblem.of(self.matches, *model.cameras, self.options), model.cameras
         )
+        own, others = [_to_middles(cameras) for cameras in (assumed.cameras, model.cameras)]
+        turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
+        of_both = zip(assumed.cameras, model.cameras, strict=True)
+        longer = np.log([one.focal / other.focal for one, other in of_both])
+        at = self.joint.parameters(pose) + of_focals(longer)  # the middles stay where they are
+        z = np.linalg.lstsq(joint.prior.basis, at, rcond=None)[0]
+        start = JointPose(turn2 @ pose.R @ turn1.T, turn2 @ pose.t, z)
         # The focal length of one camera is unusual where there are two.
         odd = model.name == "two" and float(pose.z @ pose.z) > _UNUSUAL
         searches = odd or not self.is_explained
-        z, start = np.zeros(len(joint.prior)), pose
-        if near_assumed:
-            z = np.linalg.lstsq(joint.prior.basis, self.joint.parameters(pose), rcond=None)[0]
-            by_slopes = self._along_slopes(model, joint.prior, replace(pose, z=z))
+        if model.name in _BY_SLOPES:
+            by_slopes = self._along_slopes(model, joint.prior, start)
             odds = by_slopes.log_evidence + model.log_odds - assumed.log_evidence
             if odds < -_HOPELESS and not searches:
                 return by_slopes
             searches = searches or odds > 0
-        else:  # the middles of the images stay where they are
-            searches = searches or model.name != "two"
-            before, after = (_to_middles(cameras) for cameras in (assumed.cameras, model.cameras))
-            turn1, turn2 = (a @ b.T for a, b in zip(after, before, strict=True))
-            start = replace(pose, R=turn2 @ pose.R @ turn1.T, t=turn2 @ pose.t)
+        else:
+            searches = True
         starts = _starts(model, self.joint.parameters(pose)) if searches else []
         seeds = run_seeds(replace(self.options, runs=1 + len(starts)))
         rough, best = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE, None
@@ -205,8 +209,8 @@ class _Sample:
                 rough, best = loss, run
         fits = [] if best is None else [joint.fitted(best, _OF_START, _FIT_ITERATIONS)]
         if model.name not in WIDE:
-            limits = _OF_FIT if near_assumed else _OF_START
-            fits.append(joint.fitted(replace(start, z=z), limits, _FIT_ITERATIONS))
+            limits = _OF_FIT if model.name in _BY_SLOPES else _OF_START
+            fits.append(joint.fitted(start, limits, _FIT_ITERATIONS))
         valued = [self.valued(model, fit, joint) for fit in fits]
         return max([model, *valued], key=lambda each: each.log_evidence)
 
@@ -279,8 +283,8 @@ def _with_evidence(
         stds = np.abs(prior.basis @ pose.z)[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
         determined = variances[rows] < _DETERMINED * before[rows]
         off = float(stds[determined].max(initial=0.0))
-        if rows == FOCALS and not determined.all():
-            off = 0.0
+        if rows == FOCALS and not determined.all():  # what is less sure contradicts nothing
+            return model
     return replace(
         model,
         pose=pose,

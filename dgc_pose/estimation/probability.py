@@ -145,7 +145,7 @@ class SamePlace:
     intercept: float
 
     def probability(self, evidence: Evidence) -> float:
-        """1 if what surrounds the matches is not known. Of pairs as people give them fewer are of
+        """1 if what surrounds the matches is not known. Fewer of the pairs that people give are of
         two places than of those that it is fitted on."""
         if evidence.surroundings is None:
             return 1.0

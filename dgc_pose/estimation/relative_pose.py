@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_model import camera_warnings
+from dgc_pose.estimation.camera_model import OF_STATED, camera_warnings
 from dgc_pose.estimation.candidates import Candidates, candidates
 from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, measured
@@ -67,6 +67,17 @@ def estimate_pose(
     return replace(pose, warnings=tuple(dict.fromkeys((*pose.warnings, *odd))))
 
 
+def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose:
+    """The pose, refused if it is of other cameras than K states, which further pairs do not have.
+    stated: before the estimation."""
+    evidence, cameras = pose.evidence, pose.cameras
+    if evidence is None or cameras is None or evidence.camera_model not in OF_STATED:
+        return pose
+    reasons = (*camera_warnings(evidence.camera_model, stated, cameras), "K is contradicted")
+    none = np.zeros_like(pose.inliers)
+    return RelativePose("improbable", reasons[0], none, pose.num_matches, evidence=evidence)
+
+
 def _estimated(
     matches: Matches,
     stated: tuple[Camera, Camera],
@@ -116,7 +127,9 @@ def uncertainty(found: Candidates) -> Uncertainty:
     prior = IntrinsicsPrior.of(*cameras)
     covariances = pose_covariance(problem, best, prior, fitted=found.fitted)
     if found.fitted:
-        first, second = (replace(c, focal_source="matches") if c.focal_std else c for c in cameras)
+        first, second = (
+            replace(c, focal_source="matches", belief=None) if c.focal_std else c for c in cameras
+        )
         cameras = first, second
     if covariances is None:
         return Uncertainty(cameras)

@@ -17,7 +17,7 @@ from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.cameras.prior import with_lines
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import EstimationOptions, RelativePose, of_stated
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.mask import mask_file, masked
 from dgc_pose.images.store import ImageStore
@@ -96,7 +96,7 @@ class Locator:
         names = [n for n in self.model.poses if n not in {*left_out, *same}]
         if not names:
             raise InputError("the model has no other image than the query")
-        warnings = list[str]()
+        warnings, contradictions = list[str](), list[str]()
         if same and same[0] not in left_out:
             warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
         stated = image_camera(K, image, "K", details or KDetails())
@@ -119,14 +119,18 @@ class Locator:
             options = replace(self.options, effort=effort)
             pair = solve_pair(self._images.get(name), image, cameras, self.matcher, options)
             matched = time.perf_counter()
-            points = self._points(name, image, pair.pose, pair.matches)
-            search.add(name, pair.pose, pair.matches, *points)
+            pose = of_stated(pair.pose, cameras)
+            if pose is not pair.pose:
+                contradictions.append(f"{name}: {pose.reason}")
+            search.add(name, pose, pair.matches, *self._points(name, image, pose, pair.matches))
             seconds["match"] += matched - start
             seconds["estimate"] += time.perf_counter() - matched
         self.matcher.forget(image)
         location = search.location()
         return replace(
-            location, warnings=(*warnings, *camera.warnings, *location.warnings), seconds=seconds
+            location,
+            warnings=(*warnings, *camera.warnings, *location.warnings, *contradictions[:1]),
+            seconds=seconds,
         )
 
     def _points(

@@ -127,6 +127,7 @@ class LocationSearch:
                 lens_std=lens,
                 aspect_std=aspect,
                 focal_source="matches",
+                belief=None,
             )
 
     @property

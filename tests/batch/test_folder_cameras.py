@@ -167,3 +167,24 @@ def test_a_squeezed_photograph_has_the_camera_of_the_others(tmp_path):
     cameras, listed, _ = _folder(tmp_path, true)
     assert "squeezed" in listed[-1].why and {*listed[-1].cameras} == {SECOND}
     np.testing.assert_allclose(cameras[SECOND].K[[0, 1], [0, 1]], (825.0, 1100.0), rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    "factors",
+    [pytest.param((1.0, 1.6, 1.0, 1.6), marks=pytest.mark.slow), (0.8, 1.0, 1.3, 1.65)],
+)
+def test_photographs_of_several_zooms_have_no_camera_in_common(tmp_path, factors):
+    """Of one size, without EXIF data, as of a rig of two lenses or a zooming camera: most pairs are
+    of two cameras."""
+    true = [pinhole(factor * FOCAL, SIZE) for factor in factors]
+    cameras, listed, _ = _folder(tmp_path, true)
+    for name, camera in zip(sorted(cameras), true, strict=True):
+        found = cameras[name]
+        assert found.focal == pytest.approx(camera.focal, rel=0.06)
+        assert abs(np.log(found.focal / camera.focal)) < 3 * found.focal_std
+    for one in listed:
+        assert len({factors[int(name[0])] for name in one.cameras}) == 1
+        assert one.why or len(one.cameras) > 1
+    if len({*factors}) == COUNT:
+        reason = "most pairs of its size agree with a focal length of each photograph"
+        assert [one.why for one in listed] == COUNT * [reason]

@@ -1,5 +1,7 @@
 """Masks of the photographs of a batch, and of what is made of it."""
 
+import cv2
+import numpy as np
 import pytest
 from batch_runs import run_sift, view_folder, write_masks
 from command_line import assert_refused, run
@@ -72,3 +74,16 @@ def test_a_reconstruction_takes_masks(photos, tmp_path):
     model = pycolmap.Reconstruction(str(out / "sparse"))
     left = [point.xy[0] for image in model.images.values() for point in image.points2D]
     assert len(model.images) == 3 and min(left) >= 0.3 * SIZE[0]
+
+
+@pytest.mark.parametrize("K", [K_text(), "auto"])
+@pytest.mark.parametrize("shape", [(180, 240), (50, 240)], ids=["empty", "of another shape"])
+def test_a_bad_mask_spoils_its_photograph_alone(photos, tmp_path, K, shape):
+    """A mask that leaves no pixel, or has another shape."""
+    masks = tmp_path / "masks"
+    write_masks(masks, NAMES)
+    level = 255 if shape[0] == 50 else 0
+    cv2.imwrite(str(masks / f"{NAMES[0]}.png"), np.full(shape, level, np.uint8))
+    batch = run_sift(photos, tmp_path / "out", masks=masks, K=K)
+    bad = [row.status == "bad_input" for row in batch.rows]
+    assert bad == [NAMES[0] in row.names for row in batch.rows]

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from batch_runs import Killed, assert_same_result, killed_after, run_sift, write_masks
+from boxes import box_picture
 
 from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.source import open_source
@@ -119,6 +120,19 @@ def test_a_mask_that_changed_is_matched_again(photos, tmp_path):
         assert batch.summary["matched_now"] == COUNT - 1
     run_sift(photos, other, masks=masks)
     assert_same_result(out, other)
+
+
+def test_a_changed_photograph_of_a_camera_by_its_lines_is_matched_again(tmp_path):
+    """The lines of all photographs of a camera count together."""
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for number in range(3):
+        picture = box_picture(1.2, (30 + 5 * number, 20, 3), size=(480, 360))
+        cv2.imwrite(str(photos / f"{number}.png"), picture)
+    run_sift(photos, tmp_path / "out", K="auto")
+    cv2.imwrite(str(photos / "2.png"), box_picture(1.2, (45, 22, 3), size=(480, 360), seed=3))
+    batch = run_sift(photos, tmp_path / "out", K="auto", resume=True)
+    assert batch.summary["matched_now"] == 2
 
 
 def _raising(error):

@@ -1,13 +1,17 @@
 """The images that a batch works on, and what of a folder is left out."""
 
+import cv2
 import numpy as np
 import PIL.Image
 import pytest
+from boxes import box_picture
 
+from dgc_pose.batch import source as of_batch
 from dgc_pose.batch.source import Source, open_source, survey
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.errors import InputError
+from dgc_pose.images.image import Image
 
 
 def _save(path, format, count=0):
@@ -147,3 +151,65 @@ def test_what_one_K_does_not_serve(tmp_path, K, size, words):
     source = _two(tmp_path, (64, 48), size)
     with pytest.raises(InputError, match=words):
         survey(source, read_calibration(K))
+
+
+def _boxes(folder, *focals):
+    """Pictures of 480 x 360 pixels of such focal lengths, over the longer side; one of None is
+    blank."""
+    blank = np.full((360, 480, 3), 90, np.uint8)
+    for number, focal in enumerate(focals):
+        pixels = blank if focal is None else box_picture(focal, size=(480, 360), seed=number)
+        cv2.imwrite(str(folder / f"{number}.png"), pixels)
+    return open_source(folder)
+
+
+def test_the_lines_of_photographs_tell_their_camera(tmp_path):
+    """Of all that one camera may have taken together."""
+    cameras, bad, _ = survey(_boxes(tmp_path, 1.2, None, 1.2), read_calibration("auto"))
+    assert not bad and len(cameras) == 3
+    for camera in cameras.values():
+        assert camera.focal_source == "lines" and camera.focal == cameras["0.png"].focal
+        assert abs(np.log(camera.focal / (1.2 * 480))) < 3 * camera.focal_std < 0.4
+    lines = [camera.belief.lines.any() for camera in cameras.values()]
+    assert lines == [True, False, True]  # of each image for itself
+    two, _, _ = survey(_boxes(tmp_path, 1.2, None, 0.7), read_calibration("auto:two"))
+    assert [camera.focal_source for camera in two.values()] == ["lines", "size", "lines"]
+    found = [two[name].focal for name in ("0.png", "2.png")]
+    assert found == pytest.approx([1.2 * 480, 0.7 * 480], rel=0.1)
+    stated, _, _ = survey(_boxes(tmp_path, 1.2), read_calibration("400,400,240,180"))
+    assert {camera.focal_source for camera in stated.values()} == {"given"}
+
+
+def test_lines_below_masks_do_not_count(tmp_path):
+    photos, masks = tmp_path / "photos", tmp_path / "masks"
+    photos.mkdir()
+    masks.mkdir()
+    _boxes(photos, 1.2, 1.2)
+    for name in ("0.png", "1.png"):
+        mask = np.zeros((360, 480), np.uint8)
+        mask[:20] = 255
+        cv2.imwrite(str(masks / f"{name}.png"), mask)
+    for folder, kind in ((masks, "size"), (None, "lines")):
+        cameras, _, _ = survey(open_source(photos, None, folder), read_calibration("auto"))
+        for camera in cameras.values():
+            assert camera.focal_source == kind
+            assert kind == "lines" or camera.focal == pytest.approx(0.9 * 480, rel=0.1)
+
+
+def test_the_lines_of_some_photographs_of_a_camera_are_enough(tmp_path, monkeypatch):
+    """And a damaged one has a reason elsewhere."""
+    seen = []
+
+    def lines(image: Image) -> np.ndarray:
+        seen.append(image.name)
+        return 3.0 * (np.arange(42) == 20)
+
+    monkeypatch.setattr(of_batch, "log_likelihoods", lines)
+    for number in range(40):
+        PIL.Image.new("RGB", (64, 48), (number, 0, 0)).save(tmp_path / f"{number:02}.png")
+    damaged = tmp_path / "00.png"
+    damaged.write_bytes(damaged.read_bytes()[:60])
+    cameras, _, _ = survey(open_source(tmp_path), read_calibration("auto"))
+    assert 10 < len(seen) <= 16 and len({*seen}) == len(seen)
+    assert len({camera.focal for camera in cameras.values() if camera.size == (64, 48)}) == 1
+    assert len(cameras) >= 39

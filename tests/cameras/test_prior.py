@@ -4,9 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from boxes import box_picture
 
-from dgc_pose.cameras.calibration import camera_data, image_camera, parse_camera_data
-from dgc_pose.cameras.prior import SIZE_STD, auto_camera, auto_cameras
+from dgc_pose.cameras.calibration import camera_data, image_camera, pair_cameras, parse_camera_data
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.lines import LOG_FOCALS, log_likelihoods
+from dgc_pose.cameras.prior import (
+    SHARED,
+    SIZE_FOCAL,
+    SIZE_STD,
+    auto_camera,
+    auto_cameras,
+    by_lines,
+    of_part,
+    with_lines,
+)
 from dgc_pose.images.header import Exif, Header
 from dgc_pose.images.image import Image
 
@@ -26,7 +38,7 @@ def photo(exif: Exif = NO_EXIF, size: tuple[int, int] = SIZE, orientation: int =
 
 def test_without_exif_the_size_counts() -> None:
     camera = auto_camera(photo(size=(1000, 800)))
-    np.testing.assert_array_equal(camera.K, [[1100, 0, 499.5], [0, 1100, 399.5], [0, 0, 1]])
+    np.testing.assert_array_equal(camera.K, [[900, 0, 499.5], [0, 900, 399.5], [0, 0, 1]])
     assert (camera.size, camera.focal_source, camera.focal_std) == ((1000, 800), "size", SIZE_STD)
     assert (camera.centre_std, camera.warnings) == (5, ())
     assert camera.identity is not None
@@ -90,7 +102,7 @@ def test_a_focal_length_that_no_camera_has(exif: Exif, warning: str) -> None:
     """Of one camera the files hold 35856 mm, and of a telephone 177 mm for a small image: with a
     lens of 4 mm, a sensor of 1 mm. No part of an image is wider than it; but larger it may be."""
     camera = auto_camera(photo(exif))
-    assert (camera.focal, camera.focal_std, camera.focal_source) == (4400, SIZE_STD, "size")
+    assert (camera.focal, camera.focal_std, camera.focal_source) == (3600, SIZE_STD, "size")
     assert warning in camera.warnings[0] and "is taken from the size" in camera.warnings[0]
     camera = auto_camera(photo(Exif(focal_35mm=26, size=(400, 300))))
     assert (camera.focal_source, camera.warnings) == ("exif", ())
@@ -228,3 +240,142 @@ def test_the_lens_is_not_known_and_that_of_an_action_camera_less() -> None:
     action = replace(EXIF, make="GoPro", model="HERO9 Black")
     assert auto_camera(photo(action)).lens_std > auto_camera(photo(EXIF)).lens_std > 0
     assert auto_camera(photo()).lens_std > 0
+
+
+BOX = Image(box_picture(1.2))  # 960 x 720: 1152 pixels
+BLANK = Image(np.full((720, 960, 3), 90, np.uint8))
+
+
+def _assert_same(camera: Camera, other: Camera) -> None:
+    np.testing.assert_array_equal(camera.K, other.K)
+    assert (camera.focal_std, camera.focal_source) == (other.focal_std, other.focal_source)
+    assert camera.warnings == other.warnings
+
+
+@pytest.mark.parametrize("image", [photo(), photo(size=SIZE[::-1]), photo(PHONE), WIDE])
+def test_a_camera_is_the_usual_part_of_its_belief(image: Header) -> None:
+    """Beside which there are long lenses, or EXIF data of another image."""
+    camera = auto_camera(image)
+    usual, tail = camera.belief.usual, camera.belief.tail
+    of_usual = of_part(camera, usual)
+    np.testing.assert_allclose(of_usual.K, camera.K, rtol=1e-9)
+    assert of_usual.focal_std == camera.focal_std == usual.std
+    assert np.exp([usual.log_weight, tail.log_weight]).sum() == pytest.approx(1)
+    assert tail.std > usual.std and usual.log_weight > tail.log_weight
+    assert not camera.belief.lines.any()
+    if camera.focal_source == "size":
+        assert np.exp(usual.log_focal) == pytest.approx(SIZE_FOCAL)
+        assert abs(np.log(5.2) - tail.log_focal) < 1.5 * tail.std
+
+
+def test_the_lines_of_an_image_are_its_focal_length() -> None:
+    before = auto_camera(BOX)
+    (camera,) = with_lines([before], [BOX])
+    assert (camera.focal_source, camera.warnings) == ("lines", ())
+    assert abs(np.log(camera.focal / 1152)) < min(0.1, 3 * camera.focal_std)
+    assert camera.focal_std < 0.5 * SIZE_STD
+    np.testing.assert_array_equal(camera.belief.lines, log_likelihoods(BOX))
+    np.testing.assert_array_equal(camera.K[:2, 2], before.K[:2, 2])
+    assert (camera.identity, camera.centre_std) == (before.identity, before.centre_std)
+    for other in with_lines(2 * [before], 2 * [BLANK]):
+        assert other is before
+    masked = replace(BOX, mask=np.zeros((720, 960), bool))
+    assert with_lines([before], [masked]) == [before]
+
+
+def test_long_lenses_are_of_the_tail_of_the_belief() -> None:
+    image = Image(box_picture(4.0, (40, -25, -5)))
+    (camera,) = with_lines([auto_camera(image)], [image])
+    assert abs(np.log(camera.focal / (4 * 960))) < 3 * camera.focal_std
+
+
+@pytest.mark.parametrize("film", [13, 26, 85, 135])
+def test_exif_data_that_the_lines_contradict_have_a_warning(film: int) -> None:
+    """Of 960 x 720 pixels 1152 are 41.5 mm on 35 mm film. The lines of two images are surer than
+    EXIF data, which few files have of another image; those of one are about as sure."""
+    exif = Exif("Maker", "X1", focal_35mm=film)
+    images = [replace(BOX, exif=exif), Image(box_picture(1.2, (40, -25, -5)), exif=exif)]
+    cameras = auto_cameras(*images)
+    for before, camera in zip(cameras, with_lines(cameras, images), strict=True):
+        assert camera.focal_source == "lines" and before.focal_source == "exif"
+        assert abs(np.log(camera.focal / 1152)) < min(0.1, 3 * camera.focal_std)
+        (warning,) = camera.warnings
+        assert warning.startswith(
+            f"the lines of the image agree with f = {camera.focal:.0f} px +- "
+        )
+        assert warning.endswith(f" %, and EXIF says {before.focal:.0f}")
+
+
+def test_lines_make_exif_data_that_they_agree_with_more_certain() -> None:
+    image = replace(BOX, exif=Exif("Maker", "X1", focal_35mm=42))
+    before = auto_camera(image)
+    (camera,) = with_lines([before], [image])
+    assert camera.warnings == () and camera.focal_std < before.focal_std
+    assert abs(np.log(camera.focal / 1152)) < 3 * camera.focal_std
+
+
+def test_exif_data_stay_if_the_lines_tell_nothing() -> None:
+    for image in (BLANK, Image(box_picture(1.2), pixel_aspect=1.25)):
+        image = replace(image, exif=PHONE)
+        before = auto_camera(image)
+        (camera,) = with_lines([before], [image])
+        assert camera is before and camera.focal_source == "exif"
+
+
+def test_images_of_one_camera_count_together() -> None:
+    cameras = auto_cameras(BOX, BLANK)
+    assert cameras[0].identity == cameras[1].identity
+    first, second = with_lines(cameras, [BOX, BLANK])
+    _assert_same(first, second)
+    assert second.focal_source == "lines" and first.focal_std < 0.5 * SIZE_STD
+    # Each has the lines of its own image, for two focal lengths.
+    assert first.belief.lines.any() and not second.belief.lines.any()
+    turned = Image(np.ascontiguousarray(np.rot90(BOX.pixels)))
+    both = with_lines(auto_cameras(BOX, turned), [BOX, turned])
+    assert both[0].focal == both[1].focal and both[0].focal_std < first.focal_std
+    other = Image(box_picture(0.6))
+    alone = with_lines(auto_cameras(BOX, other, "two"), [BOX, other])
+    assert [camera.focal for camera in alone] == pytest.approx([1152, 576], rel=0.1)
+    together = with_lines(auto_cameras(BOX, other), [BOX, other])
+    assert together[0].focal == together[1].focal
+
+
+def test_the_lines_of_two_images_of_no_known_camera_are_their_own() -> None:
+    cameras = [replace(auto_camera(image), identity=None) for image in (BOX, BLANK)]
+    first, second = with_lines(cameras, [BOX, BLANK])
+    assert first.focal_source == "lines" and second is cameras[1]
+
+
+def test_lines_of_some_of_the_images_are_of_all_of_a_camera() -> None:
+    """As of a folder, of which some photographs are looked at."""
+    cameras = [auto_camera(photo(size=(960, 720))) for _ in range(3)]
+    lines = log_likelihoods(BOX)
+    found = by_lines(cameras, [None, lines, None])
+    assert len({camera.focal for camera in found}) == 1
+    assert [camera.focal_source for camera in found] == 3 * ["lines"]
+    assert by_lines(cameras, 3 * [None]) == cameras
+
+
+@pytest.mark.parametrize("bare_first", [True, False])
+def test_a_shared_camera_has_one_focal_length_by_the_lines_too(bare_first: bool) -> None:
+    images = [photo(EXIF), photo()][:: -1 if bare_first else 1]
+    cameras = auto_cameras(*images, "shared")
+    assert {camera.identity for camera in cameras} == {SHARED}
+    lines = 2 * np.exp(-(((LOG_FOCALS - np.log(0.8)) / 0.2) ** 2) / 2)
+    first, second = by_lines(cameras, [lines, lines])
+    assert first.focal == pytest.approx(second.focal) and first.focal_std == second.focal_std
+
+
+@pytest.mark.parametrize(
+    "value", ["1700,1700,480,360", np.array([[1700.0, 0, 480], [0, 1700, 360], [0, 0, 1]])]
+)
+@pytest.mark.parametrize("alone", [True, False])
+def test_a_stated_camera_has_no_lines(value: object, alone: bool) -> None:
+    cameras = pair_cameras(value, None if alone else value, BOX, BOX)
+    for camera in cameras[: 1 if alone else 2]:
+        assert (camera.focal, camera.focal_source, camera.belief) == (1700, "given", None)
+        assert (camera.exact, camera.warnings) == (True, ())
+    assert with_lines(cameras[:1], [BOX]) == [cameras[0]]
+    if alone:
+        assert cameras[1].focal_source == "lines"
+        assert cameras[1].focal == pytest.approx(1152, rel=0.1)

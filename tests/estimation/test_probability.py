@@ -76,6 +76,14 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
     assert model.probability(evidence) == pytest.approx(within, rel=1e-3)
 
 
+@pytest.mark.parametrize("agreement", [0.0, 0.3, 0.9])
+def test_the_probability_is_no_more_than_other_cameras_leave(agreement: float) -> None:
+    model = parse_models(_text(intercept=30.0)).by_kind["network"]
+    assert model.probability(GOOD_EVIDENCE) > 0.95
+    evidence = _worse(camera_agreement=agreement, camera_model="two")
+    assert model.probability(evidence) == agreement
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -86,6 +94,7 @@ def test_the_probability_is_no_more_than_the_expected_errors_leave(
         {"homography_ratio": 0.95},
         {"other_ratio": 0.95},
         {"map_agreement": 0.3},
+        {"camera_agreement": 0.4},
     ],
 )
 def test_worse_evidence_lowers_the_probability_and_is_named_first(changes) -> None:
@@ -99,8 +108,10 @@ def test_worse_evidence_lowers_the_probability_and_is_named_first(changes) -> No
 def test_what_surrounds_the_matches_has_a_probability_of_its_own() -> None:
     model = _model()
     assert model.same_place.probability(GOOD_EVIDENCE) == 1  # not known
-    alike, unlike = _worse(surroundings=0.9), _worse(surroundings=0.2)
-    assert model.same_place.probability(alike) == pytest.approx(1 / (1 + math.exp(-4.3)))
+    alike, unlike = _worse(surroundings=0.9), _worse(surroundings=0.1)
+    # Fitted on pairs of which 8 % are of two places, for pairs of which 2 % are.
+    odds = math.exp(7.0 * 0.9 - 2.0) * (0.98 / 0.02) / (0.92 / 0.08)
+    assert model.same_place.probability(alike) == pytest.approx(odds / (1 + odds))
     assert model.probability(unlike) == model.probability(alike) == model.probability(GOOD_EVIDENCE)
     told = ["what surrounds the matches is not alike in both images"]
     assert (model.against(alike), model.against(unlike)) == ([], told)

@@ -1,9 +1,13 @@
 """What a locator keeps of images."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from multi_view import SIZE, K, render_views, write_views
+import pytest
+from boxes import box_picture
+from multi_view import SIZE, render_views, write_views
+from multi_view import K as DATABASE_K
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
@@ -20,12 +24,39 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
         name: np.column_stack([view.R, view.t])
         for name, view in zip(write_views(tmp_path, views), views, strict=True)
     }
-    model = Model(tmp_path, dict.fromkeys(poses, Camera(K, SIZE)), poses)
+    model = Model(tmp_path, dict.fromkeys(poses, Camera(DATABASE_K, SIZE)), poses)
     cache = image_cache()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
     locator = locate.Locator(model, load_matcher(cache=cache), options)
     locator._images.limit_bytes = 1
-    location = locator.locate(photo.pixels, K)
+    location = locator.locate(photo.pixels, DATABASE_K)
     assert location.success and cache.made > 8
     kept = {key[0].name for key in cache._kept}
     assert len(kept) <= 1 and "query" not in kept
+
+
+@pytest.mark.parametrize(("K", "source"), [("auto", "lines"), ("900,900,480,360", "given")])
+def test_the_lines_of_a_query_tell_its_focal_length(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, K: str, source: str
+) -> None:
+    """Which no K states."""
+    views = render_views(2, step=0.5)
+    poses = {
+        name: np.column_stack([view.R, view.t])
+        for name, view in zip(write_views(tmp_path, views), views, strict=True)
+    }
+    model = Model(tmp_path, dict.fromkeys(poses, Camera(DATABASE_K, SIZE)), poses)
+    searched: list[Camera] = []
+
+    class Search(locate.LocationSearch):
+        def __init__(self, model: Model, camera: Camera, *others: Any) -> None:
+            searched.append(camera)
+            super().__init__(model, camera, *others)
+
+    monkeypatch.setattr(locate, "LocationSearch", Search)
+    options = EstimationOptions(effort="fast", runs=1, iterations=100)
+    locator = locate.Locator(model, load_matcher(), options)
+    assert not locator.locate(box_picture(1.2), K).success
+    (camera,) = searched
+    assert camera.focal_source == source
+    assert camera.focal == pytest.approx(900 if source == "given" else 1.2 * 960, rel=0.1)

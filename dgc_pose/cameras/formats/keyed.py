@@ -284,7 +284,7 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
 
 
 def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
-    """The cameras of a rig, each of the image of its name and of those below a folder of its name;
-    the first is that of other images."""
+    """The cameras of a rig, each of the images below a folder of its name; the first is that of
+    other images."""
     parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return Calibration("", parts, parts, next(iter(parts.values())))
+    return Calibration(parts=parts, common=next(iter(parts.values())))

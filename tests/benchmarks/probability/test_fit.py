@@ -8,24 +8,27 @@ from pathlib import Path
 import dense_scene
 import numpy as np
 import pytest
+from boxes import box_picture
 from command_line import assert_refused, run
 from results import GOOD_EVIDENCE
-from scenes import two_view_scene
+from scenes import pinhole, two_view_scene
 from textures import write_photos
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
 from dgc_pose.benchmarks.probability.collection import (
+    StoredPair,
     collect,
     read_collection,
     require_engine,
     store_path,
 )
-from dgc_pose.benchmarks.probability.fitting import fit_model, fit_same_place
+from dgc_pose.benchmarks.probability.fitting import fit_lines, fit_model, fit_same_place
 from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
 from dgc_pose.benchmarks.probability.planned import PlannedPair, planned
 from dgc_pose.benchmarks.probability.records import PoseRecord, Record, record
 from dgc_pose.benchmarks.probability.report import fit_all, judged, report_text
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.lines import LOG_FOCALS, focal_scores
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, parse_models
@@ -105,6 +108,25 @@ def test_what_is_stored_comes_back(stored):
     assert pair.matches.key_points and pair.map_matches is None and pair.scene == "fit 0"
     np.testing.assert_allclose(pair.truth.R, scene.R)
     assert pair.truth.camera1.size == (8, 8)
+    for scores, segments in pair.scores:
+        assert segments == 0 and not scores.any()  # of a blank
+
+
+def test_what_lines_state_is_stored_as_scores(tmp_path):
+    images = [Image(box_picture(focal)) for focal in (0.8, 1.2)]
+    cameras = [pinhole(focal * 960, (960, 720)) for focal in (0.8, 1.2)]
+    scene = two_view_scene("general", count=40)
+    matcher, source = _Scenes(), PlanEntry("boxes", "fit", "list")
+    matcher.matches = dataclasses.replace(scene.matches, key_points=True)
+    made = PosedPair(Truth({}, *cameras, scene.R, scene.t), *images)
+    require_engine(tmp_path, "sift", matcher)
+    collect(PlannedPair(source, 0, "boxes", lambda: made), {"sift": matcher}, tmp_path)
+    (pair,) = read_collection(tmp_path, "sift", [source])
+    for image, (scores, segments) in zip(images, pair.scores, strict=True):
+        expected, count = focal_scores(image)
+        np.testing.assert_allclose(scores, expected, atol=1e-6)
+        assert segments == count > 50
+    assert fit_lines([pair])["gain"] > 0.5
 
 
 def test_a_map_is_stored_as_a_sample(tmp_path):
@@ -124,6 +146,7 @@ def test_a_map_is_stored_as_a_sample(tmp_path):
     assert found.evidence.map_matchability == pytest.approx(pair.map_matches.confidence.mean())
 
 
+@pytest.mark.slow
 def test_models_and_report_come_of_stored_matches_alone(stored):
     out, sources = stored
     text, report, figure = fit_all(out, ["sift"], sources, OPTIONS)
@@ -132,6 +155,7 @@ def test_models_and_report_come_of_stored_matches_alone(stored):
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
     assert "calibration error" in report and "key points" in report
+    assert "lines of the images: {'sharpness': " in report
     assert json.loads(text)["engine"]["sift"]["name"] == "scenes"
     assert len(figure.axes[0].lines) > 1
     rows = [record(pair, OPTIONS) for pair in read_collection(out, "sift", sources)]
@@ -232,3 +256,35 @@ def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():
     )
     assert fit_same_place(around, ~right)["slope"] == 0  # never against what is alike
     assert fit_same_place(around[:9], right[:9]) == {"slope": 0.0, "intercept": 30.0}
+
+
+@pytest.mark.parametrize(("sharpness", "chance"), [(2.5, 0.05), (4.0, 0.2)])
+def test_the_fit_of_the_lines_finds_how_sure_they_are(sharpness, chance):
+    """Of focal lengths that are drawn from the posterior that such numbers have."""
+    rng, entry = np.random.default_rng(0), PlanEntry("s", "fit", "list")
+    usual = np.exp(-(((LOG_FOCALS - np.log(0.9)) / 0.35) ** 2) / 2) / 0.35
+    tail = np.exp(-(((LOG_FOCALS - np.log(2.0)) / 0.7) ** 2) / 2) / 0.7
+    prior = 0.85 * usual + 0.15 * tail
+    matches, pairs = two_view_scene("general", count=20).matches, []
+    for number in range(1000):
+        cameras, scores = [], []
+        for _ in range(2):
+            peak, count = rng.normal(0, 0.5), int(rng.integers(20, 160))
+            own = 0.3 + 0.6 * np.exp(-(((LOG_FOCALS - peak) / 0.3) ** 2))
+            odds = np.exp(sharpness * np.sqrt(count) * (own - own.max()))
+            odds = ((1 - chance) * odds / odds.mean() + chance) * prior
+            true = rng.choice(LOG_FOCALS, p=odds / odds.sum())
+            cameras.append(pinhole(float(640 * np.exp(true)), (640, 480)))
+            scores.append((own, count))
+        truth = Truth({}, *cameras, np.eye(3), np.array([0, 0, 1.0]))
+        pairs.append(StoredPair(entry, str(number), "s", truth, matches, None, None, tuple(scores)))
+    found = fit_lines(pairs)
+    assert (found["sharpness"], found["chance"]) == (sharpness, chance)
+    assert found["gain"] > 0.5
+    # Those of other parts and kinds do not count.
+    other = [
+        dataclasses.replace(pair, entry=PlanEntry("s", part, kind))
+        for pair, part, kind in zip(pairs, ("report", "fit"), ("list", "pasted"), strict=False)
+    ]
+    assert fit_lines([*pairs[2:], *other]) == fit_lines(pairs[2:])
+    assert fit_lines(other)["gain"] == 0

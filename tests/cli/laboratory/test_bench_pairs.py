@@ -1,6 +1,5 @@
 import csv
 import json
-import math
 import os
 
 import cv2
@@ -107,8 +106,9 @@ def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
     known, withheld, wrong = rows_of("run")
     assert float(known["rotation_error_deg"]) < 0.1 and float(known["focal1_error"]) == 0
     assert known["doubts_camera"] == "False" and float(withheld["focal1_std"]) > 0
-    assert float(wrong["focal2_error"]) == pytest.approx(math.log(0.8))
-    assert float(wrong["rotation_error_deg"]) > 10 * float(known["rotation_error_deg"])
+    # The wrong K is found by the matches.
+    assert wrong["doubts_camera"] == "True" and 0 < float(wrong["focal2_std"]) < 0.05
+    assert abs(float(wrong["focal2_error"])) < 0.01 and float(wrong["rotation_error_deg"]) < 0.5
 
 
 @pytest.mark.parametrize("protocol", ["paper", "native"])
