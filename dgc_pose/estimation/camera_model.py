@@ -24,9 +24,10 @@ from dgc_pose.estimation.problem import image_size
 # Logarithms of the odds of another model before the matches are seen: for a picture with EXIF data;
 # without, for a wide lens, and for one that was edited and has a sensor's shape; and for one that
 # no sensor has the shape of, which was cut, squeezed or joined.
-_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -10.0, -1.5
+_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -7.0, -1.5
 # Of two cameras whose images are of one size, and have no EXIF data, or the same.
 _TWO, _TWO_OF_EXIF = -2.2, -9.0
+_TWO_LENS_STD = 0.02  # of the lens of each, which one camera's zoom hardly changes
 # Of another camera than K states; of the middle, where the principal point of K is far from it.
 _STATED, _FAR_FROM_MIDDLE = -8.0, -0.5
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
@@ -75,7 +76,7 @@ def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
                 name, (with_model(stated[0], name), with_model(stated[1], name)), odds
             )
         yield from _other_focals(stated)
-    if any(camera.focal_source == "given" for camera in stated):
+    elif all(camera.focal_source == "given" for camera in stated):
         yield from _others_than_stated(stated)
 
 
@@ -105,7 +106,10 @@ def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     ]
     odds = (_TWO_OF_EXIF if exif else _TWO) - usual.log_weight
     odds += sum(part.log_weight for part in own)
-    cameras = [replace(of_part(c, p), identity=None) for c, p in zip(stated, own, strict=True)]
+    cameras = [
+        replace(of_part(c, p), identity=None, lens_std=min(c.lens_std, _TWO_LENS_STD))
+        for c, p in zip(stated, own, strict=True)
+    ]
     yield CameraModel("two", (cameras[0], cameras[1]), odds)
 
 
@@ -124,20 +128,16 @@ def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """Other cameras than K states."""
     first, second = stated
     same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
-    given = [camera.focal_source == "given" for camera in stated]
-    one = same_size and ratio < _OTHER_FOCAL and all(given)  # then a lens is left out of both
+    one = same_size and ratio < _OTHER_FOCAL  # then a lens is left out of both
     for name in _CHANGED:
-        cameras = tuple(
-            with_model(camera, name) if is_given else camera
-            for camera, is_given in zip(stated, given, strict=True)
-        )
+        cameras = tuple(with_model(camera, name) for camera in stated)
         if name == "lens" and one:
             cameras = tuple(replace(camera, identity="both") for camera in cameras)
         far = name == "middle" and max(map(_from_middle, stated)) > _FAR_OFF
         if any(own is not other for own, other in zip(cameras, stated, strict=True)):
             odds = _FAR_FROM_MIDDLE if far else _STATED
             yield CameraModel(name, (cameras[0], cameras[1]), odds)
-    if same_size and all(given) and not one:
+    if same_size and not one:
         yield CameraModel("swapped", (second, first), _STATED)
 
 

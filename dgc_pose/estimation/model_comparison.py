@@ -211,6 +211,9 @@ class _Sample:
         if model.name not in WIDE:
             limits = _OF_FIT if model.name in _BY_SLOPES else _OF_START
             fits.append(joint.fitted(start, limits, _FIT_ITERATIONS))
+        if model.name == "two" and searches:  # from what was believed too
+            start = replace(start, z=np.zeros(len(z)))
+            fits.append(joint.fitted(start, _OF_START, _FIT_ITERATIONS))
         valued = [self.valued(model, fit, joint) for fit in fits]
         return max([model, *valued], key=lambda each: each.log_evidence)
 
