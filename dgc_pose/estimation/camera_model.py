@@ -24,12 +24,12 @@ from dgc_pose.estimation.problem import image_size
 # Logarithms of the odds of another model before the matches are seen: for a picture with EXIF data;
 # without, for a wide lens, and for one that was edited and has a sensor's shape; and for one that
 # no sensor has the shape of, which was cut, squeezed or joined.
-_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -7.0, -1.5
+_LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -7.0, -3.0
 # Of two cameras whose images are of one size, and have no EXIF data, or the same.
 _TWO, _TWO_OF_EXIF = -2.2, -9.0
 _TWO_LENS_STD = 0.02  # of the lens of each, which one camera's zoom hardly changes
-# Of another camera than K states; of the middle, where the principal point of K is far from it.
-_STATED, _FAR_FROM_MIDDLE = -8.0, -0.5
+# Another camera than K states; K of the other image; the middle, where K is far from it.
+_STATED, _SWAPPED, _FAR_FROM_MIDDLE = -10.0, -12.0, -0.5
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _ASPECT_STD = 0.3  # of ln fy / fx of squeezed pixels
@@ -138,7 +138,7 @@ def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
             odds = _FAR_FROM_MIDDLE if far else _STATED
             yield CameraModel(name, (cameras[0], cameras[1]), odds)
     if same_size and not one:
-        yield CameraModel("swapped", (second, first), _STATED)
+        yield CameraModel("swapped", (second, first), _SWAPPED)
 
 
 def _from_middle(camera: Camera) -> float:
