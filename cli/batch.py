@@ -30,7 +30,12 @@ if TYPE_CHECKING:
 
 CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
-_SOURCES = {"size": "image's size", "exif": "EXIF data", "given": "K given"}
+_SOURCES = {
+    "size": "image's size",
+    "lines": "image's lines",
+    "exif": "EXIF data",
+    "given": "K given",
+}
 
 _FOLDER = OutputFolder(path_type=Path)
 OUT = click.option(

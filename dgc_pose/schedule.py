@@ -26,6 +26,7 @@ STEPS: Mapping[Effort, Sequence[Step]] = {
 _MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
 # Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
 LIKELY = 0.9
+_DOUBT = -1.0  # log-odds of another camera by the matches, which more of them confirm or not
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
@@ -73,7 +74,7 @@ def agrees_on_cameras(pose: RelativePose) -> bool:
     evidence = pose.evidence
     if evidence is None or evidence.camera_model != "assumed":
         return False
-    return evidence.camera_agreement >= _MAX_SEARCHED
+    return evidence.camera_agreement >= _MAX_SEARCHED and evidence.camera_doubt < _DOUBT
 
 
 def in_doubt(pose: RelativePose) -> bool:

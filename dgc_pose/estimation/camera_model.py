@@ -7,7 +7,8 @@ the middle, the same in all images of a camera.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,10 +27,19 @@ from dgc_pose.estimation.problem import image_size
 # no sensor has the shape of, which was cut, squeezed or joined.
 _LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -7.0, -3.0
 # Of two cameras whose images are of one size, and have no EXIF data, or the same.
-_TWO, _TWO_OF_EXIF = -2.2, -9.0
+_TWO, _TWO_OF_EXIF = -2.2, -25.0
 _TWO_LENS_STD = 0.02  # of the lens of each, which one camera's zoom hardly changes
-# Another camera than K states; K of the other image; the middle, where K is far from it.
-_STATED, _SWAPPED, _FAR_FROM_MIDDLE = -10.0, -12.0, -0.5
+# For other cameras than K states; and for the middle, where K is far from it.
+_STATED: Mapping[ModelName, float] = {
+    "focal": -8.0,
+    "focals": -9.0,
+    "lens": -8.0,
+    "centre": -11.0,
+    "unlensed": -9.0,
+    "middle": -10.0,
+    "swapped": -12.0,
+}
+_FAR_FROM_MIDDLE = -0.5
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _ASPECT_STD = 0.3  # of ln fy / fx of squeezed pixels
@@ -38,8 +48,7 @@ _CENTRE_STD = 0.02  # of the principal point of a part of an image, over the lon
 _STATED_STD, _STATED_CENTRE_STD, _STATED_LENS_STD = 0.5, 0.05, 0.15
 # Of the longer side, that the principal point of K is off the middle, and far from it.
 _OFF, _FAR_OFF = 0.01, 0.04
-_CHANGED: tuple[ModelName, ...] = ("focal", "focals", "lens", "centre", "unlensed", "middle")
-OF_STATED = (*_CHANGED, "swapped")
+OF_STATED = tuple(_STATED)
 _OTHER_FOCAL = 0.02  # difference of ln f of two K that may be swapped
 _MIN_FOCAL_ERROR = 0.08  # of ln f, that is worth a warning
 _UNCERTAIN_STD = 0.1  # of ln f, beyond which there is a warning
@@ -64,6 +73,7 @@ class CameraModel:
     # their probabilities, of those that are right if it is; and the probability that they are.
     pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     agreement: float = 1.0
+    doubt: float = -math.inf  # log-odds of the likeliest other one, by the matches alone
 
 
 def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
@@ -129,16 +139,16 @@ def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     first, second = stated
     same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
     one = same_size and ratio < _OTHER_FOCAL  # then a lens is left out of both
-    for name in _CHANGED:
+    for name in OF_STATED[:-1]:
         cameras = tuple(with_model(camera, name) for camera in stated)
         if name == "lens" and one:
             cameras = tuple(replace(camera, identity="both") for camera in cameras)
         far = name == "middle" and max(map(_from_middle, stated)) > _FAR_OFF
         if any(own is not other for own, other in zip(cameras, stated, strict=True)):
-            odds = _FAR_FROM_MIDDLE if far else _STATED
+            odds = _FAR_FROM_MIDDLE if far else _STATED[name]
             yield CameraModel(name, (cameras[0], cameras[1]), odds)
     if same_size and not one:
-        yield CameraModel("swapped", (second, first), _SWAPPED)
+        yield CameraModel("swapped", (second, first), _STATED["swapped"])
 
 
 def _from_middle(camera: Camera) -> float:
@@ -151,48 +161,49 @@ def camera_warnings(
     name: ModelName, stated: tuple[Camera, Camera], fitted: tuple[Camera, Camera]
 ) -> tuple[str, ...]:
     """What is unusual or uncertain about fitted cameras, a line each. stated: before the fit."""
-    lines, loose = [], []
-    for before, camera in zip(stated, fitted, strict=True):
+    of_images: dict[str, list[int]] = defaultdict(list)  # by what is found, the numbers of images
+    loose = dict[str, None]()
+    for number, (before, camera) in enumerate(zip(stated, fitted, strict=True), start=1):
         source = {"given": "K", "exif": "EXIF"}.get(before.focal_source)
-        std = camera.focal_std * camera.focal
-        of_both = f"f = {camera.focal:.0f} +- {std:.0f} px, and {source} states {before.focal:.0f}"
-        is_off = abs(math.log(camera.focal / before.focal)) > 2 * camera.focal_std
-        if source and before.focal_std and name in ("assumed", "tail"):
+        focal = f"f = {camera.focal:.0f} +- {camera.focal_std * camera.focal:.0f} px"
+        off = abs(math.log(camera.focal / before.focal))
+        (x, y), (cx, cy) = camera.K[:2, 2], before.K[:2, 2]
+        lens, was, line = camera.distortion, before.distortion, ""
+        if name in ("assumed", "tail") and source and before.focal_std:
             if is_contradicted(before, camera):
-                lines.append(of_both)
-                continue
-        if camera.focal_std > _UNCERTAIN_STD:
-            std = 100 * camera.focal_std
-            loose.append(f"f = {camera.focal:.0f} px within {std:.0f} %")
-        fx, fy, (x, y) = camera.K[0, 0], camera.K[1, 1], camera.K[:2, 2]
-        own = f"({x:.0f}, {y:.0f})"
-        if name == "squeezed" and _is_open(before):
-            std = camera.aspect_std
-            lines.append(f"pixels that are not square, fy / fx = {fy / fx:.3f} +- {std:.3f}")
-        elif name == "off_centre" and _is_open(before):
-            lines.append(f"a principal point of its own, {own} +- {camera.centre_std:.0f} px")
-        elif name == "fisheye" and _is_open(before):
-            lines.append(f"a fisheye, f = {camera.focal:.0f} px")
-        elif name == "two" and _is_open(before):
-            lines.append(f"a focal length of each image, f = {camera.focal:.0f} +- {std:.0f} px")
-        elif name in ("focal", "focals") and is_off:
-            lines.append(of_both)
-        elif name == "lens" and camera.distortion is not None:
-            k1, std = camera.distortion.radial[0], camera.lens_std
-            states = "none" if before.distortion is None else before.distortion.model
-            lines.append(f"a lens of k1 = {k1:.3f} +- {std:.3f}, and K states {states}")
-        elif name == "unlensed" and before.distortion is not None:
-            lines.append(f"no lens, and K states {before.distortion.model}")
+                line = f"{focal}, and {source} states {before.focal:.0f}"
+        elif name in ("focal", "focals") and off > 2 * camera.focal_std:
+            line = f"{focal}, and K states {before.focal:.0f}"
+        elif name == "lens" and lens is not None:
+            k1 = f"k1 = {lens.radial[0]:.3f} +- {camera.lens_std:.3f}"
+            line = f"a lens of {k1}, and K states {'none' if was is None else was.model}"
+        elif name == "unlensed" and was is not None:
+            line = f"no lens, and K states {was.model}"
         elif name in ("centre", "middle"):
-            was = f"({before.K[0, 2]:.0f}, {before.K[1, 2]:.0f})"
-            std = camera.centre_std
-            lines.append(f"a principal point of {own} +- {std:.0f} px, and K states {was}")
+            centre = f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
+            line = f"a principal point of {centre}, and K states ({cx:.0f}, {cy:.0f})"
         elif name == "swapped":
-            lines.append(f"f = {camera.focal:.0f} px, that of the other image's K")
-    return (
-        *(f"the matches agree with {line}" for line in dict.fromkeys(lines)),
-        *(f"the focal length is hardly known: {line}" for line in dict.fromkeys(loose)),
+            line = f"f = {camera.focal:.0f} px, that of the other image's K"
+        elif not _is_open(before):
+            continue
+        elif name == "squeezed":
+            ratio = f"fy / fx = {camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
+            line = f"pixels that are not square, {ratio}"
+        elif name == "off_centre":
+            line = f"a principal point of its own, ({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
+        elif name == "fisheye":
+            line = f"a fisheye, f = {camera.focal:.0f} px"
+        elif name == "two":
+            line = f"a focal length of each image, {focal}"
+        if line:
+            of_images[line].append(number)
+        elif camera.focal_std > _UNCERTAIN_STD:
+            loose[f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"] = None
+    agree = (
+        f"the matches {'' if len(numbers) == 2 else f'of image {numbers[0]} '}agree with {line}"
+        for line, numbers in of_images.items()
     )
+    return (*agree, *(f"the focal length is hardly known: {line}" for line in loose))
 
 
 def is_contradicted(stated: Camera, fitted: Camera) -> bool:

@@ -90,6 +90,7 @@ class Evidence:
         camera_model: The camera that the matches agree with, see `camera_model`.
         camera_agreement: Probability that the pose is within 10 degrees of that of the right
             camera, if a pose is right with each.
+        camera_doubt: Log-odds of the likeliest other camera, by the matches alone.
     """
 
     num_inliers: int
@@ -123,6 +124,7 @@ class Evidence:
     second_rotation_deg: float = 0.0
     camera_model: ModelName = "assumed"
     camera_agreement: float = 1.0
+    camera_doubt: float = -math.inf
 
     @property
     def over_chance(self) -> float:

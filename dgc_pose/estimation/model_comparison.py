@@ -35,7 +35,10 @@ from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
 
-_SAMPLED, _MOST_WEIGHT = 500, 6.0  # matches, and how many others each stands for at most
+_SAMPLED = 500  # matches
+# How many others each stands for at most, beside a K that is stated. What else lenses and shutters
+# do is in all matches of a photograph, and another camera would explain a part of it.
+_MOST_WEIGHT = 6.0
 _ITERATIONS = 120  # of a RANSAC run at most
 # Of the errors of the rounds of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
@@ -54,6 +57,7 @@ _LEAST_SPREAD_DEG = 1.0  # standard deviation of the pose of a model
 # By how many standard deviations the parameters that K states must be off, and the variance of
 # each over that before the matches.
 _LEAST_STDS, _DETERMINED = 5.0, 0.25
+_MOST_STDS = 3.0  # of another focal length than K states, before the matches
 _OPEN_STD = 0.1  # of ln f, below which the matches determine it whatever was believed
 # The parameters of both cameras that K states in another way.
 _TESTED = {
@@ -81,7 +85,9 @@ def likeliest_model(
     """
     drawn = matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
     pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
-    weight = min(max(len(problem) / max(len(drawn), 1), 1.0), _MOST_WEIGHT)
+    is_stated = all(camera.focal_source == "given" for camera in stated)
+    most = _MOST_WEIGHT if is_stated else 1.0
+    weight = min(max(len(problem) / max(len(drawn), 1), 1.0), most)
     fast = replace(options, iterations=_ITERATIONS)
     sample = _Sample.of(drawn, pixels, weight, fast, stated, pose)
     assumed = sample.valued(CameraModel("assumed", stated), pose)
@@ -113,7 +119,9 @@ def likeliest_model(
             rotation = cv2.Rodrigues(R @ best.pose.R.T)[0][:, 0]
             difference = np.concatenate([rotation, t - best.pose.t])
             covariance += share * right * (np.outer(difference, difference) + model.covariance)
-    return replace(best, pose_covariance=covariance, agreement=min(agreement, 1.0))
+    doubt = max((fit.log_evidence - assumed.log_evidence for fit in fits), default=-math.inf)
+    agreement = min(agreement, 1.0)
+    return replace(best, pose_covariance=covariance, agreement=agreement, doubt=doubt)
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +294,9 @@ def _with_evidence(
         stds = np.abs(prior.basis @ pose.z)[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
         determined = variances[rows] < _DETERMINED * before[rows]
         off = float(stds[determined].max(initial=0.0))
-        if rows == FOCALS and not determined.all():  # what is less sure contradicts nothing
+        # What is less sure contradicts nothing, and no photograph has such a focal length.
+        log_focals, most = np.abs(prior.basis @ pose.z)[FOCALS], _MOST_STDS * before[FOCALS] ** 0.5
+        if rows == FOCALS and not (determined.all() and (log_focals <= most).all()):
             return model
     return replace(
         model,

@@ -264,8 +264,8 @@ def parse_models(text: str) -> FittedModels:
 
 
 def calibrated_focal_std(std: float) -> float:
-    """The standard deviation of ln f, from the raw one, which may be infinite. Raw ones of less than
-    a per cent, which few of the scenes fitted on have, are scaled as that is."""
+    """The standard deviation of ln f, from the raw one, which may be infinite. Raw ones below a per
+    cent, which few of the scenes fitted on have, are scaled as that is."""
     return std * shipped_models().focal_error.factor(max(100 * NORMAL_90 * std, 1.0))
 
 

@@ -73,9 +73,9 @@ def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose
     evidence, cameras = pose.evidence, pose.cameras
     if evidence is None or cameras is None or evidence.camera_model not in OF_STATED:
         return pose
-    reasons = (*camera_warnings(evidence.camera_model, stated, cameras), "K is contradicted")
+    reason = "; ".join(camera_warnings(evidence.camera_model, stated, cameras))
     none = np.zeros_like(pose.inliers)
-    return RelativePose("improbable", reasons[0], none, pose.num_matches, evidence=evidence)
+    return RelativePose("improbable", reason, none, pose.num_matches, evidence=evidence)
 
 
 def _estimated(
@@ -197,6 +197,7 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
         other_ratio=most_of_others / max(best.num_in_front, 1),
         camera_model=found.model.name,
         camera_agreement=found.model.agreement,
+        camera_doubt=found.model.doubt,
     )
 
 

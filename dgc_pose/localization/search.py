@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.camera_model import is_edited
+from dgc_pose.estimation.camera_model import OF_STATED, is_edited
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
@@ -54,6 +54,12 @@ class Pair:
     matches: Matches
     points: np.ndarray  # (N, 3) of the model, that the query shows
     seen: np.ndarray  # (N, 2) where, pixels
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether its matches agree with another camera than K states."""
+        evidence = self.pose.evidence
+        return evidence is not None and evidence.camera_model in OF_STATED
 
     @property
     def probability(self) -> float:
@@ -280,7 +286,8 @@ class LocationSearch:
         against it."""
         log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
         for pair in self.pairs:
-            likely = 1.0 if pair.pose.status == "mirrored" else pair.probability
+            against = pair.pose.status == "mirrored" or pair.contradicts
+            likely = 1.0 if against else pair.probability
             right = min(max(likely, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
             log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)
         return 1 / (1 + math.exp(-log_odds))
