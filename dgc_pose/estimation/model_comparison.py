@@ -51,6 +51,7 @@ _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 _AS_WELL, _MORE = 1.0, 1.2
 _EXPLAINED = 0.8  # share of the sample below the threshold, with which nothing far is searched
 _HOPELESS = 6.0  # log-odds below the assumed cameras, by the slopes, of a model that is not fitted
+_DOUBTFUL = -1.0  # log-odds of another model by the matches alone, with which it is searched
 _UNUSUAL = 0.5  # squares of the parameters of assumed cameras that two may explain
 _WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
 _LEAST_SPREAD_DEG = 1.0  # standard deviation of the pose of a model
@@ -194,10 +195,10 @@ class _Sample:
         searches = odd or not self.is_explained
         if model.name in _BY_SLOPES:
             by_slopes = self._along_slopes(model, joint.prior, start)
-            odds = by_slopes.log_evidence + model.log_odds - assumed.log_evidence
-            if odds < -_HOPELESS and not searches:
+            gain = by_slopes.log_evidence - assumed.log_evidence
+            searches = searches or gain > _DOUBTFUL
+            if gain + model.log_odds < -_HOPELESS and not searches:
                 return by_slopes
-            searches = searches or odds > 0
         else:
             searches = True
         starts = _starts(model, self.joint.parameters(pose)) if searches else []
@@ -324,6 +325,8 @@ def _starts(model: CameraModel, at: np.ndarray) -> list[np.ndarray]:
             for k in (-2.0, -1.0, 1.0, 2.0)
             for fewer in (0.0, -0.5)
         ]
+    if model.name == "focal":
+        return [of_focals(np.array([k, k])) for k in (-0.5, -0.25, 0.25, 0.5)]
     if model.name in ("two", "focals"):
         return [of_focals(np.array([-k, k])) for k in (-0.35, -0.18, 0.18, 0.35)]
     return [np.zeros(2 * SIZE)] if model.name in ("unlensed", "middle", "swapped") else []
