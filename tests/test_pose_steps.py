@@ -286,14 +286,13 @@ def test_a_lens_without_a_mirror_image_is_not_mirrored(monkeypatch: pytest.Monke
     assert pose.status == "improbable" and matcher.steps[-1] == "mirrored"
 
 
-@pytest.mark.parametrize("axis", [0, 1])
-def test_a_mirrored_photograph_is_recognised(axis: int) -> None:
-    """The bundled pair: the second image as selfie cameras store it, and upside down."""
+def test_a_mirrored_photograph_is_recognised() -> None:
+    """The bundled pair: the second image as selfie cameras store it."""
     pair = rendered_pair()
     second = load_image(pair.path2)
     K2 = pair.camera2.K.copy()
-    K2[axis, 2] = second.size[axis] - 1 - K2[axis, 2]
-    mirrored = np.ascontiguousarray(np.flip(second.pixels, 1 - axis))
+    K2[0, 2] = second.size[0] - 1 - K2[0, 2]
+    mirrored = np.ascontiguousarray(np.flip(second.pixels, 1))
     pose = estimate_relative_pose(pair.path1, mirrored, pair.camera1, K2)
     assert pose.status == "mirrored", pose
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from dgc_pose.cameras.lines import LOG_FOCALS
-
+# Logarithms of the focal lengths that lines are evidence of, over the longer side.
+LOG_FOCALS = np.linspace(math.log(0.3), math.log(8.0), 42)
 _LOGS = np.arange(math.log(0.1), math.log(25.0), 0.01)  # of f over the longer side
 
 

@@ -12,10 +12,9 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from dgc_pose.cameras.focal_belief import LOG_FOCALS
 from dgc_pose.images.image import Image, resize_by
 
-# Logarithms of focal lengths over the longer side.
-LOG_FOCALS = np.linspace(np.log(0.3), np.log(8.0), 42)
 # The likelihood of a focal length, by its score s and the number n of segments, is that of the best
 # one times exp(SHARPNESS sqrt(n) (s - s of the best)), mixed with CHANCE of a uniform one, by
 # `dgc-pose fit-probability`.

@@ -21,8 +21,7 @@ from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
-from dgc_pose.cameras.focal_belief import FocalBelief, Part
-from dgc_pose.cameras.lines import LOG_FOCALS, log_likelihoods
+from dgc_pose.cameras.focal_belief import LOG_FOCALS, FocalBelief, Part
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.header import Exif
 from dgc_pose.system.threads import in_threads, one_blas_thread
@@ -145,6 +144,8 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
 @one_blas_thread()
 def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
     """Cameras by the lines of their images, see `by_lines`; a camera that is stated stays."""
+    from dgc_pose.cameras.lines import log_likelihoods
+
     open_ = [image for c, image in zip(cameras, images, strict=True) if c.belief is not None]
     found = iter(in_threads(log_likelihoods, open_))
     return by_lines(cameras, [None if camera.belief is None else next(found) for camera in cameras])

@@ -7,7 +7,6 @@ the middle, the same in all images of a camera.
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -161,9 +160,8 @@ def camera_warnings(
     name: ModelName, stated: tuple[Camera, Camera], fitted: tuple[Camera, Camera]
 ) -> tuple[str, ...]:
     """What is unusual or uncertain about fitted cameras, a line each. stated: before the fit."""
-    of_images: dict[str, list[int]] = defaultdict(list)  # by what is found, the numbers of images
-    loose = dict[str, None]()
-    for number, (before, camera) in enumerate(zip(stated, fitted, strict=True), start=1):
+    lines, loose = dict[str, None](), dict[str, None]()
+    for before, camera in zip(stated, fitted, strict=True):
         source = {"given": "K", "exif": "EXIF"}.get(before.focal_source)
         focal = f"f = {camera.focal:.0f} +- {camera.focal_std * camera.focal:.0f} px"
         off = abs(math.log(camera.focal / before.focal))
@@ -184,25 +182,20 @@ def camera_warnings(
             line = f"a principal point of {centre}, and K states ({cx:.0f}, {cy:.0f})"
         elif name == "swapped":
             line = f"f = {camera.focal:.0f} px, that of the other image's K"
-        elif not _is_open(before):
-            continue
-        elif name == "squeezed":
+        elif name == "squeezed" and _is_open(before):
             ratio = f"fy / fx = {camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
             line = f"pixels that are not square, {ratio}"
-        elif name == "off_centre":
+        elif name == "off_centre" and _is_open(before):
             line = f"a principal point of its own, ({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
-        elif name == "fisheye":
+        elif name == "fisheye" and _is_open(before):
             line = f"a fisheye, f = {camera.focal:.0f} px"
-        elif name == "two":
+        elif name == "two" and _is_open(before):
             line = f"a focal length of each image, {focal}"
         if line:
-            of_images[line].append(number)
+            lines[line] = None
         elif camera.focal_std > _UNCERTAIN_STD:
             loose[f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"] = None
-    agree = (
-        f"the matches {'' if len(numbers) == 2 else f'of image {numbers[0]} '}agree with {line}"
-        for line, numbers in of_images.items()
-    )
+    agree = (f"the matches agree with {line}" for line in lines)
     return (*agree, *(f"the focal length is hardly known: {line}" for line in loose))
 
 
