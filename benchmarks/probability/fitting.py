@@ -151,10 +151,10 @@ def fit_lines(pairs: Iterable[StoredPair]) -> dict[str, float]:
                 images[pair.scene, round(float(true), 6), scores[0].tobytes()] = (true, *scores)
     belief = auto_camera(Header("", (640, 480))).belief
     assert belief is not None
-    prior = sum(
-        np.exp(part.log_weight - ((LOG_FOCALS - part.log_focal) / part.std) ** 2 / 2) / part.std
-        for part in (belief.usual, belief.tail)
-    )
+    prior = np.zeros(len(LOG_FOCALS))
+    for part in (belief.usual, belief.tail):
+        off = (LOG_FOCALS - part.log_focal) / part.std
+        prior += np.exp(part.log_weight - off**2 / 2) / part.std
 
     def gain(sharpness: float, chance: float) -> float:
         gains = []

@@ -233,8 +233,8 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
         return camera
     K, focals = camera.K.copy(), other.K.diagonal()[:2]
     K[[0, 1], [0, 1]] = focals if camera.size == other.size else focals[::-1]
-    focal = {"focal_std": other.focal_std, "focal_source": other.focal_source}
-    return replace(camera, K=K, belief=other.belief, **focal)
+    std, source, belief = other.focal_std, other.focal_source, other.belief
+    return replace(camera, K=K, focal_std=std, focal_source=source, belief=belief)
 
 
 def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
