@@ -45,8 +45,9 @@ def test_every_cell_runs_and_the_results_are_good(run: nbformat.NotebookNode) ->
     pose, focal, _, _, _, refused, _, errors, orb, _, model, _, size = texts(run)
     assert pose.startswith("RelativePose: ok, ") and pose.count("\n") == 4
     before, after = map(int, re.findall(r"(\d+) px", focal))
-    assert before == 1294 and 1000 < after < 1600  # the reference has 1113: the pair is a hard one
-    assert refused.startswith("False rotation_only\na rotation alone explains ")
+    # By EXIF 1294, by EXIF and the lines less; the reference has 1113.
+    assert 1200 < before < 1290 and 1000 < after < 1300
+    assert refused.startswith("False rotation_only\na ") and " explains " in refused
     assert float(re.search(r"R off ([\d.]+) deg", refused)[1]) < 0.1 and "t None" in refused
     assert all(float(value) < 0.5 for value in re.findall(r"is ([\d.]+) deg", errors))
     assert orb.startswith("ok ")
