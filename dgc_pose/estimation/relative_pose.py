@@ -73,7 +73,7 @@ def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose
     evidence, cameras = pose.evidence, pose.cameras
     if evidence is None or cameras is None or evidence.camera_model not in OF_STATED:
         return pose
-    reason = "; ".join(camera_warnings(evidence.camera_model, stated, cameras))
+    reason, *_ = (*camera_warnings(evidence.camera_model, stated, cameras), "K is contradicted")
     none = np.zeros_like(pose.inliers)
     return RelativePose("improbable", reason, none, pose.num_matches, evidence=evidence)
 
