@@ -138,14 +138,13 @@ def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     first, second = stated
     same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
     one = same_size and ratio < _OTHER_FOCAL  # then a lens is left out of both
-    for name in OF_STATED[:-1]:
+    for name, odds in _STATED.items():
         cameras = tuple(with_model(camera, name) for camera in stated)
         if name == "lens" and one:
             cameras = tuple(replace(camera, identity="both") for camera in cameras)
         far = name == "middle" and max(map(_from_middle, stated)) > _FAR_OFF
         if any(own is not other for own, other in zip(cameras, stated, strict=True)):
-            odds = _FAR_FROM_MIDDLE if far else _STATED[name]
-            yield CameraModel(name, (cameras[0], cameras[1]), odds)
+            yield CameraModel(name, (cameras[0], cameras[1]), _FAR_FROM_MIDDLE if far else odds)
     if same_size and not one:
         yield CameraModel("swapped", (second, first), _STATED["swapped"])
 

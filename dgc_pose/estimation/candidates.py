@@ -69,11 +69,6 @@ class Candidates:
     still: tuple[float, np.ndarray] | None
     logistic: ProbabilityModel | None  # None if none is fitted for such matches
 
-    @property
-    def on_plane(self) -> bool:
-        """Whether the inliers lie on a plane."""
-        return self.homography_ratio >= PLANAR_SHARE
-
 
 def candidates(
     problem: TwoViewProblem,

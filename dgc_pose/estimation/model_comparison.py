@@ -98,12 +98,10 @@ def likeliest_model(
     fits = in_threads(lambda model: sample.fitted(model, pose, assumed), others)
     models = [assumed, *fits]
     shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
-    best, share = max(zip(models, shares, strict=True), key=lambda item: item[1])
-    if best.name in OF_STATED:
-        is_kept = shares[0] > _MIN_STATED_SHARE or best.stds < _LEAST_STDS
-    else:
-        is_kept = shares[0] > _MIN_SHARE
-    best = assumed if is_kept else best
+    best = models[int(np.argmax(shares))]
+    least = _MIN_STATED_SHARE if best.name in OF_STATED else _MIN_SHARE
+    if shares[0] > least or (best.name in OF_STATED and best.stds < _LEAST_STDS):
+        best = assumed
     assert best.pose is not None  # of a finite evidence
     covariance, agreement = np.zeros((6, 6)), 0.0
     for share, model in zip(shares, models, strict=True):
@@ -192,15 +190,13 @@ class _Sample:
         start = JointPose(turn2 @ pose.R @ turn1.T, turn2 @ pose.t, z)
         # The focal length of one camera is unusual where there are two.
         odd = model.name == "two" and float(pose.z @ pose.z) > _UNUSUAL
-        searches = odd or not self.is_explained
+        searches = odd or not self.is_explained or model.name not in _BY_SLOPES
         if model.name in _BY_SLOPES:
             by_slopes = self._along_slopes(model, joint.prior, start)
             gain = by_slopes.log_evidence - assumed.log_evidence
             searches = searches or gain > _DOUBTFUL
             if gain + model.log_odds < -_HOPELESS and not searches:
                 return by_slopes
-        else:
-            searches = True
         starts = _starts(model, self.joint.parameters(pose)) if searches else []
         seeds = run_seeds(replace(self.options, runs=1 + len(starts)))
         rough, best = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE, None
@@ -280,7 +276,9 @@ def _with_evidence(
     hessian: np.ndarray,
     tangent: np.ndarray,
 ) -> CameraModel:
-    """The model with a fit. loss: of the matches; hessian (5 + M, 5 + M): of that."""
+    """The model with a fit; without one if that is no minimum, and for focal lengths beside those
+    of K that the matches do not determine. loss: of the matches; hessian (5 + M, 5 + M): of that.
+    """
     total = hessian + np.diag([*np.zeros(5), *np.ones(len(pose.z))])
     sign, log_determinant = np.linalg.slogdet(total)
     if sign <= 0:
@@ -290,14 +288,14 @@ def _with_evidence(
     evidence = -loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2
     of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
     variances, before = of_cameras.diagonal(), (prior.basis**2).sum(1)
-    off = math.inf
+    off, moved = math.inf, np.abs(prior.basis @ pose.z)
     if rows := _TESTED.get(model.name):
-        stds = np.abs(prior.basis @ pose.z)[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
+        stds = moved[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
         determined = variances[rows] < _DETERMINED * before[rows]
         off = float(stds[determined].max(initial=0.0))
         # What is less sure contradicts nothing, and no photograph has such a focal length.
-        log_focals, most = np.abs(prior.basis @ pose.z)[FOCALS], _MOST_STDS * before[FOCALS] ** 0.5
-        if rows == FOCALS and not (determined.all() and (log_focals <= most).all()):
+        usual = moved[rows] <= _MOST_STDS * np.sqrt(before[rows])
+        if rows == FOCALS and not (determined & usual).all():
             return model
     return replace(
         model,
