@@ -60,6 +60,8 @@ def _camera_of_image(path):
 def _make_calibrations(folder):
     frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
     nerf = {"fl_x": 9.0, "fl_y": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "frames": frames}
+    of_colmap = {"camera_model_name": "PINHOLE", "camera_params": [9, 9, 5, 4]}
+    of_colmap |= {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [1, 2, 3]}
     texts = {
         "pinhole.arg": dense_scene.K_TEXT,
         "opencv.arg": "OPENCV,320,240,300,300,160,120,0.1,0.01,0,0",
@@ -74,7 +76,9 @@ def _make_calibrations(folder):
         "text/cameras.txt": "1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n",
         "text/images.txt": "1 1 0 0 0 0 0 0 1 a.png\n2 3 -1\n",
         "rig.toml": "[cam_0]\nname = 'A'\nsize = [10, 8]\nmatrix = [[9, 0, 5], "
-        "[0, 9, 4], [0, 0, 1.0]]\ndistortions = [0.1, 0.0, 0.0, 0.0]\n",
+        "[0, 9, 4], [0, 0, 1.0]]\ndistortions = [0.1, 0.0, 0.0, 0.0]\n"
+        "rotation = [0.1, 0.2, 0.3]\ntranslation = [1.0, 2.0, 3.0]\n",
+        "rig_config.json": json.dumps([{"cameras": [{"image_prefix": "a/", **of_colmap}]}]),
         "stereo.json": json.dumps({"M1": [9, 9, 5, 4], "D1": [0.1, 0, 0, 0], "M2": [9, 9, 5, 4]}),
         "calib.txt": "P0: 9 0 4 0 0 9 3 0 0 0 1 0\nP1: 9 0 4 0 0 9 3 0 0 0 1 0\n",
     }

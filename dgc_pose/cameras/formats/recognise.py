@@ -7,7 +7,8 @@
 | NeRF's transforms.json | (0.5, 0.5) | name |
 | OpenCV's cv::FileStorage, YAML, XML or JSON | (0, 0) | - |
 | OpenCV's stereo file; EasyMocap's intri.yml | (0, 0) | name of the camera |
-| TOML of anipose, caliscope, Pose2Sim | (0, 0) | name of the camera |
+| TOML of anipose, caliscope, Pose2Sim; rig.json | (0, 0) | name of the camera |
+| COLMAP's rig_config.json | (0.5, 0.5) | name of the camera: image_prefix |
 | ROS's camera_info, YAML | (0, 0) | - |
 | Kalibr's camchain, YAML | (0, 0) | folder `cam0`, `cam1`, ... |
 | KITTI's calib.txt, calib_cam_to_cam.txt | (0, 0) | folder `image_0`, `image_02`, ... |
@@ -103,6 +104,8 @@ def _read_file(path: Path) -> Calibration:
 
 
 def _of_mapping(data: Any, path: Path) -> Calibration:
+    if isinstance(data, list) and (rig := rigs.colmap_rig(data, path)) is not None:
+        return rig
     if not isinstance(data, dict):
         return Calibration(common=numbers_camera(data))
     if (rig := keyed.camchain(data, path)) is not None:

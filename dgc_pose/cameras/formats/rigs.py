@@ -1,19 +1,28 @@
-"""Files that name the cameras of a rig: OpenCV's of a stereo pair, EasyMocap's intri.yml, and the
-TOML of anipose, caliscope and Pose2Sim.
+"""Files that name the cameras of a rig, with their poses if the file has them: OpenCV's of a stereo
+pair, EasyMocap's intri.yml, the TOML of anipose, caliscope and Pose2Sim, COLMAP's rig_config.json,
+and rig.json, which has the tables of the TOML.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.keyed import MODEL_KEYS, keyed_camera, numbers, require_read
+from dgc_pose.cameras.colmap_camera import intrinsics
+from dgc_pose.cameras.formats.keyed import (
+    MODEL_KEYS,
+    keyed_camera,
+    numbers,
+    pose_matrix,
+    require_read,
+)
 from dgc_pose.errors import InputError, reason
+from dgc_pose.geometry.rotation import is_rotation, rotation_of_vector
 
 # Keys that end with their camera. P1 and P2 are of OpenCV's rectified images, and not needed.
 _STEREO = re.compile(r"(M|cameraMatrix|K|D|distCoeffs|P)([12])")
@@ -22,35 +31,97 @@ _MATRICES = ("M", "cameraMatrix", "K")
 
 
 def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
-    """The cameras of a rig by their names, in the order of the file. Those that are not calibrated,
-    as caliscope writes them, are among the names of the `rig` alone. None for other files.
+    """The cameras of a rig by their names, in the order of the file, and their poses. Cameras that
+    are not calibrated, as caliscope writes them, are among the names of the `rig` alone. None for
+    other files.
 
     path: for the identity of the cameras. Raises InputError, with the camera's name, for what is no
-    camera and for two of one name; and if none is calibrated.
+    camera or no rigid pose, and for two cameras of one name; and if no camera is calibrated.
     """
-    tables = _tables(data) or _grouped(data)
+    return _calibration(_tables(data) or _grouped(data), path)
+
+
+def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
+    """The cameras of COLMAP's rig_config.json by the last folder of their image_prefix, and their
+    poses in the rig's frame, unless the file has several rigs. None for other lists.
+
+    Raises as `named_rig` does.
+    """
+    if not rigs or not all(isinstance(rig, Mapping) and rig.get("cameras") for rig in rigs):
+        return None
+    tables: dict[str, dict[str, Any]] = {}
+    for camera in (camera for rig in rigs for camera in rig["cameras"]):
+        prefix = str(camera["image_prefix"])
+        name = PurePath(prefix).name or prefix
+        tables[prefix] = _colmap_table(camera, name)
+    calibration = _calibration(tables, path)
+    return calibration if len(rigs) == 1 or not calibration else replace(calibration, poses={})
+
+
+def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
     names = {key: str(table.get("name") or key) for key, table in tables.items()}
     parts: dict[str, Camera] = {}
-    by_name: dict[str, Camera] = {}
+    poses: dict[str, np.ndarray] = {}
     for key, name in names.items():
         matrix = tables[key].get("matrix")
         held = [] if matrix == "null" else numbers(matrix)
         if held is not None and np.isnan(held).all():
             continue
         try:
-            camera = keyed_camera(tables[key], "matrix")
+            camera, pose = keyed_camera(tables[key], "matrix"), _pose(tables[key])
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{name}: {reason(error)}") from None
+        if name in parts:
+            raise InputError(f"two cameras have the name {name}")
         parts[name] = replace(camera, identity=f"{path} {name}")
-        for called in (name, key):
-            if by_name.setdefault(called, parts[name]) is not parts[name]:
-                raise InputError(f"two cameras have the name {called}")
+        if pose is not None:
+            poses[name] = pose
     if not parts:
         if not tables:
             return None
         raise InputError(f"no matrix of {', '.join(names.values())}")
+    by_name = {key: parts[name] for key, name in names.items() if name in parts} | parts
     is_only = len(tables) == 1 and not _STEREO.fullmatch(name)  # M1 alone is of image 1
-    return Calibration("", by_name, parts, parts[name] if is_only else None, rig=(*names.values(),))
+    common, rig = parts[name] if is_only else None, (*names.values(),)
+    return Calibration("", by_name, parts, common, poses=poses, rig=rig)
+
+
+def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
+    """cam_from_world [R | t] (3, 4), the rotation a matrix or a rotation vector; None of a camera
+    without a pose."""
+    rotation, translation = (numbers(table.get(key)) for key in ("rotation", "translation"))
+    if not rotation or not translation or np.isnan([*rotation, *translation]).all():
+        return None
+    if len(rotation) in (3, 9) and len(translation) == 3:
+        is_vector = len(rotation) == 3 and np.isfinite(rotation).all()
+        values = np.array(rotation)
+        R = rotation_of_vector(values) if is_vector else np.resize(values, (3, 3))
+        if is_rotation(R) and np.isfinite(translation).all():
+            return np.column_stack([R, translation])
+    raise InputError("rotation and translation are no rigid pose")
+
+
+def _colmap_table(camera: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """A camera of a rig_config.json with the keys of the TOML."""
+    table: dict[str, Any] = {"name": name}
+    try:
+        if "camera_params" in camera:
+            K, lens = intrinsics(
+                camera["camera_model_name"], numbers(camera["camera_params"]) or []
+            )
+            table["matrix"] = K.tolist()
+            if lens is not None:
+                table |= {"model": lens.model, "coefficients": lens.coefficients}
+        keys = ("cam_from_rig_rotation", "cam_from_rig_translation")
+        rotation, translation = (numbers(camera.get(key)) for key in keys)
+        if camera.get("ref_sensor"):
+            rotation, translation = [1, 0, 0, 0], [0, 0, 0]
+        if rotation and translation:
+            pose = pose_matrix([*rotation, *translation])
+            table |= {"rotation": pose[:, :3], "translation": pose[:, 3]}
+    except (InputError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{name}: {reason(error)}") from None
+    return table
 
 
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -61,7 +132,8 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         for key, table in (listed.items() if isinstance(listed, Mapping) else ())
         if isinstance(table, Mapping) and not {"matrix", "size"}.isdisjoint(table)
     }
-    if not any("distortions" in table for table in tables.values()):
+    lenses = ({"distortions"}, {"matrix", "coefficients"})
+    if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}
     require_read(data, "cameras", *tables)
     return tables
@@ -84,4 +156,8 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         require_read(shared, *MODEL_KEYS)
         name = end if keys is _EASYMOCAP else held[0] + end
         tables[name] = {**shared, "matrix": group.pop(held[0]), **group, "name": name}
+    if keys is _STEREO and len(tables) == 2 and {"R", "T"} <= shared.keys():
+        first, second = (tables[name] for name in sorted(tables, key=lambda name: name[-1]))
+        first |= {"rotation": np.eye(3), "translation": np.zeros(3)}
+        second |= {"rotation": shared["R"], "translation": shared["T"]}
     return tables

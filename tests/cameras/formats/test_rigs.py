@@ -244,3 +244,85 @@ def test_half_a_stereo_file_is_of_no_image_unless_it_is_named(tmp_path: Path) ->
     assert parse_camera(f"{path}:M1").K[0, 0] == 501
     with pytest.raises(InputError, match="no camera for a.png: state one of M1, as in"):
         pair_cameras(path, path, _image(), _image())
+
+
+R = cv2.Rodrigues(np.array([0.1, 0.2, 0.3]))[0]
+
+
+@pytest.mark.parametrize("rotation", [[0.1, 0.2, 0.3], R.tolist()], ids=["vector", "matrix"])
+def test_the_poses_of_a_toml(tmp_path: Path, rotation: Any) -> None:
+    """A camera without a pose, as caliscope writes them, has a K and no pose."""
+    tables = {"left": _table(1, rotation=rotation), "right": _table(2)}
+    tables |= {"a": _table(3, rotation="null", translation="null"), "b": _table(4, translation=[])}
+    calibration = read_calibration(_tables(tmp_path / "rig.toml", tables))
+    assert [*calibration.poses] == ["left", "right"]
+    for pose in calibration.poses.values():
+        np.testing.assert_allclose(pose, np.column_stack([R, [1, 2, 3]]), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        {"rotation": [0.1, 0.2]},
+        {"rotation": (2 * R).tolist()},
+        {"rotation": (-R).tolist()},
+        {"rotation": [0.1, float("inf"), 0.3]},
+        {"translation": [1.0, 2.0]},
+        {"translation": [1.0, 2.0, float("nan")]},
+    ],
+)
+def test_a_pose_that_is_not_rigid(tmp_path: Path, pose: dict[str, Any]) -> None:
+    path = _tables(tmp_path / "rig.toml", {"left": _table(1, **pose), "right": _table(2)})
+    with pytest.raises(InputError, match=f"^K: {path}: left: rotation and translation are no"):
+        read_calibration(path)
+
+
+def test_a_name_counts_more_than_the_key_of_another_table(tmp_path: Path) -> None:
+    tables = {"cameras.0": _table(0, name="1"), "cameras.1": _table(1, name="2")}
+    path = _tables(tmp_path / "rig.toml", tables)
+    assert [parse_camera(f"{path}:{name}").K[0, 0] for name in "012"] == [500, 500, 501]
+
+
+def test_the_pose_of_a_stereo_file(tmp_path: Path) -> None:
+    values = {f"{key}{n}": value for n in (1, 2) for key, value in (("M", _K(n)), ("D", LENS[:5]))}
+    path = _write_storage(tmp_path / "stereo.yml", **values, R=R, T=np.array([[1.0], [2], [3]]))
+    poses = read_calibration(path).poses
+    np.testing.assert_array_equal(poses["M1"], np.eye(3, 4))
+    np.testing.assert_allclose(poses["M2"], np.column_stack([R, [1, 2, 3]]), atol=1e-15)
+    path = _write_storage(tmp_path / "bad.yml", **values, R=2 * R, T=np.ones((3, 1)))
+    with pytest.raises(InputError, match=r"bad\.yml: M2: rotation and translation are no rigid"):
+        read_calibration(path)
+
+
+def test_colmaps_rig_config(tmp_path: Path) -> None:
+    """With and without camera_params; several rigs have no common frame."""
+    pose = {"cam_from_rig_rotation": [0.0, 0.0, 2.0, 0.0], "cam_from_rig_translation": [1, 2, 3]}
+    of_lens = {"camera_model_name": "OPENCV", "camera_params": [500, 510, 321.5, 238.5, *LENS[:4]]}
+    cameras = [
+        {"image_prefix": "rig/left/", "ref_sensor": True, **of_lens},
+        {"image_prefix": "rig/right/", **pose, **of_lens},
+        {"image_prefix": "rig/third/", **pose},
+    ]
+    path = tmp_path / "rig_config.json"
+    path.write_text(json.dumps([{"cameras": cameras}]))
+    calibration = read_calibration(str(path))
+    assert calibration.rig == ("left", "right", "third")
+    for name, turn in (
+        ("left", np.eye(3, 4)),
+        ("right", [[-1, 0, 0, 1], [0, 1, 0, 2], [0, 0, -1, 3]]),
+    ):
+        _assert_camera(parse_camera(f"{path}:{name}"), 0, LENS[:4])
+        np.testing.assert_allclose(calibration.poses[name], turn, atol=1e-15)
+    path.write_text(json.dumps([{"cameras": cameras[:1]}, {"cameras": cameras[1:]}]))
+    calibration = read_calibration(str(path))
+    assert [*calibration.parts] == ["left", "right"] and not calibration.poses
+    for change, error in (
+        ({"camera_params": [1, 2]}, "right: OPENCV takes 8 parameters"),
+        ({"camera_model_name": "none"}, "right: 'none' is not a COLMAP model"),
+        ({"cam_from_rig_rotation": [0, 0, 0, 0]}, "right: a quaternion without a length"),
+        ({"cam_from_rig_translation": [1, 2]}, "right: "),
+        ({"image_prefix": "rig2/left"}, "two cameras have the name left"),
+    ):
+        path.write_text(json.dumps([{"cameras": [cameras[0], {**cameras[1], **change}]}]))
+        with pytest.raises(InputError, match=f"^K: {path}: {error}"):
+            read_calibration(str(path))

@@ -1,0 +1,174 @@
+"""The files of a rig, read by OpenCV, pycolmap and tomllib, and again by --K."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.calibration import read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.files.toml_files import toml_data
+from dgc_pose.localization.location import Location
+from dgc_pose.rigs.files import write_rig
+
+LENSES = [
+    None,
+    Distortion("OPENCV", (-0.2, 0.05, 0.001, -0.002)),
+    Distortion("FULL_OPENCV", (-0.2, 0.05, 0.001, -0.002, 0.03, 0.0, 0.0, 0.0)),
+    Distortion("SIMPLE_RADIAL", (0.1,)),
+    Distortion("RADIAL_FISHEYE", (0.02, -0.01)),
+    Distortion("FISHEYE", ()),
+]
+FISHEYES = {"RADIAL_FISHEYE", "FISHEYE"}
+TOMLS = ("calibration.toml", "camera_array.toml", "rig.json")
+
+
+def rig(*lenses: Distortion | None, names: str = "abcdef", seed: int = 0) -> dict[str, Location]:
+    rng, cameras = np.random.default_rng(seed), {}
+    for number, (name, lens) in enumerate(zip(names, lenses, strict=False)):
+        K = np.array([[500.0 + number, 0, 321], [0, 510.3, 238.1], [0, 0, 1]])
+        R, centre = Rotation.random(random_state=rng).as_matrix(), rng.normal(size=3)
+        known = {"covariance": 1e-4 * np.eye(6), "probability": 0.97, "R": R, "centre": centre}
+        camera = Camera(K, (640, 480), lens, focal_std=0.01)
+        cameras[f"cam {name}"] = Location("located", "", (), camera=camera, **known)
+    return cameras
+
+
+def opencv_pixels(table: dict[str, Any], points: np.ndarray) -> np.ndarray:
+    """OpenCV's pixels (N, 2) of points (N, 3) by the keys that anipose and Pose2Sim read."""
+    pose = [np.array(table[key]) for key in ("rotation", "translation")]
+    values = *pose, np.array(table["matrix"]), np.array(table["distortions"])
+    if table["fisheye"]:
+        return cv2.fisheye.projectPoints(points[:, None], *values)[0][:, 0]
+    return cv2.projectPoints(points, *values)[0][:, 0]
+
+
+def pixels(location: Location, points: np.ndarray) -> np.ndarray:
+    assert location.camera is not None and location.R is not None and location.t is not None
+    seen = points @ location.R.T + location.t
+    return location.camera.project(seen[:, :2] / seen[:, 2:])
+
+
+def assert_read(path: Path, cameras: dict[str, Location]) -> None:
+    """As --K reads them: K, lens and pose."""
+    calibration = read_calibration(str(path))
+    assert [*calibration.parts] == [*cameras]
+    points = np.random.default_rng(1).uniform(-0.4, 0.4, (20, 2))
+    for name, location in cameras.items():
+        camera, stated = calibration.parts[name], location.camera
+        assert stated is not None and location.cam_from_world is not None
+        np.testing.assert_allclose(camera.K, stated.K, atol=1e-9)
+        np.testing.assert_allclose(camera.project(points), stated.project(points), atol=1e-7)
+        np.testing.assert_allclose(calibration.poses[name], location.cam_from_world, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", TOMLS)
+def test_the_tables_are_opencvs_and_read_again(tmp_path: Path, name: str) -> None:
+    cameras = rig(*LENSES)
+    paths = write_rig(tmp_path, cameras, "m")
+    assert [path.name for path in paths] == [*TOMLS[:2], "rig_config.json", "rig.json"]
+    text = (tmp_path / name).read_text()
+    data = json.loads(text) if name == "rig.json" else toml_data(text, tmp_path)
+    for (key, location), table in zip(
+        cameras.items(), data.get("cameras", data).values(), strict=False
+    ):
+        assert table["name"] == key and table["size"] == [640, 480]
+        assert location.R is not None and location.t is not None
+        away = np.random.default_rng(2).uniform((-1, -1, 3), (1, 1, 5), (20, 3))
+        points = (away - location.t) @ location.R
+        ours = pixels(location, points)
+        np.testing.assert_allclose(opencv_pixels(table, points), ours, atol=1e-4)
+    assert_read(tmp_path / name, cameras)
+
+
+def test_a_half_turn_keeps_its_digits(tmp_path: Path) -> None:
+    cameras = rig(None, None)
+    for location, angle in zip(cameras.values(), (np.pi, np.pi - 1e-7), strict=True):
+        R = Rotation.from_rotvec(angle * np.array([0.6, 0, -0.8])).as_matrix()
+        object.__setattr__(location, "R", R)
+    write_rig(tmp_path, cameras, "m")
+    assert_read(tmp_path / "calibration.toml", cameras)
+
+
+def test_opencvs_stereo_file(tmp_path: Path) -> None:
+    cameras = rig(*LENSES[:2])
+    assert (tmp_path / "stereo.yml") in write_rig(tmp_path, cameras, "m")
+    storage = cv2.FileStorage(str(tmp_path / "stereo.yml"), cv2.FILE_STORAGE_READ)
+    read = {key: storage.getNode(key).mat() for key in ("M1", "D1", "M2", "D2", "R", "T", "E", "F")}
+    first, second = cameras.values()
+    point = np.array([0.3, -0.2, 6.0])
+    assert first.R is not None and second.R is not None
+    in_both = [location.R @ point + location.t for location in (first, second)]
+    np.testing.assert_allclose(read["R"] @ in_both[0] + read["T"][:, 0], in_both[1], atol=1e-12)
+    rays = [x / x[2] for x in in_both]
+    assert abs(rays[1] @ read["E"] @ rays[0]) < 1e-9
+    assert abs((read["M2"] @ rays[1]) @ read["F"] @ (read["M1"] @ rays[0])) < 1e-9
+    calibration = read_calibration(str(tmp_path / "stereo.yml"))
+    np.testing.assert_array_equal(calibration.poses["M1"], np.eye(3, 4))
+    np.testing.assert_allclose(calibration.poses["M2"], np.hstack([read["R"], read["T"]]))
+    assert calibration.parts["M2"].size == (640, 480)
+    assert calibration.parts["M2"].distortion == LENSES[1]
+
+
+def test_colmaps_rig(tmp_path: Path) -> None:
+    cameras = rig(*LENSES)
+    write_rig(tmp_path, cameras, "m")
+    (theirs,) = pycolmap.read_rig_config(tmp_path / "rig_config.json")
+    first = next(iter(cameras.values()))
+    away = np.random.default_rng(2).uniform((-1, -1, 3), (1, 1, 5), (20, 3))
+    for row, location in zip(theirs.cameras, cameras.values(), strict=True):
+        pose = pycolmap.Rigid3d() if row.ref_sensor else row.cam_from_rig
+        assert location.R is not None and first.R is not None
+        points = (away - location.t) @ location.R
+        seen = row.camera.img_from_cam(pose * (points @ first.R.T + first.t))
+        np.testing.assert_allclose(seen - 0.5, pixels(location, points), atol=1e-6)
+    poses = read_calibration(str(tmp_path / "rig_config.json")).poses
+    relative = {}
+    for name, location in cameras.items():
+        assert location.R is not None and first.R is not None
+        relative[name] = Location(
+            *("located", "", ()),
+            R=location.R @ first.R.T,
+            centre=first.R @ (location.centre - first.centre),
+            camera=location.camera,
+        )
+    assert_read(tmp_path / "rig_config.json", relative)
+    assert [*poses] == [*cameras]
+
+
+def test_a_lens_that_opencv_lacks_leaves_its_files_out(tmp_path: Path) -> None:
+    """And rig.json has it, as has COLMAP's file."""
+    cameras = rig(None, Distortion("FOV", (0.9,)))
+    assert [path.name for path in write_rig(tmp_path, cameras, "m")] == [
+        "rig_config.json",
+        "rig.json",
+    ]
+    left_out = json.loads((tmp_path / "rig.json").read_text())["left_out"]
+    error = "cam b: the lens FOV is none of 5 OpenCV coefficients"
+    assert left_out == dict.fromkeys((*TOMLS[:2], "stereo.yml"), error)
+    assert_read(tmp_path / "rig.json", cameras)
+
+
+def test_rig_json_has_everything(tmp_path: Path) -> None:
+    cameras = rig(None, None, names="12")
+    write_rig(tmp_path, cameras, "m")
+    data = json.loads((tmp_path / "rig.json").read_text())
+    location, table = cameras["cam 2"], data["cameras"]["cam 2"]
+    for key in (
+        "centre",
+        "covariance",
+        "probability",
+        "position_error_90",
+        "rotation_error_90_deg",
+    ):
+        np.testing.assert_array_equal(table[key], getattr(location, key))
+    assert (data["unit"], table["focal_std"]) == ("m", 0.01)
+    assert data["files"] == [*TOMLS[:2], "rig_config.json", "stereo.yml", "rig.json"]
+    listed = toml_data((tmp_path / "camera_array.toml").read_text(), tmp_path)["cameras"]
+    assert {key: table["cam_id"] for key, table in listed.items()} == {"1": 1, "2": 2}
