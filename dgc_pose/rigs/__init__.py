@@ -1,1 +1,1 @@
-"""Fixed cameras with a pose in one frame: their files, and what changed since another calibration."""
+"""Fixed cameras with a pose in one frame: their files, and what changed between calibrations."""

@@ -1,12 +1,8 @@
-"""The files of a rig of fixed cameras, in the layouts that other programs read.
-
-All hold cam_from_world, x = R X + t, and (0, 0) at the centre of the top-left pixel, but for
-COLMAP's, which have (0.5, 0.5) there.
-"""
+"""The files of a rig of fixed cameras, in the layouts that other programs read."""
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +11,6 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import InputError
 from dgc_pose.estimation.result import plain
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import write_text
@@ -24,187 +19,108 @@ from dgc_pose.geometry.rotation import quaternion_wxyz, rotation_vector
 from dgc_pose.localization.location import Location
 from dgc_pose.model import colmap_camera
 
-ANIPOSE, CALISCOPE, STEREO = "calibration.toml", "camera_array.toml", "stereo.yml"
-COLMAP, RIG = "rig_config.json", "rig.json"
-_DIGITS = re.compile(r"\d+$")
-_TABLE = re.compile(r"(cameras\.)?[A-Za-z0-9_-]+")  # needs no quotes
-_FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "FISHEYE")
-_FISHEYES += ("SIMPLE_FISHEYE",)  # the same lens with fewer coefficients
-_PLANES = ("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")  # of k1, k2, p1, p2, k3, ...
+# OpenCV's coefficients that hold a lens of COLMAP's: k1, k2, p1, p2, k3, or four of a fisheye.
+_OPENCV = {**dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)}
+_OPENCV |= dict.fromkeys(("SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"), 4)
+_OPENCV |= dict.fromkeys(("SIMPLE_FISHEYE", "FISHEYE"), 4)
+_OF_RIG = ("centre", "covariance", "probability", "rotation_error_90_deg", "position_error_90")
+_PLAIN_NAME = re.compile(r"(cameras\.)?[A-Za-z0-9_-]+")  # that TOML takes without quotes
 
 
 def write_rig(folder: Path, cameras: Mapping[str, Location], unit: str) -> list[Path]:
     """Write the files of a rig into a folder, each whole or not at all, and return their paths.
 
-    cameras: by name, located, with the size of the image; at least one. unit: of the positions,
-    such as "m".
+    cameras: located, by name, with the size of the image. unit: of the positions, such as "m".
 
-    - calibration.toml, of anipose and Pose2Sim; camera_array.toml, of caliscope;
-    - stereo.yml, of OpenCV, if there are two cameras: x2 = R x1 + T;
-    - rig_config.json, of COLMAP: poses in the axes of the first camera;
-    - rig.json, with everything, and why a file is left out.
+    - calibration.toml of anipose and Pose2Sim, camera_array.toml of caliscope: x = R X + t;
+    - rig_config.json of COLMAP, in the frame of the first camera;
+    - stereo.yml of OpenCV, x2 = R x1 + T, if there are two cameras, with lenses of one kind;
+    - rig.json: the tables of calibration.toml, the expected errors and the names of the files.
 
-    A file is left out if it cannot hold a camera. Raises OSError, with the path, and InputError if
-    another process writes the file.
+    A lens that OpenCV does not have is written as COLMAP's `model` and `coefficients`: a program
+    that wants `distortions` misses them, and takes no wrong lens. Raises InputError, with the
+    camera's name, for a K with a skew; OSError, with the path.
     """
-    forms: dict[str, Callable[[], str]] = {
-        ANIPOSE: lambda: _toml_text(_opencv_tables(cameras) | {"metadata": {"unit": unit}}),
-        CALISCOPE: lambda: _toml_text(_caliscope_tables(cameras)),
-        COLMAP: lambda: json.dumps([{"cameras": _colmap_cameras(cameras)}], indent=2) + "\n",
+    views = {n: (of.camera, of.cam_from_world) for n, of in cameras.items() if of.camera}
+    poses = np.stack([pose for _, pose in views.values() if pose is not None])
+    first, R = poses[0], poses[:, :, :3] @ poses[0, :, :3].T
+    relative = np.dstack([R, poses[:, :, 3] - R @ first[:, 3]])  # cam_from_first (N, 3, 4)
+    rows = zip(views, (camera for camera, _ in views.values()), poses, strict=True)
+    tables = {name: _table(name, camera, pose) for name, camera, pose in rows}
+    ends = [int(of[0]) if (of := re.search(r"\d+$", name)) else -1 for name in views]
+    ids = ends if -1 not in ends and len({*ends}) == len(ends) else range(len(ends))
+    listed = {f"cameras.{n}": {"cam_id": n} | t for n, t in zip(ids, tables.values(), strict=True)}
+    texts = {
+        "calibration.toml": _toml_text(tables | {"metadata": {"unit": unit}}),
+        "camera_array.toml": _toml_text(listed),
+        "rig_config.json": _colmap_text(views, relative),
     }
-    if len(cameras) == 2:
-        forms[STEREO] = lambda: _stereo_text(cameras)
-    texts, left_out = {}, {}
-    for name, text in forms.items():
-        try:
-            texts[name] = text()
-        except InputError as error:
-            left_out[name] = str(error)
-    rows = {name: _everything(name, location) for name, location in cameras.items()}
-    files = {"files": [*texts, RIG], "left_out": left_out}
-    texts[RIG] = json_text({"unit": unit, "cameras": rows, **files})
+    if [table.get("fisheye") for table in tables.values()] in ([False] * 2, [True] * 2):
+        texts["stereo.yml"] = _stereo_text([*tables.values()], relative[1])
+    for name, location in cameras.items():
+        tables[name] |= {key: plain(getattr(location, key)) for key in _OF_RIG}
+    texts["rig.json"] = json_text({"unit": unit, "cameras": tables, "files": [*texts, "rig.json"]})
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]
 
 
-def opencv_lens(camera: Camera) -> tuple[list[float], bool]:
-    """k1, k2, p1, p2, k3 of a lens, and whether it is a fisheye, which has k1, k2, k3, k4.
-
-    Raises InputError for a lens of more coefficients or another model, and for a K with a skew.
-    """
-    lens = camera.distortion
-    if camera.K[0, 1]:
-        raise InputError(f"K has a skew of {camera.K[0, 1]:g}, which OpenCV does not have")
-    if lens is None:
-        return [0.0] * 5, False
-    is_fisheye, values = lens.model in _FISHEYES, [*lens.coefficients, *[0.0] * 5]
-    count = 4 if is_fisheye else 5
-    if not (is_fisheye or lens.model in _PLANES) or any(values[count:]):
-        raise InputError(f"the lens {lens.model} is none of {count} OpenCV coefficients")
-    return values[:count], is_fisheye
-
-
-def _opencv_tables(cameras: Mapping[str, Location]) -> dict[str, dict[str, Any]]:
-    """By camera name, what calibration.toml has of it."""
-    tables = {}
-    for name, location in cameras.items():
-        try:
-            lens, is_fisheye = opencv_lens(_camera(location))
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-        tables[name] = {**_pinhole(name, location), "distortions": lens, "fisheye": is_fisheye}
-    return tables
-
-
-def _caliscope_tables(cameras: Mapping[str, Location]) -> dict[str, dict[str, Any]]:
-    """By `cameras.ID`: the numbers that end the names, or else those of the order."""
-    tables = _opencv_tables(cameras)
-    ends = [match and int(match[0]) for match in map(_DIGITS.search, tables)]
-    ids = ends if None not in ends and len({*ends}) == len(ends) else range(len(ends))
-    return {f"cameras.{n}": {"cam_id": n} | of for n, of in zip(ids, tables.values(), strict=True)}
-
-
-def _everything(name: str, location: Location) -> dict[str, Any]:
-    """What rig.json has of a camera: the keys of calibration.toml, or those of a lens of COLMAP's
-    that OpenCV does not have, and the rest."""
-    camera = _camera(location)
-    try:
-        of_lens = _opencv_tables({name: location})[name]
-    except InputError:
-        lens = camera.distortion or Distortion("PINHOLE")  # of a K with a skew
-        of_lens = {"model": lens.model, "coefficients": lens.coefficients}
-    names = ("centre", "covariance", "probability", "rotation_error_90_deg", "position_error_90")
+def _table(name: str, camera: Camera, pose: np.ndarray) -> dict[str, Any]:
+    """What calibration.toml has of a camera."""
+    lens = camera.distortion or Distortion("OPENCV", (0.0,) * 4)
+    count = _OPENCV.get(lens.model, 0)
+    of_lens: dict[str, Any] = {"model": lens.model, "coefficients": lens.coefficients}
+    if count and not any(lens.coefficients[count:]):
+        values = [*lens.coefficients, *[0.0] * count]
+        of_lens = {"distortions": values[:count], "fisheye": count == 4}
     return {
-        **_pinhole(name, location),
+        "name": name,
+        "size": camera.size,
+        "matrix": camera.K.tolist(),
         **of_lens,
+        "rotation": rotation_vector(pose[:, :3]).tolist(),
+        "translation": pose[:, 3].tolist(),
         "focal_std": camera.focal_std,
-        "centre_std_px": camera.centre_std,
-        **{key: plain(getattr(location, key)) for key in names},
     }
 
 
-def _stereo_text(cameras: Mapping[str, Location]) -> str:
-    """OpenCV's stereo file, x2 = R x1 + T, as YAML. Raises InputError if one lens is a fisheye."""
-    tables, (first, second) = _opencv_tables(cameras), map(_pose, cameras.values())
-    if len({table["fisheye"] for table in tables.values()}) > 1:
-        raise InputError(f"one of {' and '.join(tables)} is a fisheye, the other is not")
-    R = second[:, :3] @ first[:, :3].T
-    T = second[:, 3] - R @ first[:, 3]
-    E = essential_from_pose(R, T)
-    K1, K2 = (np.array(table["matrix"]) for table in tables.values())
-    values = {"R": R, "T": T[:, None], "E": E, "F": np.linalg.inv(K2).T @ E @ np.linalg.inv(K1)}
-    for number, (name, table) in enumerate(tables.items(), start=1):
-        lens = np.array([table["distortions"]])
-        values |= {
-            f"name{number}": name,
-            f"M{number}": np.array(table["matrix"]),
-            f"D{number}": lens,
+def _colmap_text(views: Mapping[str, tuple[Camera, Any]], relative: np.ndarray) -> str:
+    rows: list[dict[str, Any]] = []
+    for (name, (camera, _)), pose in zip(views.items(), relative, strict=True):
+        of_rig = {
+            "cam_from_rig_rotation": quaternion_wxyz(pose[:, :3]).tolist(),
+            "cam_from_rig_translation": pose[:, 3].tolist(),
         }
-    if len(sizes := {tuple(table["size"]) for table in tables.values()}) == 1:
-        values["image_width"], values["image_height"] = sizes.pop()
-    if table["fisheye"]:
-        values["fisheye_model"] = 1
-    mode = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY
-    storage = cv2.FileStorage(".yml", mode)
+        theirs = colmap_camera(camera, name)
+        intrinsics = {"camera_model_name": theirs.model.name, "camera_params": [*theirs.params]}
+        in_rig = of_rig if rows else {"ref_sensor": True}
+        rows.append({"image_prefix": f"{name}/", **in_rig, **intrinsics})
+    return json.dumps([{"cameras": rows}], indent=2) + "\n"
+
+
+def _stereo_text(tables: Sequence[Mapping[str, Any]], pose: np.ndarray) -> str:
+    R, T = pose[:, :3], pose[:, 3]
+    E, (K1, K2) = essential_from_pose(R, T), (np.array(table["matrix"]) for table in tables)
+    values = {"R": R, "T": T[:, None], "E": E, "F": np.linalg.inv(K2).T @ E @ np.linalg.inv(K1)}
+    for number, table in enumerate(tables, start=1):
+        values[f"M{number}"] = np.array(table["matrix"])
+        values[f"D{number}"] = np.array([table["distortions"]])
+    if tables[0]["size"] == tables[1]["size"]:
+        values["image_width"], values["image_height"] = tables[0]["size"]
+    values["fisheye_model"] = int(tables[0]["fisheye"])
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for key, value in values.items():
         storage.write(key, value)
     text: str = storage.releaseAndGetString()
     return text
 
 
-def _colmap_cameras(cameras: Mapping[str, Location]) -> list[dict[str, Any]]:
-    """The first camera is the reference, in whose axes the others' poses are."""
-    first, *_ = map(_pose, cameras.values())
-    rows = []
-    for name, location in cameras.items():
-        camera, pose = colmap_camera(_camera(location), name), _pose(location)
-        row = {
-            "image_prefix": f"{name}/",
-            "camera_model_name": camera.model.name,
-            "camera_params": camera.params.tolist(),
-        }
-        R = pose[:, :3] @ first[:, :3].T
-        of_rig = {
-            "cam_from_rig_rotation": quaternion_wxyz(R).tolist(),
-            "cam_from_rig_translation": (pose[:, 3] - R @ first[:, 3]).tolist(),
-        }
-        rows.append(row | (of_rig if rows else {"ref_sensor": True}))
-    return rows
-
-
-def _pinhole(name: str, location: Location) -> dict[str, Any]:
-    """A camera without its lens, by the keys of calibration.toml."""
-    camera, pose = _camera(location), _pose(location)
-    assert camera.size is not None
-    return {
-        "name": name,
-        "size": [int(side) for side in camera.size],
-        "matrix": camera.K.tolist(),
-        "rotation": rotation_vector(pose[:, :3]).tolist(),
-        "translation": pose[:, 3].tolist(),
-    }
-
-
-def _camera(location: Location) -> Camera:
-    assert location.camera is not None
-    return location.camera
-
-
-def _pose(location: Location) -> np.ndarray:
-    pose = location.cam_from_world
-    assert pose is not None
-    return pose
-
-
 def _toml_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
     """A TOML of tables whose values are those of JSON."""
     lines = []
     for name, table in tables.items():
-        lines.append(f"[{name if _TABLE.fullmatch(name) else _json(name)}]")
-        lines += [f"{key} = {_json(value)}" for key, value in table.items()] + [""]
+        quoted = name if _PLAIN_NAME.fullmatch(name) else json.dumps(name, ensure_ascii=False)
+        lines.append(f"[{quoted}]")
+        values = {key: json.dumps(value, ensure_ascii=False) for key, value in table.items()}
+        lines += [*(f"{key} = {value}" for key, value in values.items()), ""]
     return "\n".join(lines)
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)

@@ -142,17 +142,15 @@ def test_colmaps_rig(tmp_path: Path) -> None:
     assert [*poses] == [*cameras]
 
 
-def test_a_lens_that_opencv_lacks_leaves_its_files_out(tmp_path: Path) -> None:
-    """And rig.json has it, as has COLMAP's file."""
+def test_a_lens_that_opencv_lacks(tmp_path: Path) -> None:
+    """The files of tables have it by COLMAP's model, and no key that others take for a lens."""
     cameras = rig(None, Distortion("FOV", (0.9,)))
-    assert [path.name for path in write_rig(tmp_path, cameras, "m")] == [
-        "rig_config.json",
-        "rig.json",
-    ]
-    left_out = json.loads((tmp_path / "rig.json").read_text())["left_out"]
-    error = "cam b: the lens FOV is none of 5 OpenCV coefficients"
-    assert left_out == dict.fromkeys((*TOMLS[:2], "stereo.yml"), error)
-    assert_read(tmp_path / "rig.json", cameras)
+    names = [path.name for path in write_rig(tmp_path, cameras, "m")]
+    assert names == [*TOMLS[:2], "rig_config.json", "rig.json"]
+    for name in TOMLS:
+        assert_read(tmp_path / name, cameras)
+    table = toml_data((tmp_path / TOMLS[0]).read_text(), tmp_path)["cam b"]
+    assert (table["model"], table["coefficients"]) == ("FOV", [0.9]) and "distortions" not in table
 
 
 def test_rig_json_has_everything(tmp_path: Path) -> None:

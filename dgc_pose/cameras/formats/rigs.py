@@ -14,15 +14,9 @@ import numpy as np
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import intrinsics
-from dgc_pose.cameras.formats.keyed import (
-    MODEL_KEYS,
-    keyed_camera,
-    numbers,
-    pose_matrix,
-    require_read,
-)
+from dgc_pose.cameras.formats.keyed import MODEL_KEYS, keyed_camera, numbers, require_read
 from dgc_pose.errors import InputError, reason
-from dgc_pose.geometry.rotation import is_rotation, rotation_of_vector
+from dgc_pose.geometry.rotation import is_rotation, rotation_of_quaternion, rotation_of_vector
 
 # Keys that end with their camera. P1 and P2 are of OpenCV's rectified images, and not needed.
 _STEREO = re.compile(r"(M|cameraMatrix|K|D|distCoeffs|P)([12])")
@@ -43,19 +37,28 @@ def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
 
 def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
     """The cameras of COLMAP's rig_config.json by the last folder of their image_prefix, and their
-    poses in the rig's frame, unless the file has several rigs. None for other lists.
+    poses, unless the file has several rigs, which have no common frame. None for other lists.
 
     Raises as `named_rig` does.
     """
     if not rigs or not all(isinstance(rig, Mapping) and rig.get("cameras") for rig in rigs):
         return None
-    tables: dict[str, dict[str, Any]] = {}
+    tables = {}
     for camera in (camera for rig in rigs for camera in rig["cameras"]):
-        prefix = str(camera["image_prefix"])
-        name = PurePath(prefix).name or prefix
-        tables[prefix] = _colmap_table(camera, name)
-    calibration = _calibration(tables, path)
-    return calibration if len(rigs) == 1 or not calibration else replace(calibration, poses={})
+        prefix = PurePath(str(camera["image_prefix"]))
+        table: dict[str, Any] = {"name": prefix.name}
+        if len(rigs) == 1:
+            rotation = [1, 0, 0, 0] if camera.get("ref_sensor") else None
+            table["rotation"] = camera.get("cam_from_rig_rotation", rotation)
+            table["translation"] = camera.get("cam_from_rig_translation", rotation and [0, 0, 0])
+        if "camera_params" in camera:
+            model, values = str(camera["camera_model_name"]), numbers(camera["camera_params"])
+            K, lens = intrinsics(model, values or [])
+            table["matrix"] = K.tolist()
+            if lens is not None:
+                table |= {"model": lens.model, "coefficients": lens.coefficients}
+        tables[str(prefix)] = table
+    return _calibration(tables, path)
 
 
 def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
@@ -87,41 +90,20 @@ def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibra
 
 
 def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
-    """cam_from_world [R | t] (3, 4), the rotation a matrix or a rotation vector; None of a camera
-    without a pose."""
+    """cam_from_world [R | t] (3, 4), the rotation a matrix, a rotation vector or a quaternion; None
+    of a camera without a pose."""
     rotation, translation = (numbers(table.get(key)) for key in ("rotation", "translation"))
     if not rotation or not translation or np.isnan([*rotation, *translation]).all():
         return None
-    if len(rotation) in (3, 9) and len(translation) == 3:
-        is_vector = len(rotation) == 3 and np.isfinite(rotation).all()
-        values = np.array(rotation)
-        R = rotation_of_vector(values) if is_vector else np.resize(values, (3, 3))
-        if is_rotation(R) and np.isfinite(translation).all():
+    values = np.array(rotation)
+    if np.isfinite([*rotation, *translation]).all() and len(translation) == 3:
+        if len(values) == 3:
+            values = rotation_of_vector(values)
+        elif len(values) == 4 and values.any():
+            values = rotation_of_quaternion(values)
+        if values.size == 9 and is_rotation(R := values.reshape(3, 3)):
             return np.column_stack([R, translation])
     raise InputError("rotation and translation are no rigid pose")
-
-
-def _colmap_table(camera: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """A camera of a rig_config.json with the keys of the TOML."""
-    table: dict[str, Any] = {"name": name}
-    try:
-        if "camera_params" in camera:
-            K, lens = intrinsics(
-                camera["camera_model_name"], numbers(camera["camera_params"]) or []
-            )
-            table["matrix"] = K.tolist()
-            if lens is not None:
-                table |= {"model": lens.model, "coefficients": lens.coefficients}
-        keys = ("cam_from_rig_rotation", "cam_from_rig_translation")
-        rotation, translation = (numbers(camera.get(key)) for key in keys)
-        if camera.get("ref_sensor"):
-            rotation, translation = [1, 0, 0, 0], [0, 0, 0]
-        if rotation and translation:
-            pose = pose_matrix([*rotation, *translation])
-            table |= {"rotation": pose[:, :3], "translation": pose[:, 3]}
-    except (InputError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{name}: {reason(error)}") from None
-    return table
 
 
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,99 @@
+"""What moved since an older calibration of fixed cameras, and by how much."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
+from dgc_pose.localization.location import Location
+
+_FACTOR = 3.0  # times the expected error: a larger change is a motion
+_LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes are none; the shift over the extent
+
+
+@dataclass(frozen=True)
+class CameraChange:
+    """The change of a camera between two calibrations."""
+
+    name: str
+    angle_deg: float  # of its rotation
+    angle_error_deg: float | None  # expected of the new calibration; None: not known
+    distance: float  # of its centres, in the new calibration's unit
+    distance_error: float | None  # likewise
+    moved: bool  # by more than three times the error, and 0.05 degrees or 0.1 % of the extent
+    focal_change: float | None = None  # percent; None: the older focal length is not known
+    relative_to: str | None = None  # of only two cameras the other one: either may have moved
+
+
+def compared(
+    start: Mapping[str, np.ndarray],
+    cameras: Mapping[str, Location],
+    start_cameras: Mapping[str, Camera] | None = None,
+) -> list[CameraChange]:
+    """The changes of the cameras that two calibrations have in common, in the order of `cameras`.
+
+    start: cam_from_world (3, 4) of the older one, by name, in any frame and unit; start_cameras:
+    its cameras. cameras: located. The frames are aligned by a similarity: two cameras determine
+    one, and that which most cameras agree with is fitted to these. If only two cameras are in
+    common, the second is compared relative to the first, up to the distance between them. Raises
+    InputError for fewer.
+    """
+    names = [name for name in cameras if name in start]
+    if len(names) < 2:
+        count = f"has {len(names)} of the {len(cameras)} cameras, and two are needed"
+        raise InputError(ArgumentName("start"), count)
+    located = [cameras[name] for name in names]
+    old = np.stack([start[name] for name in names])
+    new = np.stack([pose for of in located if (pose := of.cam_from_world) is not None])
+    stated = [(of.rotation_error_90_deg, of.position_error_90) for of in located]
+    errors = np.array(stated, dtype=float)  # (N, 2), NaN where not known
+    only_two = len(names) == 2
+    if only_two:
+        errors[1] = np.linalg.norm(errors, axis=0)
+    extent = max(float(np.linalg.norm(a - b)) for a, b in combinations(_centres(new), 2))
+    least = np.fmax(_FACTOR * errors, (_LEAST_ANGLE_DEG, _LEAST_SHIFT * extent))
+    pairs = [[*pair] for pair in combinations(range(len(names)), 2)]
+    if not only_two:
+        offs = [(_changes(old, new, pair, pair) / least).max(1) for pair in pairs]
+        best = min(range(len(pairs)), key=lambda n: np.minimum(offs[n], 1).sum())
+        agree = np.flatnonzero(offs[best] <= 1).tolist()
+        pairs = [agree if len(agree) > 1 else pairs[best]]
+    changes = _changes(old, new, [0] if only_two else pairs[0], pairs[0])
+    found = []
+    for n, (name, of) in enumerate(zip(names, located, strict=True)):
+        known = (start_cameras or {}).get(name)
+        change = CameraChange(
+            name,
+            angle_deg=float(changes[n, 0]),
+            angle_error_deg=finite_or_none(errors[n, 0]),
+            distance=float(changes[n, 1]),
+            distance_error=finite_or_none(errors[n, 1]),
+            moved=bool((changes[n] > least[n]).any()),
+            focal_change=100 * (of.camera.focal / known.focal - 1) if of.camera and known else None,
+            relative_to=names[0] if only_two else None,
+        )
+        found.append(change)
+    return found[1:] if only_two else found
+
+
+def _changes(
+    old: np.ndarray, new: np.ndarray, still: Sequence[int], scaled: Sequence[int]
+) -> np.ndarray:
+    """Angle in degrees and distance (N, 2) between the poses (N, 3, 4) of two calibrations, after
+    the similarity by the poses of the cameras `still` and the distances of the cameras `scaled`."""
+    before, after = _centres(old), _centres(new)
+    spread = [np.linalg.norm(at[scaled] - at[scaled].mean(0)) for at in (before, after)]
+    W = aligning_rotation(*(of[still, :, :3].reshape(-1, 3) for of in (old, new)))
+    expected = spread[1] / (spread[0] or 1.0) * (before - before[still].mean(0)) @ W.T
+    shifts = np.linalg.norm(after - after[still].mean(0) - expected, axis=1)
+    turns = new[:, :, :3] @ W @ old[:, :, :3].transpose(0, 2, 1)
+    return np.column_stack([[rotation_angle_deg(turn) for turn in turns], shifts])
+
+
+def _centres(poses: np.ndarray) -> np.ndarray:
+    return -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])
