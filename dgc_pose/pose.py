@@ -110,7 +110,7 @@ def solve_pair(
         (options, EstimationOptions, "options"),
     ):
         check_type(value, kind, name)
-    depths = scale.maps((image1, image2))
+    depths, markers = scale.maps((image1, image2)), scale.markers((image1, image2))
     pose, found = None, None
     seconds: dict[str, float] = {}
     estimating = 0.0
@@ -144,7 +144,7 @@ def solve_pair(
         seconds[step] = matched - start
         estimating += time.perf_counter() - matched
     assert pose is not None and found is not None  # each effort has the full step
-    pose = with_length(pose, found.matches, scale, depths)
+    pose = with_length(pose, found.matches, scale, depths, markers)
     pose = replace(pose, seconds={**seconds, "estimate": estimating})
     return PairResult(image1, image2, *cameras, found.matches, found.correspondence_map, pose)
 

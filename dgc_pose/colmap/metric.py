@@ -1,4 +1,4 @@
-"""A model in metres: by GPS positions of its photographs, or by the distance of two cameras."""
+"""A model in metres: by GPS positions of photographs, the distance of two cameras, or markers."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -10,11 +10,16 @@ import numpy as np
 from dgc_pose.colmap.mapping import MIN_IMAGES, MappingError
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, ImageError, InputError
-from dgc_pose.images.image import image_header
+from dgc_pose.estimation.markers import marker_side
+from dgc_pose.images.image import image_header, read_pixels
+from dgc_pose.images.markers import find_markers
+from dgc_pose.model import Model
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.threads import in_threads
 
 _MAX_ERROR_M = 15.0  # of a GPS position that agrees with the model
 _AS_WELL = 1.5  # times the median residual, up to which another similarity fits as well
+_OWN_FRAME = "the model's own"
 _MIN_WIDTH = 0.02  # of GPS positions, as a share of their length: less is a line
 
 
@@ -29,12 +34,12 @@ def known_metres(
     if options.scale:
         *pair, metres = options.scale.split(",")
         with suppress(ValueError):
-            if not options.gps and len({*names} & {*pair}) == len(pair) == 2 and float(metres) > 0:
-                return dict.fromkeys(pair, float(metres)), "the model's own"
-        needed = f"must be two of the {len(names)} images and metres, without --gps"
+            if len({*names} & {*pair}) == len(pair) == 2 and float(metres) > 0:
+                return dict.fromkeys(pair, float(metres)), _OWN_FRAME
+        needed = f"must be two of the {len(names)} images and metres"
         raise InputError(ArgumentName("scale"), f"{needed}, not {options.scale!r}")
     if not options.gps:
-        return {}, ""
+        return {}, _OWN_FRAME
     tags = {}
     for name in names:
         with suppress(ImageError):
@@ -56,15 +61,15 @@ def to_metres(
     model: pycolmap.Reconstruction, root: Path, names: Sequence[str], options: ReconstructionOptions
 ) -> dict[str, Any]:
     """Bring a model into metres, by a scale or, by GPS, a similarity of RANSAC; for the summary the
-    unit, the frame and the residuals, nothing without either.
+    unit, the frame and the errors, nothing without an option for it.
 
-    Raises MappingError if GPS does not agree with the model, InputError as `known_metres` and for a
-    camera of `scale` that is not in the model.
+    Raises MappingError if GPS does not agree with the model, InputError as `known_metres`, as
+    `marker_side` and for a camera of `scale` that is not in the model; ImageError.
     """
     known, frame = known_metres(root, names, options)
     centres = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
     both = [name for name in known if name in centres]
-    residuals: dict[str, float] = {}
+    errors: dict[str, Any] = {}
     if options.scale:
         for name in known.keys() - centres.keys():
             raise InputError(ArgumentName("scale"), f"{name} is not in the model")
@@ -80,12 +85,18 @@ def to_metres(
             raise MappingError(f"pycolmap has no similarity that brings {cameras}")
         similarity = _upright(aligned, model, np.array([centres[n] for n in both]), places)
         off = [np.linalg.norm(similarity * centres[name] - known[name]) for name in both]
-        residuals["median_gps_residual_m"] = round(float(np.median(off)), 3)
-        residuals["largest_gps_residual_m"] = round(float(max(off)), 3)
+        errors["median_gps_residual_m"] = round(float(np.median(off)), 3)
+        errors["largest_gps_residual_m"] = round(float(max(off)), 3)
+    elif options.marker:
+        posed = Model.of_colmap(model, root)
+        corners = in_threads(lambda name: find_markers(read_pixels(root / name)), [*posed.poses])
+        found = marker_side(corners, [*posed.cameras.values()], [*posed.poses.values()])
+        similarity = pycolmap.Sim3d(options.marker / found.side, pycolmap.Rotation3d(), np.zeros(3))
+        errors = {"scale_relative_std": round(found.std, 5), "marker_images": found.images}
     else:
         return {}
     model.transform(similarity)
-    return {"unit": "m", "frame": frame, **residuals}
+    return {"unit": "m", "frame": frame, **errors}
 
 
 def _upright(

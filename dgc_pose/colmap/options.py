@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.system.options import check_options, option
 
 MapperName = Literal["incremental", "global"]
@@ -12,7 +13,8 @@ MapperName = Literal["incremental", "global"]
 class ReconstructionOptions:
     """How a batch becomes a model.
 
-    Raises InputError, naming the field, for a value out of range.
+    Raises InputError, naming the field, for a value out of range, and for two of the three that
+    bring the model into metres.
     """
 
     per_image: int = option(
@@ -30,6 +32,17 @@ class ReconstructionOptions:
     scale: str | None = option(
         None, "Distance of two cameras.", metavar="NAME1,NAME2,METRES", section="reconstruction"
     )
+    marker: float | None = option(
+        None,
+        "Side of printed ArUco or AprilTag markers in the photographs: the model is in metres.",
+        metavar="METRES",
+        above=0,
+        section="reconstruction",
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
+        stated = [ArgumentName(n) for n in ("gps", "scale", "marker") if getattr(self, n)]
+        if len(stated) > 1:
+            both = "both bring the model into metres, and one is needed"
+            raise InputError(stated[0], "and", stated[1], both)

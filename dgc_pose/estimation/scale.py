@@ -1,7 +1,7 @@
 """The length of t, by depth maps, by the distance of the cameras or by one in the scene."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -19,6 +19,7 @@ from dgc_pose.estimation.least_squares import (
     block_sums,
     cauchy_curvature,
 )
+from dgc_pose.estimation.markers import marker_side
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
@@ -26,6 +27,7 @@ from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
+from dgc_pose.images.markers import find_markers
 from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_options, option
 
@@ -43,7 +45,7 @@ _Numbers = str | tuple[float, ...] | None
 
 @dataclass(frozen=True, eq=False)
 class ScaleSource:
-    """What determines the length of t: one of depth maps, `baseline` and `distance`, or nothing.
+    """What determines the length of t: depth maps, or one of `baseline`, `distance`, `marker`.
 
     Raises InputError, naming the field, for a value out of range, and for two of them.
 
@@ -54,6 +56,7 @@ class ScaleSource:
         baseline: The length, metres, and its standard deviation if it is known, or a text of both.
         distance: x1, y1, x2, y2, pixels of two points of image 1 as the pose is of it, and the
             metres between them, or a text.
+        marker: Side, metres, of the ArUco or AprilTag markers that both images show.
     """
 
     depth1: _Depth = _source("Depth map of image 1: PNG in mm; TIFF, .npy in m.", metavar="FILE")
@@ -63,10 +66,17 @@ class ScaleSource:
     )
     baseline: _Numbers = _source("Distance between the cameras.", metavar=_FORMS["baseline"])
     distance: _Numbers = _source("That of two points of image 1.", metavar=_FORMS["distance"])
+    marker: float | None = option(
+        None,
+        "Side of ArUco or AprilTag markers in both images.",
+        metavar="METRES",
+        above=0,
+        section="scale",
+    )
 
     def __post_init__(self) -> None:
         check_options(self)
-        names = [n for n in ("depth1", "depth2", *_FORMS) if getattr(self, n) is not None]
+        names = [n for n in ("depth1", "depth2", *_FORMS, "marker") if getattr(self, n) is not None]
         if len(names) > 1 and names != ["depth1", "depth2"]:
             first, *_, last = map(ArgumentName, names)
             raise InputError(first, "and", last, "both tell the length of t, and one is needed")
@@ -85,21 +95,36 @@ class ScaleSource:
             for source, name, image in sources
         ]
 
+    def markers(self, images: Sequence[Image]) -> list[dict[str, np.ndarray]]:
+        """By `find_markers`, of two images; none without `marker`. Raises InputError, naming it, if
+        both images have no marker in common."""
+        found = [find_markers(image.pixels) for image in images if self.marker]
+        if found and not found[0].keys() & found[1].keys():
+            shown = [", ".join(sorted(of)) or "none" for of in found]
+            both = f"must be in both images: image 1 shows {shown[0]}, image 2 {shown[1]}"
+            raise InputError(ArgumentName("marker"), both)
+        return found
+
 
 def with_length(
-    pose: RelativePose, matches: Matches, scale: ScaleSource, maps: Sequence[np.ndarray | None]
+    pose: RelativePose,
+    matches: Matches,
+    scale: ScaleSource,
+    maps: Sequence[np.ndarray | None],
+    markers: Sequence[Mapping[str, np.ndarray]] = (),
 ) -> RelativePose:
     """The pose with the length of its t; as it is without a pose or a source.
 
-    matches: those that the pose is of. maps: of `scale`. A warning states depths that the matches
-    contradict, and too few of them, or too few inliers near a point of `distance`.
+    matches: those that the pose is of. maps, markers: of `scale`. A warning states depths that the
+    matches contradict, and too few of them, too few inliers near a point of `distance`, or markers
+    that are no squares of one size.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
     baseline, distance = numbers(scale.baseline), numbers(scale.distance)
     if baseline:
         return replace(pose, length=baseline[0], length_std=[*baseline, None][1])
-    if not distance and all(inverse is None for inverse in maps):
+    if not distance and not markers and all(inverse is None for inverse in maps):
         return pose
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
     x1, x2 = pose.camera1.normalise(points[0]), pose.camera2.normalise(points[1])
@@ -113,11 +138,15 @@ def with_length(
             poses.append((cv2.Rodrigues(step[:3])[0] @ pose.R, t / np.linalg.norm(t)))
     inverse, of_match = _inverse_depths(x1, x2, poses, error)
     scatter, warnings = 0.0, pose.warnings
-    if distance:
-        by_distance = _by_distance(x1, inverse, of_match, pose.camera1, distance)
-        if isinstance(by_distance, str):
-            return replace(pose, warnings=(*warnings, by_distance))
-        length, variance = by_distance
+    if distance or markers:
+        if distance:
+            by_length = _by_distance(x1, inverse, of_match, pose.camera1, distance)
+        else:
+            cameras = (pose.camera1, pose.camera2)
+            by_length = _by_marker(markers, cameras, poses, scale.marker or 0.0)
+        if isinstance(by_length, str):
+            return replace(pose, warnings=(*warnings, by_length))
+        length, variance = by_length
     else:
         of_2 = _inverse_depths(x2, x1, [(R.T, -R.T @ t) for R, t in poses], error)
         seen = zip([_UNKNOWN if of is None else of for of in maps], points, strict=True)
@@ -131,13 +160,34 @@ def with_length(
         points2, count = np.vstack([x2, x2])[known], int(np.isfinite(z).any(1).sum())
         length, variance, scatter = _by_depth(single, of_match, points2, scale.depth_std, count)
     # The focal lengths scale the angles that depths are triangulated from.
-    shares = 0 if distance else scale.depth_std, pose.camera1.focal_std, pose.camera2.focal_std
+    shares = (
+        0 if distance or markers else scale.depth_std,
+        pose.camera1.focal_std,
+        pose.camera2.focal_std,
+    )
     std = math.hypot(math.sqrt(variance), *(share * length for share in shares))
     if scatter > _CONTRADICTS:
         off = f"the lengths that inliers tell scatter by {scatter:.1f} times their deviations"
         warnings += (f"the matches contradict the depth: {off}",)
     sure = pose.covariance is not None and scatter <= _CONTRADICTS
     return replace(pose, length=length, length_std=std if sure else None, warnings=warnings)
+
+
+def _by_marker(
+    markers: Sequence[Mapping[str, np.ndarray]],
+    cameras: Sequence[Camera],
+    poses: Sequence[tuple[np.ndarray, np.ndarray]],
+    metres: float,
+) -> tuple[float, float] | str:
+    """The length and its variance by the side of markers; a warning if they have none."""
+    views = [(np.eye(3, 4), np.column_stack(pose)) for pose in poses]
+    try:
+        found = [marker_side(markers, cameras, view) for view in views]
+    except InputError as error:
+        return f"the length of t is not known: {error}"
+    lengths = metres / np.array([of.side for of in found])
+    off = [found[0].std * lengths[0], *(lengths[1:] - lengths[0])]
+    return float(lengths[0]), float(np.square(off).sum())
 
 
 def _inverse_depths(
