@@ -58,9 +58,10 @@ def estimate(
 ) -> int:
     """Estimate the relative pose of two photographs.
 
-    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map, --baseline
-    or --distance states its length. Without --K, --K1 and --fov it is as with --K auto. Exits with
-    3 and the reason if there is no pose, and with all of them if several explain the matches alike.
+    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map,
+    --baseline, --distance or --marker states its length. Without --K, --K1 and --fov it is as with
+    --K auto. Exits with 3 and the reason if there is no pose, and with all of them if several
+    explain the matches alike.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:

@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 
 # The largest dictionary of each kind has the markers of the smaller ones.
-_KINDS = ("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36h12")
-_KINDS += ("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11")
+_KINDS = (
+    *("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36h12"),
+    *("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11"),
+)
 _MARGIN = 0.4  # of a marker's size, around it, in which lines are fitted to its sides
 
 

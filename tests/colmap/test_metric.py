@@ -8,6 +8,7 @@ import pycolmap
 import pytest
 from batch_runs import view_folder
 from command_line import assert_refused, run
+from marker_scene import draw_markers, square, texture
 from multi_view import K_text
 from scipy.spatial.transform import Rotation
 
@@ -130,14 +131,48 @@ def test_the_distance_of_two_cameras_gives_the_scale(tmp_path: Path) -> None:
         to_metres(model_of(true[:4]), tmp_path, NAMES, options)
 
 
+def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
+    """Of a model in another unit, by pictures of three of its cameras."""
+    K, name = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), "APRILTAG_36h11:4"
+    true = np.array([[-0.4, 0, 0], [0, 0.1, 0], [0.4, 0, 0]])  # metres
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 600, 640, 480)
+    camera.params = [600, 600, 320.5, 240.5]
+    model.add_camera_with_trivial_rig(camera)
+    for number, centre in enumerate(true, start=1):
+        image = pycolmap.Image(NAMES[number - 1], camera_id=1, image_id=number)
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), -0.3 * centre)
+        model.add_image_with_trivial_frame(image, pose)
+        model.register_frame(model.images[number].frame_id)
+        marker = {name: square(0.2, (0, 0, 2), (0.3, 0.1, 0))}
+        of_marker = np.column_stack([np.eye(3), -centre])
+        pixels = draw_markers(texture((640, 480), number), K, of_marker, marker, number)
+        PIL.Image.fromarray(pixels).save(tmp_path / image.name)
+    facts = to_metres(model, tmp_path, NAMES[:3], ReconstructionOptions(marker=0.2))
+    assert (facts["unit"], facts["frame"]) == ("m", "the model's own")
+    assert facts["marker_images"] == {name: 3} and 0.001 < facts["scale_relative_std"] < 0.01
+    np.testing.assert_allclose(centres_of(model), true, atol=0.004)
+    for image in NAMES[:3]:
+        PIL.Image.fromarray(texture((640, 480))).save(tmp_path / image)
+    with pytest.raises(InputError, match="two or more of the 3 images show 0$"):
+        to_metres(model, tmp_path, NAMES[:3], ReconstructionOptions(marker=0.2))
+
+
+@pytest.mark.parametrize("both", [("gps", "scale"), ("gps", "marker"), ("scale", "marker")])
+def test_one_option_gives_metres(both: tuple[str, str]) -> None:
+    values = {"gps": True, "scale": "a.png,b.png,2", "marker": 0.2}
+    with pytest.raises(InputError, match=f"^{both[0]} and {both[1]} both bring the model into"):
+        ReconstructionOptions(**{name: values[name] for name in both})
+
+
 def test_the_command(tmp_path: Path) -> None:
     folder = tmp_path / "photos"
     first, *_, last = (view.centre for view in view_folder(folder))
     metres = 7.5 * np.linalg.norm(last - first)
     fast = ("--K", K_text(), "--weights", "sift", "--runs", 1, "--workers", 1)
     words = ("reconstruct", folder, "--out", tmp_path / "out", *fast)
-    for scale in (("nosuch.png,2",), ("view1.png,0",), ("view0.png,2",), ("view1.png,2", "--gps")):
-        refused = run(*words, "--scale", f"view0.png,{scale[0]}", *scale[1:])
+    for scale in ("nosuch.png,2", "view1.png,0", "view0.png,2"):
+        refused = run(*words, "--scale", f"view0.png,{scale}")
         assert_refused(refused, "--scale must be two of the 4 images")
         assert not (tmp_path / "out").exists()
     result = run(*words, "--scale", f"view0.png,view3.png,{metres}")

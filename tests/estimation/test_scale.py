@@ -6,11 +6,13 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
+from marker_scene import draw_markers, pixels_of, square, texture
 from scenes import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 from dgc_pose import InputError, RelativePose, ScaleSource, estimate_pose
 from dgc_pose.estimation.scale import with_length
 from dgc_pose.images.depth import read_depth
+from dgc_pose.images.image import Image
 
 LENGTH = 1.7  # metres, of t
 
@@ -124,6 +126,43 @@ def test_without_a_pose_or_a_source_nothing_changes() -> None:
     assert with_length(failure, matches, source, [None, None]) is failure
 
 
+def test_a_marker_tells_the_length_as_surely_as_it_says() -> None:
+    within = []
+    for seed in range(8):
+        scene, points, pose = scene_and_pose(seed)
+        middle = np.median(points, axis=0)
+        corners, rng = square(0.1 * middle[2], middle, (0.2, 0.3, 0)), np.random.default_rng(seed)
+        poses = np.eye(3, 4), np.column_stack([scene.R, LENGTH * scene.t])
+        markers = []
+        for K, cam in zip((scene.K1, scene.K2), poses, strict=True):
+            markers.append({"a:1": pixels_of(K, cam, corners) + rng.normal(0, 0.1, (4, 2))})
+        source = ScaleSource(marker=0.1 * middle[2])
+        result = with_length(pose, scene.matches, source, [None, None], markers)
+        assert result.length is not None and result.length_std is not None
+        assert abs(result.length / LENGTH - 1) < 0.05
+        within.append(abs(result.length - LENGTH) < 1.645 * result.length_std)
+    assert sum(within) >= 6
+    for of_image in markers:
+        of_image["a:1"] = np.random.default_rng(1).uniform(0, 300, (4, 2))
+    result = with_length(pose, scene.matches, source, [None, None], markers)
+    assert result.length is None and result.warnings[-1].endswith("none a square under the poses")
+
+
+def test_a_marker_must_be_in_both_images() -> None:
+    source = ScaleSource(marker=0.1)
+    drawn = draw_markers(
+        texture((320, 240)),
+        np.diag([300.0, 300, 1]) + [[0, 0, 160], [0, 0, 120], [0] * 3],
+        np.eye(3, 4),
+        {"4X4_1000:3": square(0.2, (0, 0, 1))},
+    )
+    images = [Image(np.dstack([pixels] * 3)) for pixels in (drawn, texture((320, 240)))]
+    with pytest.raises(InputError, match="image 1 shows 4X4_1000:3, image 2 none$"):
+        source.markers(images)
+    assert [*source.markers([images[0]] * 2)[1]] == ["4X4_1000:3"]
+    assert ScaleSource().markers(images) == []
+
+
 @pytest.mark.parametrize(
     "values",
     [
@@ -132,6 +171,8 @@ def test_without_a_pose_or_a_source_nothing_changes() -> None:
         {"distance": (1.0, 2.0, 3.0, 4.0)},
         {"distance": "1,2,3,4,nan"},
         {"depth_std": 0.0},
+        {"marker": 0.0},
+        {"marker": 0.1, "baseline": (1.0,)},
         {"baseline": (1.0,), "distance": (1.0, 2.0, 3.0, 4.0, 5.0)},
         {"depth1": "a.png", "depth2": "b.png", "baseline": (1.0,)},
     ],

@@ -1,0 +1,39 @@
+"""The corners of markers in drawn pictures."""
+
+import numpy as np
+import pytest
+from marker_scene import draw_markers, pixels_of, square, texture
+
+from dgc_pose.images.markers import find_markers
+
+K = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
+POSE = np.eye(3, 4)
+SIZE = (640, 480)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["APRILTAG_36h11:7", "APRILTAG_16h5:2", "4X4_1000:30", "6X6_1000:11", "ARUCO_ORIGINAL:99"],
+)
+def test_corners_to_a_fraction_of_a_pixel(name: str) -> None:
+    """Each corner, of a marker 60 pixels wide; in colours of 8 and in grey of 16 bit too."""
+    corners = square(60 / 900, (0.05, -0.03, 1.0), (0.3, -0.2, 0.1))
+    image = draw_markers(texture(SIZE), K, POSE, {name: corners})
+    for pixels in (image, np.dstack([image] * 4), image.astype(np.uint16) * 200):
+        found = find_markers(pixels)
+        assert np.abs(found[name] - pixels_of(K, POSE, corners)).max() < 0.25
+
+
+def test_several_markers_and_one_that_is_there_twice() -> None:
+    places = {"4X4_1000:1": -0.2, "4X4_1000:2": 0.0, "APRILTAG_36h11:1": 0.2}
+    markers = {name: square(0.07, (x, 0.0, 1.0)) for name, x in places.items()}
+    image = draw_markers(texture(SIZE), K, POSE, markers)
+    assert find_markers(image).keys() >= markers.keys()
+    image = draw_markers(image, K, POSE, {"4X4_1000:2": square(0.07, (0.0, 0.15, 1.0))})
+    found = find_markers(image)
+    assert "4X4_1000:2" not in found and "4X4_1000:1" in found
+
+
+def test_an_image_without_markers() -> None:
+    assert find_markers(np.zeros((48, 64, 3), np.uint8)) == {}
+    assert find_markers(texture(SIZE)) == {}
