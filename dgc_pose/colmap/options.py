@@ -34,7 +34,7 @@ class ReconstructionOptions:
     )
     marker: float | None = option(
         None,
-        "Side of printed ArUco or AprilTag markers in the photographs: the model is in metres.",
+        "Metres by the side of printed ArUco or AprilTag markers.",
         metavar="METRES",
         above=0,
         section="reconstruction",

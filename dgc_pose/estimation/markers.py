@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,8 @@ _MAX_STD = 0.2  # relative, of a side
 _MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides that are one size
 
 
-class MarkerSide(NamedTuple):
+@dataclass(frozen=True)
+class MarkerSide:
     """The side of markers, in the unit of the poses."""
 
     side: float
@@ -51,7 +52,8 @@ def marker_side(
         shown = f"needs a marker, and two or more of the {len(corners)} images show {count}"
         squares = ", none a square under the poses" if count else ""
         raise InputError(ArgumentName("marker"), shown + squares)
-    small, *_, large = sorted(fits, key=lambda name: fits[name][0]) * 2
+    by_size = sorted(fits, key=lambda name: fits[name][0])
+    small, large = by_size[0], by_size[-1]
     sides, stds, counts = map(np.array, zip(*fits.values(), strict=True))
     ratio = fits[large][0] / fits[small][0]
     if ratio > max(_MAX_RATIO, 1 + _DEVIATIONS * np.hypot(fits[large][1], fits[small][1])):

@@ -1,4 +1,4 @@
-"""The length of t, by depth maps, by the distance of the cameras or by one in the scene."""
+"""The length of t, by depth maps, markers, the distance of the cameras or one in the scene."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -66,12 +66,8 @@ class ScaleSource:
     )
     baseline: _Numbers = _source("Distance between the cameras.", metavar=_FORMS["baseline"])
     distance: _Numbers = _source("That of two points of image 1.", metavar=_FORMS["distance"])
-    marker: float | None = option(
-        None,
-        "Side of ArUco or AprilTag markers in both images.",
-        metavar="METRES",
-        above=0,
-        section="scale",
+    marker: float | None = _source(
+        "Side of ArUco or AprilTag markers.", metavar="METRES", type=float, above=0
     )
 
     def __post_init__(self) -> None:
@@ -142,7 +138,7 @@ def with_length(
         if distance:
             by_length = _by_distance(x1, inverse, of_match, pose.camera1, distance)
         else:
-            cameras = (pose.camera1, pose.camera2)
+            cameras = pose.camera1, pose.camera2
             by_length = _by_marker(markers, cameras, poses, scale.marker or 0.0)
         if isinstance(by_length, str):
             return replace(pose, warnings=(*warnings, by_length))
@@ -160,11 +156,8 @@ def with_length(
         points2, count = np.vstack([x2, x2])[known], int(np.isfinite(z).any(1).sum())
         length, variance, scatter = _by_depth(single, of_match, points2, scale.depth_std, count)
     # The focal lengths scale the angles that depths are triangulated from.
-    shares = (
-        0 if distance or markers else scale.depth_std,
-        pose.camera1.focal_std,
-        pose.camera2.focal_std,
-    )
+    depth_std = 0 if distance or markers else scale.depth_std
+    shares = depth_std, pose.camera1.focal_std, pose.camera2.focal_std
     std = math.hypot(math.sqrt(variance), *(share * length for share in shares))
     if scatter > _CONTRADICTS:
         off = f"the lengths that inliers tell scatter by {scatter:.1f} times their deviations"

@@ -23,22 +23,21 @@ def find_markers(pixels: np.ndarray) -> dict[str, np.ndarray]:
     grey = pixels if pixels.ndim == 2 else pixels[:, :, 1]
     grey = cv2.normalize(grey, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
     squares, numbers, _, kinds = _detector(_KINDS).detectMarkersMultiDict(grey)
-    found, twice = {}, set()
-    for square, number, kind in zip(squares, np.ravel(numbers), np.ravel(kinds), strict=False):
-        name = f"{_KINDS[kind]}:{number}"
-        if name in found:
-            twice.add(name)
+    kinds = [] if numbers is None else [_KINDS[kind] for kind in np.ravel(kinds)]
+    names = [f"{kind}:{number}" for kind, number in zip(kinds, np.ravel(numbers), strict=False)]
+    found = {}
+    for square, kind, name in zip(squares, kinds, names, strict=True):
         low, high = square[0].min(0), square[0].max(0)
         margin = _MARGIN * (high - low).max()
         x, y = np.maximum(low - margin, 0).astype(int)
         right, bottom = (high + margin).astype(int)
         # By lines along the sides, which have no bias of blurred corners: slow in a whole image.
-        refiner = _detector((_KINDS[kind],), cv2.aruco.CORNER_REFINE_APRILTAG)
+        refiner = _detector((kind,), cv2.aruco.CORNER_REFINE_APRILTAG)
         refined, again, _ = refiner.detectMarkers(grey[y:bottom, x:right])
-        if again is not None and number in again:
-            at = refined[np.ravel(again).tolist().index(number)][0]
-            found[name] = at.astype(np.float64) + (x, y) - 0.5  # (0, 0) is a pixel's corner there
-    return {name: corners for name, corners in found.items() if name not in twice}
+        at = {f"{kind}:{n}": of[0] for n, of in zip(np.ravel(again), refined, strict=False)}
+        if name in at and names.count(name) == 1:
+            found[name] = at[name].astype(np.float64) + (x, y) - 0.5  # (0, 0) is a corner there
+    return found
 
 
 @cache
