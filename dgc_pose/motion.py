@@ -1,13 +1,10 @@
 """Whether a fixed camera has moved between two pictures, and by how much.
 
-A match at the normalised point x1, of inverse depth rho over its median, is at x2 = project(R x1 +
-rho t). The parallax rho g(t) is small, so a match has two errors: across the parallax, of the noise
-alone, and along it, of the noise and of the unknown rho, which is 1 on average. R and t minimise a
-Cauchy loss of both. t may vanish: a pure rotation is no special case.
-
-Each cell of the picture has the same weight, so that a textured object does not outvote a plain
-wall. People and other objects are outliers, or the picture shows a part that stays and a part that
-moves: then the camera has not moved.
+A match goes from the normalised point x1 to x2 = project(R x1) + rho g(t): the rotation, and the
+parallax g of a shift t, in median depths, times the inverse depth rho, about 1. Across the parallax
+a match errs by its noise alone; along it, rho is not known either. R and t minimise a Cauchy loss
+of both errors. A rotation alone, t = 0, is no special case. People and objects are outliers, and
+each cell of the picture has the same weight, so that textured objects do not outvote walls.
 """
 
 from __future__ import annotations
@@ -47,44 +44,43 @@ from dgc_pose.system.threads import one_blas_thread
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource, MatcherSource
 
-Verdict = Literal["still", "moved", "cannot say"]
-STILL_DEG = 0.05  # a smaller apparent motion is none
-_LEAST_DEG, _SIGNIFICANT = 0.01, 1.5  # apparent motion of a moved camera: above, and in errors
-_WITHIN = 0.9  # share of the picture whose apparent motion is below that of the verdict
+STILL_DEG = 0.05  # the picture of a still camera moves by less
+_LEAST_DEG, _SIGNIFICANT = 0.01, 1.5  # that of a moved one by more, after so many errors
+_MOST = 0.9  # share of the picture that this holds for
 _CELLS = 16  # along the longer side of the picture
-_MIN_MATCHES, _COVERED = 50, 0.1  # the latter is the share of the picture's cells that agree
-# Shares of the matched cells: that agree on one motion; that stay, beyond those that the motion
-# leaves in place, while objects move; and that stay at the most if the camera has moved for sure.
-_AGREE, _STAYS, _NOTHING_STAYS = 0.4, 0.2, 0.05
-_DEPTH_STD = 0.5  # of the inverse depth over its median
-_DEPTHS_ALIKE = 2.0  # times that, in weight: neighbours have similar depths
-_SHIFT_STD = 0.1  # prior of t, in median depths
-_NOISE = 0.16, 0.5  # least and largest standard deviation of a match, in its expected error
-_ERROR_SCALE = 1.3  # of the covariance's root: chosen on simulated pairs, docs/experiments.md
-_INLIER = 3.6  # standard deviations
+_MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells that agree
+# Shares of the matched cells: the least that agree on a motion; the least that stay while other
+# parts move, so that these are objects; the most that stay if everything has moved.
+_AGREE, _STAY, _NOTHING = 0.4, 0.2, 0.05
+_DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
+_PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
+_DEPTHS_ALIKE = 2.0  # matches whose depths are worth one: neighbours have similar depths
+_NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, in its expected error
+_INLIER, _STAYS = 3.6, 3.0  # standard deviations
+_ERROR_SCALE = 1.3  # chosen on simulated pairs
 _OBJECT = 0.02  # typical motion of an object, normalised
-_START_MATCHES, _START_STEPS, _STEPS, _SAMPLES = 500, 15, 40, 200
+_SAMPLES, _SOME, _STEPS = 200, 500, (15, 40)  # rotations; matches and steps of trials, of the fit
 
 
 @dataclass(frozen=True)
 class CameraMotion:
-    """The motion of a camera from a reference picture to the picture now.
+    """The motion of a camera since the reference picture.
 
     Attributes:
         verdict: "still": the picture moves by less than 0.05 degrees. "moved": it moves
             significantly. "cannot say": `reason` has why.
-        reason: One sentence for people.
+        reason: One line for people.
         angle_deg: Angle of the rotation, degrees; None without enough matches.
-        angle_error_90_deg: Error of the angle that nine in ten stay below, degrees.
-        shift: Distance between the camera centres, in median depths of the matched scene.
-        shift_error_90: Error of the shift that nine in ten stay below, in median depths.
+        angle_error_90_deg: Error of the angle, degrees, that nine in ten stay below.
+        shift: Distance between the camera centres over the median depth of the matched scene.
+        shift_error_90: Error of the shift, in the same unit, that nine in ten stay below.
         num_matches: Number of matches.
         num_inliers: Number of matches that agree with the motion.
         warnings: Sentences about what makes the result uncertain, for people.
         seconds: Time by what was done: "load", "match", "estimate".
     """
 
-    verdict: Verdict
+    verdict: Literal["still", "moved", "cannot say"]
     reason: str
     angle_deg: float | None = None
     angle_error_90_deg: float | None = None
@@ -100,24 +96,6 @@ class CameraMotion:
         return asdict(self)
 
 
-class _Fit(NamedTuple):
-    """A motion with the errors of N matches, over their standard deviations."""
-
-    R: np.ndarray  # (3, 3)
-    t: np.ndarray  # (3,), in median depths
-    std: float  # of a match, normalised
-    errors: np.ndarray  # (N, 2), along and across the parallax
-    slopes: np.ndarray  # (N, 2, 6), their derivatives by a rotation vector, radians, and t
-    weights: np.ndarray  # (N, 2)
-    score: float  # mean log likelihood
-
-    @property
-    def inliers(self) -> np.ndarray:
-        """(N,) bool."""
-        inliers: np.ndarray = (np.abs(self.errors) < _INLIER).all(1)
-        return inliers
-
-
 def camera_motion(
     reference: ImageSource,
     now: ImageSource,
@@ -125,11 +103,11 @@ def camera_motion(
     *,
     matcher: MatcherSource = None,
 ) -> CameraMotion:
-    """Whether a fixed camera has moved since the reference picture, and by which angle and shift.
+    """Whether a fixed camera has moved since the reference picture, by which angle and shift.
 
     reference, now: paths, arrays (H, W[, 3]) in RGB order, or tensors, of one size. K: as of
-    `estimate_relative_pose`; without it, the uncertainty of the focal length enters the errors.
-    matcher: by default `load_matcher()`.
+    `estimate_relative_pose`; without it the focal length is assumed, and its uncertainty is part of
+    the errors. matcher: by default `load_matcher()`, or its name; load it once for many pictures.
 
     Raises ImageError if an image cannot be read, InputError (a ValueError) if another argument is
     unusable or the sizes differ, WeightsError if the network's weights cannot be loaded.
@@ -139,8 +117,8 @@ def camera_motion(
     start = time.perf_counter()
     first, second = load_image(reference, "reference"), load_image(now, "now")
     if first.size != second.size:
-        sizes = ("{} x {}".format(*image.size) for image in (second, first))
-        raise InputError(ArgumentName("now"), "has {} pixels, and reference {}".format(*sizes))
+        names = (f"{image.name} has {image.size[0]} x {image.size[1]}" for image in (second, first))
+        raise InputError(ArgumentName("now"), "has another size: " + ", ".join(names))
     check_type(matcher, Matcher | str | Path | None, "matcher")
     camera = pair_cameras(K, K, first, first, ("K", "K"))[0]
     matcher = DEFAULT_WEIGHTS if matcher is None else matcher
@@ -148,131 +126,101 @@ def camera_motion(
     loaded = time.perf_counter()
     matches = matcher.match(first, second).matches
     matched = time.perf_counter()
-    motion = motion_of_matches(matches, camera, first.size)
-    estimated = time.perf_counter()
-    seconds = {"load": loaded - start, "match": matched - loaded, "estimate": estimated - matched}
+    motion = _motion(matches, camera, first.size)
+    seconds = {"load": loaded - start, "match": matched - loaded}
+    seconds["estimate"] = time.perf_counter() - matched
     return replace(motion, warnings=camera.warnings, seconds=seconds)
 
 
+class _Fit(NamedTuple):
+    """A motion, and the N matches' errors over their standard deviations."""
+
+    R: np.ndarray  # (3, 3)
+    t: np.ndarray  # (3,), in median depths
+    std: float  # of a match, normalised
+    errors: np.ndarray  # (N, 2), along and across the parallax
+    slopes: np.ndarray  # (N, 2, 6), of these by a rotation vector, radians, and t
+    weights: np.ndarray  # (N, 2)
+    score: float  # mean log likelihood
+    inliers: np.ndarray  # (N,) bool
+
+
 @one_blas_thread()
-def motion_of_matches(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMotion:
-    """The motion of a camera by its matches. size: (width, height) of both pictures."""
-    cell = max(size) / _CELLS
-    points = [camera.normalise(points) for points in (matches.points1, matches.points2)]
+def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMotion:
+    """The motion by the matches of two pictures of a size (width, height)."""
+    points = camera.normalise(matches.points1), camera.normalise(matches.points2)
     usable = np.isfinite(np.hstack(points)).all(1)
-    x1, x2 = (values[usable] for values in points)
+    x1, x2 = points[0][usable], points[1][usable]
     if len(x1) < _MIN_MATCHES:
         return CameraMotion("cannot say", f"only {len(x1)} matches", num_matches=len(x1))
-    column, row = (matches.points1[usable] // cell).astype(int).T
-    _, in_cell, count = np.unique(column * 9999 + row, return_inverse=True, return_counts=True)
-    weights = 1 / count[in_cell]
+    cell = max(size) / _CELLS
+    cells = np.floor(matches.points1[usable] / cell) @ (1, _CELLS + 1)
+    _, of_cell, count = np.unique(cells, return_inverse=True, return_counts=True)
+    weights, pixel = 1 / count[of_cell], matches.error_px / camera.focal
 
-    pixel = matches.error_px / camera.focal
-    fit = _best_fit(x1, x2, weights, pixel)
-    covariance = _covariance(fit, x2)
-    motion, error = _apparent_motion_deg(fit, covariance, x1)
-
-    def share(of: np.ndarray) -> float:
-        return float(weights @ of) / len(count)
-
-    def within(values: np.ndarray) -> float:
+    def most(values: np.ndarray) -> float:
         """What the values stay below in most of the picture that agrees with the motion."""
         order = np.argsort(values)
         total = np.cumsum((weights * fit.inliers)[order])
-        return float(values[order][np.searchsorted(total, _WITHIN * total[-1])])
+        return float(values[order][np.searchsorted(total, _MOST * total[-1])])
 
-    stay = np.linalg.norm(x2 - x1, axis=1) < 3 * fit.std
-    moved = within(motion - _SIGNIFICANT * error) > _LEAST_DEG
-    moved |= within(motion) > STILL_DEG and share(stay) < _NOTHING_STAYS
-    if share(stay - _left_in_place(fit, x1)) > _STAYS if moved else share(stay) > _AGREE:
+    def share(part: np.ndarray) -> float:
+        return float(weights @ part) / len(count)
+
+    fit = _best_fit(x1, x2, weights, pixel)
+    covariance, motion, error = _uncertainty(fit, x1)
+    stay = np.linalg.norm(x2 - x1, axis=1) < _STAYS * fit.std
+    moved = most(motion - _SIGNIFICANT * error) > _LEAST_DEG
+    moved |= most(motion) > STILL_DEG and share(stay) < _NOTHING
+    against = stay & (np.radians(motion) > 2 * _STAYS * fit.std)
+    if share(against) > _STAY if moved else share(stay) > _AGREE:
         moved = False  # all else is people and objects
-        fit = _fit(x1, x2, weights * stay, pixel, np.eye(3), np.zeros(3), 0.0, _STEPS)
-        covariance = _covariance(fit, x2)
-        motion, error = _apparent_motion_deg(fit, covariance, x1)
-    agree = share(fit.inliers)
-    verdict: Verdict = "cannot say"
-    if agree < (_AGREE if moved else _STAYS):
-        reason = f"only {100 * agree:.0f} % of the matched picture agrees on one motion"
-    elif agree * len(count) < _COVERED * size[0] * size[1] / cell**2:
-        reason = "the matches that agree cover too little of the picture"
-    elif moved:
+        fit = _fit(x1, x2, weights * stay, pixel, np.eye(3), np.zeros(3), 0.0, _STEPS[1])
+        covariance, motion, error = _uncertainty(fit, x1)
+    agree, numbers = share(fit.inliers), (len(x1), int(fit.inliers.sum()))
+    covers = agree * len(count) * cell**2 / (size[0] * size[1])
+    verdict: Literal["still", "moved", "cannot say"] = "cannot say"
+    if agree < (_AGREE if moved else _STAY) or covers < _COVERED:
+        of = f"{100 * agree:.0f} % of the matched picture, {100 * covers:.0f} % of all,"
+        reason = f"only {of} agrees on one motion"
+        return CameraMotion(verdict, reason, num_matches=numbers[0], num_inliers=numbers[1])
+    if moved:
         verdict = "moved"
-        reason = f"{100 * agree:.0f} % of the matched picture moves by {within(motion):.3g} deg"
-    elif (most := within(motion + error)) < STILL_DEG:
-        verdict, reason = "still", f"the picture moves by less than {max(most, 0.001):.3f} deg"
+        reason = f"{100 * agree:.0f} % of the matched picture moves by {most(motion):.3g} deg"
+    elif (bound := most(motion + error)) < STILL_DEG:
+        verdict, reason = "still", f"the picture moves by less than {bound + 5e-4:.3f} deg"
     else:
-        reason = f"the picture moves by {within(motion):.3f} +- {within(error):.3f} deg"
+        reason = f"the picture moves by {most(motion):.3f} +- {most(error):.3f} deg"
     angle, shift = rotation_angle_deg(fit.R), float(np.linalg.norm(fit.t))
     errors = NORMAL_90 * np.sqrt([covariance[:3, :3].trace(), covariance[3:, 3:].trace()])
-    by_focal = NORMAL_90 * camera.focal_std
-    return CameraMotion(
-        verdict,
-        reason,
-        angle,
-        math.hypot(math.degrees(errors[0]), by_focal * angle),
-        shift,
-        math.hypot(errors[1], by_focal * shift),
-        len(x1),
-        int(fit.inliers.sum()),
-    )
+    of_focal = NORMAL_90 * camera.focal_std
+    angle_error = math.hypot(math.degrees(errors[0]), of_focal * angle)
+    shift_error = math.hypot(errors[1], of_focal * shift)
+    return CameraMotion(verdict, reason, angle, angle_error, shift, shift_error, *numbers)
 
 
 def _best_fit(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray, pixel: float) -> _Fit:
     """The likeliest motion. pixel: expected error of a match, normalised.
 
-    The loss has several minima: the fit starts from no motion, from the rotation that most of the
-    picture agrees with, and from that with shifts along each axis.
+    The loss has several minima: trials start from no motion, from the rotation that most of the
+    picture agrees with, and from that with a shift along each axis.
     """
     rng = np.random.default_rng(0)
-    R, none = _common_rotation(x1, x2, weights, rng), np.zeros(3)
-    apart = np.linalg.norm(_errors(x1, x2, R, none)[0], axis=1)
-    shift = max(float(np.median(apart)), pixel) * np.diag([1.0, 1, 2])
-    still = np.eye(3)
-    wide, narrow = 8 * pixel, 2 * pixel
-    starts = [(still, none, 0.0), (still, none, wide), (R, none, wide)]
-    starts += [(R, sign * t, narrow) for t in shift for sign in (1, -1)]
-    some = rng.permutation(len(x1))[:_START_MATCHES]
-    part = x1[some], x2[some], weights[some] * weights.sum() / weights[some].sum(), pixel
-    tried = [_fit(*part, *start, _START_STEPS) for start in starts]
-    best = max(tried, key=lambda fit: fit.score)
-    return _fit(x1, x2, weights, pixel, best.R, best.t, 0.0, _STEPS)
-
-
-def _common_rotation(
-    x1: np.ndarray, x2: np.ndarray, weights: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """The rotation (3, 3) that most of the picture agrees with, of those of random pairs."""
     rays1, rays2 = unit_rays(x1), unit_rays(x2)
     pairs = rng.choice(len(x1), (_SAMPLES, 2), p=weights / weights.sum())
     rotations = [aligning_rotation(rays1[pair], rays2[pair]) for pair in pairs]
-
-    def agreement(R: np.ndarray) -> float:
-        squared = np.square(rays1 @ R.T - rays2).sum(1)
-        return float(weights @ (1 / (1 + squared / _OBJECT**2)))
-
-    return max(rotations, key=agreement)
-
-
-def _slopes(points: np.ndarray) -> np.ndarray:
-    """The derivatives (N, 2, 6) of normalised points (N, 2) by a rotation vector, and by a shift
-    over the depth."""
-    x, y = points.T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    of_x = -x * y, 1 + x * x, -y, one, zero, -x
-    of_y = -1 - y * y, x * y, x, zero, one, -y
-    return np.stack([np.stack(of_x, -1), np.stack(of_y, -1)], 1)
-
-
-def _errors(
-    x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is left of the matches (N, 2) at the median depth, the parallax there (N, 2), and the
-    derivatives (N, 2, 6)."""
-    turned = homogeneous(x1) @ R.T
-    turned = turned[:, :2] / turned[:, 2:]
-    slopes = _slopes(turned)
-    parallax = slopes[..., 3:] @ t
-    return x2 - turned - parallax, parallax, slopes
+    squared = [np.square(rays1 @ R.T - rays2).sum(1) for R in rotations]
+    best = np.argmax([weights @ (1 / (1 + part / _OBJECT**2)) for part in squared])
+    R, none, zero = rotations[best], np.eye(3), np.zeros(3)
+    length = max(float(np.sqrt(np.median(squared[best]))), pixel)
+    starts = [(none, zero, 0.0), (none, zero, 8 * pixel), (R, zero, 8 * pixel)]
+    for axis in length * np.diag([1.0, 1, 2]):
+        starts += [(R, axis, 2 * pixel), (R, -axis, 2 * pixel)]
+    some = rng.permutation(len(x1))[:_SOME]
+    part = x1[some], x2[some], weights[some] * (weights.sum() / weights[some].sum()), pixel
+    trials = [_fit(*part, *start, _STEPS[0]) for start in starts]
+    likeliest = max(trials, key=lambda fit: fit.score)
+    return _fit(x1, x2, weights, pixel, likeliest.R, likeliest.t, 0.0, _STEPS[1])
 
 
 def _fit(
@@ -285,75 +233,68 @@ def _fit(
     std: float,
     steps: int,
 ) -> _Fit:
-    """The motion near a start. std: of a match, from which it narrows to that of the matches."""
-    prior = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)
+    """The motion that Gauss-Newton steps lead to from a start. std: of a match, which narrows with
+    each step, down to what the errors of the best quarter of the picture show."""
     least, most = np.multiply(_NOISE, pixel)
     std = max(std, most)
     for step in range(steps + 1):
         left, parallax, slopes = _errors(x1, x2, R, t)
-        length = np.linalg.norm(parallax, axis=1)
-        along = np.where(length[:, None] > 0, parallax, [1.0, 0]) / np.where(length > 0, length, 1)[:, None]
+        length = np.linalg.norm(parallax, axis=1)[:, None]
+        along = np.where(length > 0, parallax, (1.0, 0)) / np.where(length > 0, length, 1)
         axes = np.stack([along, along[:, ::-1] * (-1, 1)], 1)
-        stds = np.column_stack([np.hypot(std, _DEPTH_STD * length), np.full(len(x1), std)])
+        spread = _DEPTH_STD * length
+        stds = np.hstack([np.hypot(std, spread), np.full_like(spread, std)])
         errors = np.einsum("nki,ni->nk", axes, left) / stds
-        scaled = axes @ slopes / stds[..., None]
-        depth = 1 + _DEPTH_STD**2 * (left * parallax).sum(1) / stds[:, 0] ** 2  # inverse, likeliest
-        scaled[:, 1, 3:] *= depth.clip(0, 4)[:, None]
-        alike = np.square(stds[:, 0]) / (std**2 + _DEPTHS_ALIKE * np.square(_DEPTH_STD * length))
-        each = weights[:, None] * np.column_stack([alike, np.ones(len(x1))])
+        rho = 1 + spread[:, 0] * _DEPTH_STD * errors[:, 0] / stds[:, 0]
+        slopes = axes @ slopes / stds[..., None]
+        slopes[:, 1, 3:] *= rho.clip(0, 4)[:, None]
+        shares = np.square(stds) / (std**2 + np.square(spread) * (_DEPTHS_ALIKE, 0))
+        each = weights[:, None] * shares
         if step == steps:
             break
         robust = each / (1 + np.square(errors / EFFICIENT))
-        information = np.einsum("nk,nki,nkj->ij", robust, scaled, scaled) + prior
-        gradient = np.einsum("nk,nki,nk->i", robust, scaled, errors)
-        gradient[3:] -= prior[3:, 3:] @ t
-        move = np.linalg.solve(information, gradient)
+        gradient = np.einsum("nk,nki,nk->i", robust, slopes, errors) - _PRIOR @ [0, 0, 0, *t]
+        move = np.linalg.solve(np.einsum("nk,nki,nkj->ij", robust, slopes, slopes) + _PRIOR, gradient)
         R, t = cv2.Rodrigues(move[:3])[0] @ R, t + move[3:]
-        t *= min(1, 5 * _SHIFT_STD / max(float(np.linalg.norm(t)), 1e-9))
+        t = t * min(1, 5 * _SHIFT_STD / max(float(np.linalg.norm(t)), _SHIFT_STD))
         noise = np.abs(errors[:, 1]) if np.median(length) > least else np.hypot(*errors.T) / 1.5
         order = np.argsort(noise)
-        total = np.cumsum(weights[order])
-        quarter = std * noise[order][np.searchsorted(total, total[-1] / 4)] / 0.3186
-        std = max(0.7 * std, most) if std > most else float(np.clip(quarter, least, most))
+        quarter = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 4)
+        shown = std * noise[order][quarter] / 0.3186  # of a Gaussian's quartile
+        std = max(0.7 * std, most) if std > most else float(np.clip(shown, least, most))
     density = np.exp(-np.square(errors).sum(1) / 2) / (2 * np.pi * stds.prod(1))
-    of_object = np.square(x2 - x1).sum(1) / _OBJECT**2
-    other = 0.05 + 0.1 * np.exp(-of_object / 2) / (2 * np.pi * _OBJECT**2)
-    score = float(weights @ np.log(0.85 * density + other)) / float(weights.sum())
-    return _Fit(R, t, std, errors, scaled, each, score)
+    objects = np.exp(-np.square((x2 - x1) / _OBJECT).sum(1) / 2) / (2 * np.pi * _OBJECT**2)
+    score = float(weights @ np.log(0.85 * density + 0.1 * objects + 0.05))
+    return _Fit(R, t, std, errors, slopes, each, score, (np.abs(errors) < _INLIER).all(1))
 
 
-def _apparent_motion_deg(
-    fit: _Fit, covariance: np.ndarray, x1: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """By how much the picture moves at points of median depth, and its error, (N,)."""
-    motion = np.linalg.norm(_errors(x1, x1, fit.R, fit.t)[0], axis=1)
-    slopes = _slopes(x1)
-    error = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, covariance, slopes))
-    return np.degrees(motion), np.degrees(error)
+def _errors(
+    x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the motion of points of median depth leaves (N, 2) of the matches, the parallax (N, 2),
+    and the derivatives (N, 2, 6) of the motion by a rotation vector and t."""
+    turned = homogeneous(x1) @ R.T
+    x, y = (turned[:, :2] / turned[:, 2:]).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    of_x = np.stack([-x * y, 1 + x * x, -y, one, zero, -x], -1)
+    of_y = np.stack([-1 - y * y, x * y, x, zero, one, -y], -1)
+    slopes = np.stack([of_x, of_y], 1)
+    parallax = slopes[..., 3:] @ t
+    return x2 - np.column_stack([x, y]) - parallax, parallax, slopes
 
 
-def _left_in_place(fit: _Fit, x1: np.ndarray) -> np.ndarray:
-    """The probability (N,) that a point which moves with the picture seems to stay."""
-    left, parallax, _ = _errors(x1, x1, fit.R, fit.t)
-    length = np.linalg.norm(parallax, axis=1)
-    variance = fit.std**2 + np.square(_DEPTH_STD * length)
-    along = (left * parallax).sum(1) / np.maximum(length, 1e-12)
-    across = np.square(left).sum(1) - along**2
-    exponent = along**2 / variance + across / fit.std**2
-    area = 9 * fit.std / (2 * np.sqrt(variance))
-    probability: np.ndarray = np.minimum(1, area * np.exp(-exponent / 2))
-    return probability
-
-
-def _covariance(fit: _Fit, x2: np.ndarray) -> np.ndarray:
-    """The covariance (6, 6) of a rotation vector and t: by the jackknife over blocks, and as if
-    each cell were independent."""
-    inliers = fit.inliers
+def _uncertainty(fit: _Fit, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The covariance (6, 6) of the rotation vector and t, by the jackknife over blocks and as if
+    each cell were independent; by how many degrees the picture moves at points of median depth
+    (N,), and the error (N,) that nine in ten stay below."""
+    inliers = fit.inliers if fit.inliers.any() else np.ones_like(fit.inliers)
     errors, slopes = fit.errors[inliers].ravel(), fit.slopes[inliers].reshape(-1, 6)
     terms = loss_terms(errors, slopes, EFFICIENT) * fit.weights[inliers].reshape(-1, 1)
-    information = terms[:, :36].sum(0).reshape(6, 6)
-    information += np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)
-    points = np.repeat(x2[inliers], 2, axis=0)
+    information = terms[:, :36].sum(0).reshape(6, 6) + _PRIOR
+    points = np.repeat(x1[inliers], 2, axis=0)
     blocks = [jackknife(information, block_sums(terms, points, by), KEPT) for by in SHIFTS]
-    covariance: np.ndarray = np.mean(blocks, 0) + np.linalg.inv(information)
-    return _ERROR_SCALE**2 * covariance
+    covariance = _ERROR_SCALE**2 * (np.mean(blocks, 0) + np.linalg.inv(information))
+    slopes = _errors(x1, x1, np.eye(3), np.zeros(3))[2]
+    error = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, covariance, slopes))
+    motion = np.linalg.norm(_errors(x1, x1, fit.R, fit.t)[0], axis=1)
+    return covariance, np.degrees(motion), np.degrees(error)
