@@ -51,12 +51,12 @@ _CELLS = 16  # along the longer side of the picture
 _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells that agree
 # Shares of the matched cells: the least that agree on a motion; the least that stay while other
 # parts move, so that these are objects; the most that stay if everything has moved.
-_AGREE, _STAY, _NOTHING = 0.4, 0.2, 0.05
+_AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.05
 _DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
 _PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
 _DEPTHS_ALIKE = 2.0  # matches whose depths are worth one: neighbours have similar depths
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, in its expected error
-_INLIER, _STAYS = 3.6, 3.0  # standard deviations
+_INLIER, _OUTLIER, _STAYS = 3.6, 8.0, 3.0  # standard deviations
 _ERROR_SCALE = 1.3  # chosen on simulated pairs
 _OBJECT = 0.02  # typical motion of an object, normalised
 _SAMPLES, _SOME, _STEPS = 200, 500, (15, 40)  # rotations; matches and steps of trials, of the fit
@@ -253,8 +253,11 @@ def _fit(
         if step == steps:
             break
         robust = each / (1 + np.square(errors / EFFICIENT))
+        robust *= (np.abs(errors) < _OUTLIER).all(1)[:, None]
         gradient = np.einsum("nk,nki,nk->i", robust, slopes, errors) - _PRIOR @ [0, 0, 0, *t]
-        move = np.linalg.solve(np.einsum("nk,nki,nkj->ij", robust, slopes, slopes) + _PRIOR, gradient)
+        move = np.linalg.solve(
+            np.einsum("nk,nki,nkj->ij", robust, slopes, slopes) + _PRIOR, gradient
+        )
         R, t = cv2.Rodrigues(move[:3])[0] @ R, t + move[3:]
         t = t * min(1, 5 * _SHIFT_STD / max(float(np.linalg.norm(t)), _SHIFT_STD))
         noise = np.abs(errors[:, 1]) if np.median(length) > least else np.hypot(*errors.T) / 1.5
