@@ -54,12 +54,11 @@ _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells t
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.05
 _DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
 _PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
-_DEPTHS_ALIKE = 2.0  # matches whose depths are worth one: neighbours have similar depths
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, in its expected error
 _INLIER, _OUTLIER, _STAYS = 3.6, 8.0, 3.0  # standard deviations
 _ERROR_SCALE = 1.3  # chosen on simulated pairs
-_OBJECT = 0.02  # typical motion of an object, normalised
-_SAMPLES, _SOME, _STEPS = 200, 500, (15, 40)  # rotations; matches and steps of trials, of the fit
+_SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0  # rotations; their threshold; standard deviation at first
+_STEPS = 40
 
 
 @dataclass(frozen=True)
@@ -140,8 +139,8 @@ class _Fit(NamedTuple):
     std: float  # of a match, normalised
     errors: np.ndarray  # (N, 2), along and across the parallax
     slopes: np.ndarray  # (N, 2, 6), of these by a rotation vector, radians, and t
-    weights: np.ndarray  # (N, 2)
-    score: float  # mean log likelihood
+    weights: np.ndarray  # (N,)
+    score: float  # log likelihood, in cells
     inliers: np.ndarray  # (N,) bool
 
 
@@ -167,7 +166,10 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     def share(part: np.ndarray) -> float:
         return float(weights @ part) / len(count)
 
-    fit = _best_fit(x1, x2, weights, pixel)
+    at_rest, common = np.eye(3), _common_rotation(x1, x2, weights)
+    starts = (at_rest, 0.0), (common, _WIDE * pixel)
+    fits = [_fit(x1, x2, weights, pixel, *start) for start in starts]
+    fit = max(fits, key=lambda fit: fit.score)
     covariance, motion, error = _uncertainty(fit, x1)
     stay = np.linalg.norm(x2 - x1, axis=1) < _STAYS * fit.std
     moved = most(motion - _SIGNIFICANT * error) > _LEAST_DEG
@@ -175,7 +177,7 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     against = stay & (np.radians(motion) > 2 * _STAYS * fit.std)
     if share(against) > _STAY if moved else share(stay) > _AGREE:
         moved = False  # all else is people and objects
-        fit = _fit(x1, x2, weights * stay, pixel, np.eye(3), np.zeros(3), 0.0, _STEPS[1])
+        fit = _fit(x1, x2, weights * stay, pixel, at_rest, 0.0)
         covariance, motion, error = _uncertainty(fit, x1)
     agree, numbers = share(fit.inliers), (len(x1), int(fit.inliers.sum()))
     covers = agree * len(count) * cell**2 / (size[0] * size[1])
@@ -199,45 +201,24 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     return CameraMotion(verdict, reason, angle, angle_error, shift, shift_error, *numbers)
 
 
-def _best_fit(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray, pixel: float) -> _Fit:
-    """The likeliest motion. pixel: expected error of a match, normalised.
-
-    The loss has several minima: trials start from no motion, from the rotation that most of the
-    picture agrees with, and from that with a shift along each axis.
-    """
-    rng = np.random.default_rng(0)
-    rays1, rays2 = unit_rays(x1), unit_rays(x2)
+def _common_rotation(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The rotation (3, 3) that most of the picture agrees with, of those of random pairs."""
+    rng, rays1, rays2 = np.random.default_rng(0), unit_rays(x1), unit_rays(x2)
     pairs = rng.choice(len(x1), (_SAMPLES, 2), p=weights / weights.sum())
     rotations = [aligning_rotation(rays1[pair], rays2[pair]) for pair in pairs]
     squared = [np.square(rays1 @ R.T - rays2).sum(1) for R in rotations]
-    best = np.argmax([weights @ (1 / (1 + part / _OBJECT**2)) for part in squared])
-    R, none, zero = rotations[best], np.eye(3), np.zeros(3)
-    length = max(float(np.sqrt(np.median(squared[best]))), pixel)
-    starts = [(none, zero, 0.0), (none, zero, 8 * pixel), (R, zero, 8 * pixel)]
-    for axis in length * np.diag([1.0, 1, 2]):
-        starts += [(R, axis, 2 * pixel), (R, -axis, 2 * pixel)]
-    some = rng.permutation(len(x1))[:_SOME]
-    part = x1[some], x2[some], weights[some] * (weights.sum() / weights[some].sum()), pixel
-    trials = [_fit(*part, *start, _STEPS[0]) for start in starts]
-    likeliest = max(trials, key=lambda fit: fit.score)
-    return _fit(x1, x2, weights, pixel, likeliest.R, likeliest.t, 0.0, _STEPS[1])
+    return rotations[np.argmax([weights @ (1 / (1 + part / _LOOSE**2)) for part in squared])]
 
 
 def _fit(
-    x1: np.ndarray,
-    x2: np.ndarray,
-    weights: np.ndarray,
-    pixel: float,
-    R: np.ndarray,
-    t: np.ndarray,
-    std: float,
-    steps: int,
+    x1: np.ndarray, x2: np.ndarray, weights: np.ndarray, pixel: float, R: np.ndarray, std: float
 ) -> _Fit:
-    """The motion that Gauss-Newton steps lead to from a start. std: of a match, which narrows with
-    each step, down to what the errors of the best quarter of the picture show."""
+    """The motion that Gauss-Newton steps lead to from a rotation. pixel: expected error of a match,
+    normalised. std: its standard deviation, which narrows with each step, down to what the errors
+    of the best quarter of the picture show."""
     least, most = np.multiply(_NOISE, pixel)
-    std = max(std, most)
-    for step in range(steps + 1):
+    t, std = np.zeros(3), max(std, most)
+    for step in range(_STEPS + 1):
         left, parallax, slopes = _errors(x1, x2, R, t)
         length = np.linalg.norm(parallax, axis=1)[:, None]
         along = np.where(length > 0, parallax, (1.0, 0)) / np.where(length > 0, length, 1)
@@ -248,11 +229,9 @@ def _fit(
         rho = 1 + spread[:, 0] * _DEPTH_STD * errors[:, 0] / stds[:, 0]
         slopes = axes @ slopes / stds[..., None]
         slopes[:, 1, 3:] *= rho.clip(0, 4)[:, None]
-        shares = np.square(stds) / (std**2 + np.square(spread) * (_DEPTHS_ALIKE, 0))
-        each = weights[:, None] * shares
-        if step == steps:
+        if step == _STEPS:
             break
-        robust = each / (1 + np.square(errors / EFFICIENT))
+        robust = weights[:, None] / (1 + np.square(errors / EFFICIENT))
         robust *= (np.abs(errors) < _OUTLIER).all(1)[:, None]
         gradient = np.einsum("nk,nki,nk->i", robust, slopes, errors) - _PRIOR @ [0, 0, 0, *t]
         move = np.linalg.solve(
@@ -266,9 +245,8 @@ def _fit(
         shown = std * noise[order][quarter] / 0.3186  # of a Gaussian's quartile
         std = max(0.7 * std, most) if std > most else float(np.clip(shown, least, most))
     density = np.exp(-np.square(errors).sum(1) / 2) / (2 * np.pi * stds.prod(1))
-    objects = np.exp(-np.square((x2 - x1) / _OBJECT).sum(1) / 2) / (2 * np.pi * _OBJECT**2)
-    score = float(weights @ np.log(0.85 * density + 0.1 * objects + 0.05))
-    return _Fit(R, t, std, errors, slopes, each, score, (np.abs(errors) < _INLIER).all(1))
+    score = float(weights @ np.log(0.9 * density + 0.1))  # a tenth is anywhere
+    return _Fit(R, t, std, errors, slopes, weights, score, (np.abs(errors) < _INLIER).all(1))
 
 
 def _errors(
@@ -292,7 +270,7 @@ def _uncertainty(fit: _Fit, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.
     (N,), and the error (N,) that nine in ten stay below."""
     inliers = fit.inliers if fit.inliers.any() else np.ones_like(fit.inliers)
     errors, slopes = fit.errors[inliers].ravel(), fit.slopes[inliers].reshape(-1, 6)
-    terms = loss_terms(errors, slopes, EFFICIENT) * fit.weights[inliers].reshape(-1, 1)
+    terms = loss_terms(errors, slopes, EFFICIENT) * np.repeat(fit.weights[inliers], 2)[:, None]
     information = terms[:, :36].sum(0).reshape(6, 6) + _PRIOR
     points = np.repeat(x1[inliers], 2, axis=0)
     blocks = [jackknife(information, block_sums(terms, points, by), KEPT) for by in SHIFTS]
