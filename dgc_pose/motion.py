@@ -44,18 +44,19 @@ from dgc_pose.system.threads import one_blas_thread
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource, MatcherSource
 
-STILL_DEG = 0.05  # the picture of a still camera moves by less
-_LEAST_DEG, _SIGNIFICANT = 0.01, 1.5  # that of a moved one by more, after so many errors
-_MOST = 0.9  # share of the picture that this holds for
+STILL_DEG = 0.05  # the picture of a still camera moves by less, with the error added
+# The picture of a moved camera moves by more, with so many times the error subtracted.
+_LEAST_DEG, _SIGNIFICANT = 0.01, 2.0
+_MOST = 0.9  # share of the picture that these hold for
 _CELLS = 16  # along the longer side of the picture
 _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells that agree
-# Shares of the matched cells: the least that agree on a motion; the least that stay while other
-# parts move, so that these are objects; the most that stay if everything has moved.
-_AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.05
+# Shares of the matched cells: the least that agree on a motion; the least that stay although the
+# motion would move them, so that what moves are objects; and the most that stay if all has moved.
+_AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
 _DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
 _PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, in its expected error
-_INLIER, _OUTLIER, _STAYS = 3.6, 8.0, 3.0  # standard deviations
+_INLIER, _OUTLIER, _STAYS = 3.6, 8.0, 3.0  # largest errors, in standard deviations
 _ERROR_SCALE = 1.3  # chosen on simulated pairs
 _SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0  # rotations; their threshold; standard deviation at first
 _STEPS = 40
@@ -136,9 +137,9 @@ class _Fit(NamedTuple):
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), in median depths
-    std: float  # of a match, normalised
+    std: float  # standard deviation of a match, normalised
     errors: np.ndarray  # (N, 2), along and across the parallax
-    slopes: np.ndarray  # (N, 2, 6), of these by a rotation vector, radians, and t
+    slopes: np.ndarray  # (N, 2, 6), minus their derivatives by a rotation vector, radians, and t
     weights: np.ndarray  # (N,)
     score: float  # log likelihood, in cells
     inliers: np.ndarray  # (N,) bool
@@ -202,7 +203,8 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
 
 
 def _common_rotation(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that most of the picture agrees with, of those of random pairs."""
+    """The rotation (3, 3) that most of the picture agrees with, among those of random pairs of
+    matches."""
     rng, rays1, rays2 = np.random.default_rng(0), unit_rays(x1), unit_rays(x2)
     pairs = rng.choice(len(x1), (_SAMPLES, 2), p=weights / weights.sum())
     rotations = [aligning_rotation(rays1[pair], rays2[pair]) for pair in pairs]
@@ -213,9 +215,9 @@ def _common_rotation(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray) -> np.
 def _fit(
     x1: np.ndarray, x2: np.ndarray, weights: np.ndarray, pixel: float, R: np.ndarray, std: float
 ) -> _Fit:
-    """The motion that Gauss-Newton steps lead to from a rotation. pixel: expected error of a match,
-    normalised. std: its standard deviation, which narrows with each step, down to what the errors
-    of the best quarter of the picture show."""
+    """Gauss-Newton steps from a rotation R without a shift. pixel: expected error of a match,
+    normalised. std: standard deviation of a match at the start; each step narrows it, down to what
+    the best quarter of the picture shows."""
     least, most = np.multiply(_NOISE, pixel)
     t, std = np.zeros(3), max(std, most)
     for step in range(_STEPS + 1):
@@ -245,15 +247,15 @@ def _fit(
         shown = std * noise[order][quarter] / 0.3186  # of a Gaussian's quartile
         std = max(0.7 * std, most) if std > most else float(np.clip(shown, least, most))
     density = np.exp(-np.square(errors).sum(1) / 2) / (2 * np.pi * stds.prod(1))
-    score = float(weights @ np.log(0.9 * density + 0.1))  # a tenth is anywhere
+    score = float(weights @ np.log(0.9 * density + 0.1))  # one match in ten is wrong
     return _Fit(R, t, std, errors, slopes, weights, score, (np.abs(errors) < _INLIER).all(1))
 
 
 def _errors(
     x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the motion of points of median depth leaves (N, 2) of the matches, the parallax (N, 2),
-    and the derivatives (N, 2, 6) of the motion by a rotation vector and t."""
+    """The errors (N, 2) of matches at the median depth, the parallax (N, 2) there, and the
+    derivatives (N, 2, 6) of x2 by a rotation vector and t."""
     turned = homogeneous(x1) @ R.T
     x, y = (turned[:, :2] / turned[:, 2:]).T
     zero, one = np.zeros_like(x), np.ones_like(x)
@@ -265,9 +267,9 @@ def _errors(
 
 
 def _uncertainty(fit: _Fit, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The covariance (6, 6) of the rotation vector and t, by the jackknife over blocks and as if
-    each cell were independent; by how many degrees the picture moves at points of median depth
-    (N,), and the error (N,) that nine in ten stay below."""
+    """The covariance (6, 6) of a rotation vector and t: that of the jackknife over blocks, and that
+    of independent cells. The motion (N,) of the picture at points of median depth, degrees, and the
+    error (N,) that nine in ten stay below."""
     inliers = fit.inliers if fit.inliers.any() else np.ones_like(fit.inliers)
     errors, slopes = fit.errors[inliers].ravel(), fit.slopes[inliers].reshape(-1, 6)
     terms = loss_terms(errors, slopes, EFFICIENT) * np.repeat(fit.weights[inliers], 2)[:, None]
