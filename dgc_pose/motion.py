@@ -167,8 +167,11 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     def share(part: np.ndarray) -> float:
         return float(weights @ part) / len(count)
 
-    at_rest, common = np.eye(3), _common_rotation(x1, x2, weights)
-    starts = (at_rest, 0.0), (common, _WIDE * pixel)
+    at_rest, common, none = np.eye(3), _common_rotation(x1, x2, weights), np.zeros(3)
+    apart = max(float(np.median(np.linalg.norm(_errors(x1, x2, common, none)[0], axis=1))), pixel)
+    shifts = apart * np.diag([1.0, 1, 2])
+    starts = [(at_rest, none, 0.0)]  # the loss has several minima
+    starts += [(common, shift, _WIDE * pixel) for shift in (none, *shifts, *-shifts)]
     fits = [_fit(x1, x2, weights, pixel, *start) for start in starts]
     fit = max(fits, key=lambda fit: fit.score)
     covariance, motion, error = _uncertainty(fit, x1)
@@ -178,7 +181,7 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     against = stay & (np.radians(motion) > 2 * _STAYS * fit.std)
     if share(against) > _STAY if moved else share(stay) > _AGREE:
         moved = False  # all else is people and objects
-        fit = _fit(x1, x2, weights * stay, pixel, at_rest, 0.0)
+        fit = _fit(x1, x2, weights * stay, pixel, at_rest, none, 0.0)
         covariance, motion, error = _uncertainty(fit, x1)
     agree, numbers = share(fit.inliers), (len(x1), int(fit.inliers.sum()))
     covers = agree * len(count) * cell**2 / (size[0] * size[1])
@@ -213,13 +216,19 @@ def _common_rotation(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray) -> np.
 
 
 def _fit(
-    x1: np.ndarray, x2: np.ndarray, weights: np.ndarray, pixel: float, R: np.ndarray, std: float
+    x1: np.ndarray,
+    x2: np.ndarray,
+    weights: np.ndarray,
+    pixel: float,
+    R: np.ndarray,
+    t: np.ndarray,
+    std: float,
 ) -> _Fit:
-    """Gauss-Newton steps from a rotation R without a shift. pixel: expected error of a match,
+    """Gauss-Newton steps from R and t. pixel: expected error of a match,
     normalised. std: standard deviation of a match at the start; each step narrows it, down to what
     the best quarter of the picture shows."""
     least, most = np.multiply(_NOISE, pixel)
-    t, std = np.zeros(3), max(std, most)
+    std = max(std, most)
     for step in range(_STEPS + 1):
         left, parallax, slopes = _errors(x1, x2, R, t)
         length = np.linalg.norm(parallax, axis=1)[:, None]
