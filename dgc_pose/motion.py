@@ -199,9 +199,10 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
         reason = f"the picture moves by {most(motion):.3f} +- {most(error):.3f} deg"
     angle, shift = rotation_angle_deg(fit.R), float(np.linalg.norm(fit.t))
     errors = NORMAL_90 * np.sqrt([covariance[:3, :3].trace(), covariance[3:, 3:].trace()])
-    of_focal = NORMAL_90 * camera.focal_std
-    angle_error = math.hypot(math.degrees(errors[0]), of_focal * angle)
-    shift_error = math.hypot(errors[1], of_focal * shift)
+    # With a wrong focal length a rotation passes for a shift in part, and the other way round.
+    of_focal = NORMAL_90 * camera.focal_std * (math.radians(angle) + shift)
+    angle_error = math.degrees(math.hypot(errors[0], of_focal))
+    shift_error = math.hypot(errors[1], of_focal)
     return CameraMotion(verdict, reason, angle, angle_error, shift, shift_error, *numbers)
 
 
