@@ -36,6 +36,7 @@ SECTIONS = {
     "Poses": {
         "estimate": "Estimate the relative pose of two photographs.",
         "match": "Match two photographs, no K needed.",
+        "moved": "Tell whether a fixed camera has moved.",
         "demo": "Estimate the pose of the bundled pair.",
         "serve": "Estimate poses on a page in the browser.",
     },

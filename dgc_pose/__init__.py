@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from dgc_pose.matching import NetworkMatcher as NetworkMatcher
     from dgc_pose.model import Model as Model
     from dgc_pose.model import load_model as load_model
+    from dgc_pose.motion import CameraMotion as CameraMotion
+    from dgc_pose.motion import camera_motion as camera_motion
     from dgc_pose.pair_result import PairResult as PairResult
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
     from dgc_pose.pose import solve_pair as solve_pair
@@ -65,6 +67,7 @@ _PUBLIC = {
         "MatchingOptions",
         "NetworkMatcher",
     ),
+    "motion": ("CameraMotion", "camera_motion"),
     "pair_result": ("PairResult",),
     "pose": ("estimate_relative_pose", "solve_pair"),
 }

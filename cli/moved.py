@@ -1,0 +1,118 @@
+"""`dgc-pose moved`: whether a fixed camera has moved since a reference picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.guard import STDOUT
+from dgc_pose.cli.options import KChoice, output_file
+from dgc_pose.cli.process import say
+from dgc_pose.cli.progress import progress_bars
+from dgc_pose.errors import InputError, printable
+from dgc_pose.files.json_files import json_text
+from dgc_pose.files.outputs import save_text, scratch_folder, staged
+from dgc_pose.files.tables import aligned
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.options import option
+
+if TYPE_CHECKING:
+    from dgc_pose.motion import CameraMotion
+
+MOVED, CANNOT_SAY = 1, 3  # exit codes
+
+
+@dataclass(frozen=True)
+class Watch:
+    """The frames of a video, and the file to write."""
+
+    frames: int = option(40, "Frames taken of a video.", metavar="N", min=1, max=10**6)
+    json: str | None = output_file(
+        "Write the motions as JSON, by picture; - for stdout.", "PATH|-", stdout=True
+    )
+
+
+@click.command()
+@click.argument("reference", metavar="REFERENCE", type=click.Path())
+@click.argument("now", metavar="NOW...", nargs=-1, required=True, type=click.Path())
+@dataclass_options(KChoice, "cameras")
+@dataclass_options(MatcherOptions, "matcher")
+@dataclass_options(Watch, "watch")
+def moved(
+    reference: str, now: Sequence[str], cameras: KChoice, matcher: MatcherOptions, watch: Watch
+) -> int:
+    """Tell whether a fixed camera has moved since the picture REFERENCE.
+
+    NOW are later pictures of the same camera: files, folders, or videos. Prints for each the
+    verdict, the angle of the rotation, and the shift over the median depth of the scene, with the
+    errors that nine in ten stay below. A picture that moves by less than 0.05 degrees is `still`.
+    Without --K the focal length is assumed.
+
+    Exits with 0 if all are still, 1 if one has moved, 3 if none has moved and one `cannot say`.
+    (1 is an unexpected error too, which prints a line that begins with error.)
+    """
+    from dgc_pose.cameras.calibration import pair_cameras
+    from dgc_pose.images.image import load_image
+    from dgc_pose.motion import camera_motion
+
+    json_file = None if watch.json == STDOUT else watch.json
+    motions: dict[str, CameraMotion] = {}
+    with staged(json_file) as stage, scratch_folder() as scratch, progress_bars() as progress:
+        first, k = load_image(reference), cameras.k
+        camera = pair_cameras(k, k, first, first, ("--K", "--K"), cameras.details)[0]
+        pictures = dict(_pictures(now, watch.frames, scratch))
+        loaded = matcher.load()
+        for name, path in pictures.items():
+            picture = replace(load_image(path), name=name)
+            motions[name] = camera_motion(first, picture, camera, matcher=loaded)
+            loaded.forget(picture)
+            progress("pictures", len(motions), len(pictures))
+        data = json_text({name: motion.to_dict() for name, motion in motions.items()})
+        if json_file is not None:
+            save_text(stage(json_file), data)
+    for warning in camera.warnings:
+        say(f"warning: {warning}")
+    click.echo(data if watch.json == STDOUT else motions_text(motions), nl=watch.json != STDOUT)
+    verdicts = {motion.verdict for motion in motions.values()}
+    return MOVED if "moved" in verdicts else CANNOT_SAY if "cannot say" in verdicts else 0
+
+
+def _pictures(sources: Sequence[str], frames: int, scratch: Path) -> Iterator[tuple[str, Path]]:
+    """The names and paths of all pictures: files, those of folders by their names, and the frames
+    of videos, which are written to `scratch`."""
+    from dgc_pose.images.folder import search_images
+    from dgc_pose.images.video import frames_folder
+
+    for number, source in enumerate(sources):
+        path = frames_folder(Path(source), frames, scratch / str(number))
+        if not path.is_dir():
+            yield source, path
+            continue
+        found = search_images(path)
+        for line in found.left_out:
+            say(f"warning: {line}")
+        if not found.names:
+            raise InputError(f"{source}: no image is in this folder")
+        yield from ((f"{source}/{name}", path / name) for name in found.names)
+
+
+def motions_text(motions: dict[str, CameraMotion]) -> str:
+    """A table of the motions for people, and which was the first."""
+    rows = [("picture", "verdict", "angle (deg)", "shift (% of depth)")]
+    for name, motion in motions.items():
+        angle = shift = "-"
+        if motion.angle_deg is not None and motion.shift is not None:
+            angle = f"{motion.angle_deg:.3f} +- {motion.angle_error_90_deg:.3f}"
+            shift = f"{100 * motion.shift:.2f} +- {100 * (motion.shift_error_90 or 0):.2f}"
+        rows.append((printable(name), motion.verdict, angle, shift))
+    reasons = ["", *(motion.reason for motion in motions.values())]
+    table = aligned(rows).splitlines()
+    lines = [f"{row}  {reason}".rstrip() for row, reason in zip(table, reasons, strict=True)]
+    first = next((name for name, motion in motions.items() if motion.verdict == "moved"), None)
+    last = "none has moved" if first is None else f"the first that has moved: {printable(first)}"
+    return "\n".join([*lines, last])
