@@ -44,6 +44,7 @@ SECTIONS = {
         "batch": "Match many pairs: a folder, a list, a database.",
         "reconstruct": "From a folder of photographs to a COLMAP model.",
         "locate": "Place photographs in a model of known poses.",
+        "rig": "Place fixed cameras in one frame.",
         "export-colmap": "Write a batch as a COLMAP database.",
         "export": "Write a COLMAP model for another tool.",
     },

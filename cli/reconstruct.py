@@ -50,7 +50,7 @@ def reconstruct(
     require_model_folder(out / reconstruction.MODEL, several=True)
     if options.gps or options.scale:  # refused before the matching
         images = choice.open(source, out / BATCH)
-        known_metres(images.root, images.names, options)
+        known_metres({name: images.root / name for name in images.names}, options)
     start = time.perf_counter()
     batch = work_through(source, out / BATCH, choice, MIN_IMAGES)
     report(batch)

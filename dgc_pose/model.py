@@ -111,11 +111,17 @@ class Model:
             names.add(path.name)
 
     def write(self, folder: Path, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> None:
-        """Write COLMAP's binary files, of the pixels as stored, over what is there: with all that
-        COLMAP's own form has, or else the cameras and poses; and with further upright images by
-        their files, each with a camera of its own, its cam_from_world (3, 4) and no points.
+        """Write COLMAP's binary files of `extended` over what is there. Raises likewise; OSError."""
+        written = self.extended(added)
+        with replaced_folder(folder) as new:
+            written.write_binary(new)
 
-        Raises InputError if COLMAP cannot hold a camera; OSError.
+    def extended(self, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> pycolmap.Reconstruction:
+        """A copy of COLMAP's own form, or of the cameras and poses in it, of the pixels as stored,
+        with further upright images by their files, each with a camera of its own, its
+        cam_from_world (3, 4) and no points.
+
+        Raises InputError if COLMAP cannot hold a camera.
         """
         images = [(path.name, path, *view) for path, view in added.items()]
         if self.colmap is not None:
@@ -134,8 +140,7 @@ class Model:
             image.image_id = max(written.images, default=0) + 1
             cam_from_world = pycolmap.Rigid3d(pycolmap.Rotation3d(pose[:, :3]), pose[:, 3])
             written.add_image_with_trivial_frame(image, cam_from_world)
-        with replaced_folder(folder) as new:
-            written.write_binary(new)
+        return written
 
 
 def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -> Model:

@@ -51,7 +51,8 @@ def folder_cameras(poses: Poses, cameras: Cameras) -> list[PooledCamera]:
     single = {name for name, names in sharing(start).items() if len(names) == 1}
     certain = [n for n, c in known.items() if n not in single and c.focal_std < _PARTNER_FOCAL_STD]
     own = _own_cameras(poses, start, rows, known, certain)
-    whose = _whose(start, known, certain, own)
+    found = _whose(start, known, certain, own)
+    whose = {name: other for name, other in found.items() if cameras[name].identity is not None}
     members = {name: camera for name, camera in start.items() if name not in own}
     kept = [row for row in rows if not {*row.names} & {*own}]
     listed = [*pool(members, kept, inside=certain), *own.values()]

@@ -31,25 +31,26 @@ def map_database(database: Path, images: Path, options: ReconstructionOptions) -
             raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
     if not models:
         raise MappingError(
-            f"{database}: pycolmap's {options.mapper} mapper made no model of {MIN_IMAGES} images"
+            f"{database}: pycolmap's {options.mapper} mapper made no model of {options.min_images} "
+            "images"
         )
     return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
 
 
-def refine_centres(model: pycolmap.Reconstruction, names: Collection[str]) -> None:
-    """Bundle adjustment of a model, which also changes the principal points of these images'
-    cameras, and keeps all other cameras."""
+def adjust(
+    model: pycolmap.Reconstruction, names: Collection[str], *, centres: bool = False
+) -> None:
+    """Bundle adjustment of a model, which changes the cameras of these images, and keeps all other
+    cameras. centres: whether it changes their principal points too."""
     images = [image for image in model.images.values() if image.has_pose]
     cameras = {image.camera_id for image in images if image.name in names}
-    if not cameras:
-        return
     config = pycolmap.BundleAdjustmentConfig()
     for image in images:
         config.add_image(image.image_id)
     for camera in {*model.cameras} - cameras:
         config.set_constant_cam_intrinsics(camera)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=True, print_summary=False)
+    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=centres, print_summary=False)
     options.ceres.solver_options.num_threads = 1
     options.ceres.use_gpu = False
     pycolmap.create_default_bundle_adjuster(options, config, model).solve()
@@ -70,6 +71,6 @@ def _pipeline_options(options: ReconstructionOptions) -> Any:
         settings.mapper.bundle_adjustment.refine_extra_params = refine
         settings.mapper.bundle_adjustment.ceres.use_gpu = False
         settings.mapper.global_positioning.use_gpu = False
-    settings.min_model_size, settings.num_threads = MIN_IMAGES, 1
+    settings.min_model_size, settings.num_threads = options.min_images, 1
     settings.random_seed = settings.mapper.random_seed = _SEED
     return settings

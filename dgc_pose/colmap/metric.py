@@ -1,6 +1,6 @@
 """A model in metres: by GPS positions of photographs, the distance of two cameras, or markers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ _MIN_WIDTH = 0.02  # of GPS positions, as a share of their length: less is a lin
 
 
 def known_metres(
-    root: Path, names: Sequence[str], options: ReconstructionOptions
+    paths: Mapping[str, Path], options: ReconstructionOptions
 ) -> tuple[dict[str, Any], str]:
     """What is known before the matching, and the frame: of GPS the positions (3,) by name, metres
     from the first; of `scale` the distance, by both names.
@@ -34,20 +34,20 @@ def known_metres(
     if options.scale:
         *pair, metres = options.scale.split(",")
         with suppress(ValueError):
-            if len({*names} & {*pair}) == len(pair) == 2 and float(metres) > 0:
+            if len({*paths} & {*pair}) == len(pair) == 2 and float(metres) > 0:
                 return dict.fromkeys(pair, float(metres)), _OWN_FRAME
-        needed = f"must be two of the {len(names)} images and metres"
+        needed = f"must be two of the {len(paths)} images and metres"
         raise InputError(ArgumentName("scale"), f"{needed}, not {options.scale!r}")
     if not options.gps:
         return {}, _OWN_FRAME
     tags = {}
-    for name in names:
+    for name, path in paths.items():
         with suppress(ImageError):
-            tags[name] = image_header(root / name).exif.position
+            tags[name] = image_header(path).exif.position
     tags = {name: position for name, position in tags.items() if position}
     places = np.array([*tags.values()]).reshape(-1, 3)
     if len(tags) < MIN_IMAGES:
-        count = f"{len(tags)} of {len(names)} photographs have a GPS position"
+        count = f"{len(tags)} of {len(paths)} photographs have a GPS position"
         raise InputError(ArgumentName("gps"), f"needs {MIN_IMAGES} positions, and {count}")
     frame = "east, north, up; origin at {:.7f}, {:.7f}, {:.2f} m".format(*places[0])
     places = pycolmap.GPSTransform().ellipsoid_to_enu(places, *places[0])
@@ -58,7 +58,7 @@ def known_metres(
 
 
 def to_metres(
-    model: pycolmap.Reconstruction, root: Path, names: Sequence[str], options: ReconstructionOptions
+    model: pycolmap.Reconstruction, paths: Mapping[str, Path], options: ReconstructionOptions
 ) -> dict[str, Any]:
     """Bring a model into metres, by a scale or, by GPS, a similarity of RANSAC; for the summary the
     unit, the frame and the errors, nothing without an option for it.
@@ -66,7 +66,7 @@ def to_metres(
     Raises MappingError if GPS does not agree with the model, InputError as `known_metres`, as
     `marker_side` and for a camera of `scale` that is not in the model; ImageError.
     """
-    known, frame = known_metres(root, names, options)
+    known, frame = known_metres(paths, options)
     centres = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
     both = [name for name in known if name in centres]
     errors: dict[str, Any] = {}
@@ -88,8 +88,8 @@ def to_metres(
         errors["median_gps_residual_m"] = round(float(np.median(off)), 3)
         errors["largest_gps_residual_m"] = round(float(max(off)), 3)
     elif options.marker:
-        posed = Model.of_colmap(model, root)
-        corners = in_threads(lambda name: find_markers(read_pixels(root / name)), [*posed.poses])
+        posed = Model.of_colmap(model, Path())
+        corners = in_threads(lambda name: find_markers(read_pixels(paths[name])), [*posed.poses])
         found = marker_side(corners, [*posed.cameras.values()], [*posed.poses.values()])
         similarity = pycolmap.Sim3d(options.marker / found.side, pycolmap.Rotation3d(), np.zeros(3))
         errors = {"scale_relative_std": round(found.std, 5), "marker_images": found.images}

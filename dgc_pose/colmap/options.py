@@ -40,6 +40,9 @@ class ReconstructionOptions:
         section="reconstruction",
     )
 
+    min_images: int = option(3, min=2)  # of a model
+    refine_centres: bool = False  # bundle adjustment changes principal points that no K states
+
     def __post_init__(self) -> None:
         check_options(self)
         stated = [ArgumentName(n) for n in ("gps", "scale", "marker") if getattr(self, n)]

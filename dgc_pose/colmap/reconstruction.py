@@ -7,7 +7,7 @@ from typing import Any
 
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import share, write_shared
-from dgc_pose.colmap.mapping import map_database, refine_centres
+from dgc_pose.colmap.mapping import adjust, map_database
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
@@ -48,10 +48,12 @@ def reconstruct(
         shared = share(batch, options.per_image, progress)
         write_shared(batch, shared, out / DATABASE)
         found = map_database(out / DATABASE, plan.root, mapping)
-        cut = [name for name, camera in plan.final_cameras.items() if is_of_part(camera)]
+        cameras, whole = plan.final_cameras.items(), options.refine_centres
+        cut = [n for n, c in cameras if is_of_part(c) or (whole and not c.exact)]
         for model in found:
-            refine_centres(model, cut)
-        metric = to_metres(found[0], plan.root, plan.names, options)
+            if cut:
+                adjust(model, cut, centres=True)
+        metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options)
         # pycolmap raises nothing for a disk that is full.
         points = _POINT_BYTES * sum(model.num_points3D() for model in found)
         key_points = sum(map(len, shared.key_points.values()))

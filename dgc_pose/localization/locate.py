@@ -86,9 +86,10 @@ class Locator:
         details: KDetails | None = None,
         *,
         left_out: Sequence[str] = (),
+        whole: bool = False,
     ) -> Location:
         """As `locate`. details: of K. left_out: names of images of the model that are not matched;
-        the query itself is not."""
+        the query itself is not. whole: whether the query is certainly neither cut nor squeezed."""
         start, seconds = time.perf_counter(), dict[str, float]()
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
@@ -109,7 +110,7 @@ class Locator:
         seconds["describe"] = time.perf_counter() - start
 
         names.sort(key=lambda name: -scores[name])
-        search = LocationSearch(self.model, camera, self.options, names)
+        search = LocationSearch(self.model, camera, self.options, names, whole=whole)
         seconds |= {"match": 0.0, "estimate": 0.0}
         while (name := search.next_image()) is not None:
             start = time.perf_counter()
@@ -136,13 +137,14 @@ class Locator:
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the model (N, 3) that a database image shows, and where the query does."""
+        """Points of the model (M,) int that a database image and the query show, and where the query
+        shows them (M, 2)."""
         if name not in self.model.seen or not pose.success:
-            return np.zeros((0, 3)), np.zeros((0, 2))
+            return np.zeros(0, np.int64), np.zeros((0, 2))
         which, pixels = self.model.seen[name]
         shown = self._images.get(name)
         kept, seen = points_in(image, shown, matches.subset(pose.inliers), pixels)
-        return self.model.points[which[kept]], seen
+        return which[kept], seen
 
 
 def _same_file(first: Path, second: Path) -> bool:

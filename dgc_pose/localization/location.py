@@ -27,6 +27,9 @@ class DatabaseImage:
     inliers: np.ndarray  # (N,) bool, the matches that agree with the location
     probability: float | None  # that the pose of the pair is right; None: not known
     agrees: bool  # whether the location rests on it
+    # Points of the model that both show, (M,) int, and where the query does, (M, 2) pixels
+    points: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,8 +37,9 @@ _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of
 _MIN_AGREEING = 3  # database images of an expected error that suffices
 _CANDIDATES = 12  # most similar database images that the next is chosen from
 _PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice of the next
-# Of a picture that may be cut or squeezed: of its centre, over the longer side; of ln fy / fx.
-_EDITED_CENTRE_STD, _EDITED_ASPECT_STD = 0.1, 0.3
+# Deviations of a picture that may be cut or squeezed: of its centre, over the longer side, and of
+# ln fy / fx; and of the centre of a whole one, as lenses of fixed cameras are mounted.
+_EDITED_STDS, _CENTRE_STD = (0.1, 0.3), 0.02
 _CHANCE = 0.1  # that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # of a pair
 _MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the database images
@@ -52,8 +53,8 @@ class Pair:
     name: str
     pose: RelativePose  # camera 1 is that of the database image
     matches: Matches
-    points: np.ndarray  # (N, 3) of the model, that the query shows
-    seen: np.ndarray  # (N, 2) where, pixels
+    points: np.ndarray  # (M,) int, points of the model that the query shows
+    seen: np.ndarray  # (M, 2) where, pixels
 
     @property
     def contradicts(self) -> bool:
@@ -73,14 +74,20 @@ class LocationSearch:
     """The search for the pose of one query.
 
     names: of the images of the model that may be matched, the most similar first. camera: of the
-    query.
+    query. whole: whether the query is certainly neither cut nor squeezed.
     """
 
     def __init__(
-        self, model: Model, camera: Camera, options: EstimationOptions, names: Sequence[str]
+        self,
+        model: Model,
+        camera: Camera,
+        options: EstimationOptions,
+        names: Sequence[str],
+        *,
+        whole: bool = False,
     ) -> None:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
-        self.stated, self.waiting = camera, list(names)
+        self.stated, self.waiting, self.whole = camera, list(names), whole
         self.pairs: list[Pair] = []
         # By name: of the pairs that have hypotheses, and of those that agree with the pose of all.
         self.correspondences: dict[str, PairCorrespondences] = {}
@@ -92,8 +99,8 @@ class LocationSearch:
     def add(
         self, name: str, pose: RelativePose, matches: Matches, points: np.ndarray, seen: np.ndarray
     ) -> None:
-        """Add a pair of the database image `name`, and estimate the pose of all. points: (N, 3) of
-        the model, that the query shows at the pixels `seen` (N, 2)."""
+        """Add a pair of the database image `name`, and estimate the pose of all. points: (M,) int of
+        the model, that the query shows at the pixels `seen` (M, 2)."""
         self.waiting.remove(name)
         self.pairs.append(Pair(name, pose, matches, points, seen))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
@@ -111,9 +118,10 @@ class LocationSearch:
         self.pose = located(pairs, shown, prior, self.options, before)
         if self.pose is None:
             return
-        if is_edited(self.stated) and not self.camera.aspect_std:
-            centre_std = _EDITED_CENTRE_STD * max(self.camera.size or (0,))
-            self.camera = replace(self.camera, centre_std=centre_std, aspect_std=_EDITED_ASPECT_STD)
+        share, aspect_std = (_CENTRE_STD, 0.0) if self.whole else _EDITED_STDS
+        centre_std = share * max(self.camera.size or (0,))
+        if is_edited(self.stated) and self.camera.centre_std < centre_std:
+            self.camera = replace(self.camera, centre_std=centre_std, aspect_std=aspect_std)
             prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
             self.pose = fitted([*pairs, *shown], self.pose, prior)
         found = self.pose
@@ -173,7 +181,8 @@ class LocationSearch:
     def _points(self, pair: Pair) -> PointCorrespondences:
         camera, threshold = self.camera, self.correspondences[pair.name].threshold
         seen = camera.normalise(pair.seen)
-        return PointCorrespondences(pair.points, seen, camera.distortion, threshold)
+        points = self.model.points[pair.points]
+        return PointCorrespondences(points, seen, camera.distortion, threshold)
 
     def next_image(self) -> str | None:
         """The database image to match next; None if no more is needed, or hoped for."""
@@ -298,4 +307,5 @@ class LocationSearch:
             inliers = np.zeros(len(pair.matches), dtype=bool)
             inliers[agreeing.problem.index] = agreeing.hypothesis(self.pose).inliers_in_front
         likely = None if pair.pose.any_probability is None else pair.probability
-        return DatabaseImage(pair.name, pair.matches, inliers, likely, agreeing is not None)
+        agrees, shown = agreeing is not None, (pair.points, pair.seen)
+        return DatabaseImage(pair.name, pair.matches, inliers, likely, agrees, *shown)

@@ -29,6 +29,16 @@ class CameraChange:
     focal_change: float | None = None  # percent; None: the older focal length is not known
     relative_to: str | None = None  # of only two cameras the other one: either may have moved
 
+    def text(self, unit: str) -> str:
+        """One line for people. unit: of length, if it is known."""
+        verdict = "moved" if self.moved else "has not moved"
+        other = f" relative to {self.relative_to}" if self.relative_to else ""
+        angle, distance = self.angle_error_deg or 0.0, self.distance_error or 0.0
+        focal = "" if self.focal_change is None else f", focal length {self.focal_change:+.2f} %"
+        turn = f"{self.angle_deg:.3f} +- {angle:.3f} deg"
+        shift = f"{self.distance:.3g} +- {distance:.2g} {unit}".rstrip()
+        return f"{self.name} {verdict}{other}: by {turn} and {shift}{focal}"
+
 
 def compared(
     start: Mapping[str, np.ndarray],

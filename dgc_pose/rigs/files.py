@@ -30,17 +30,21 @@ _PLAIN_NAME = re.compile(r"(cameras\.)?[A-Za-z0-9_-]+")  # that TOML takes witho
 def write_rig(folder: Path, cameras: Mapping[str, Location], unit: str) -> list[Path]:
     """Write the files of a rig into a folder, each whole or not at all, and return their paths.
 
-    cameras: located, by name, with the size of the image. unit: of the positions, such as "m".
+    cameras: by name, located with the size of the image, or not located. unit: of the positions,
+    such as "m".
 
     - calibration.toml of anipose and Pose2Sim, camera_array.toml of caliscope: x = R X + t;
     - rig_config.json of COLMAP, in the frame of the first camera;
     - stereo.yml of OpenCV, x2 = R x1 + T, if there are two cameras, with lenses of one kind;
-    - rig.json: the tables of calibration.toml, the expected errors and the names of the files.
+    - rig.json: the tables of calibration.toml, the expected errors, why others are not placed, and
+      the names of the files.
 
     A lens that OpenCV does not have is written as COLMAP's `model` and `coefficients`: a program
     that wants `distortions` misses them, and takes no wrong lens. Raises InputError, with the
     camera's name, for a K with a skew; OSError, with the path.
     """
+    not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
+    cameras = {name: of for name, of in cameras.items() if of.success}
     views = {n: (of.camera, of.cam_from_world) for n, of in cameras.items() if of.camera}
     poses = np.stack([pose for _, pose in views.values() if pose is not None])
     first, R = poses[0], poses[:, :, :3] @ poses[0, :, :3].T
@@ -59,7 +63,8 @@ def write_rig(folder: Path, cameras: Mapping[str, Location], unit: str) -> list[
         texts["stereo.yml"] = _stereo_text([*tables.values()], relative[1])
     for name, location in cameras.items():
         tables[name] |= {key: plain(getattr(location, key)) for key in _OF_RIG}
-    texts["rig.json"] = json_text({"unit": unit, "cameras": tables, "files": [*texts, "rig.json"]})
+    data = {"unit": unit, "cameras": tables, "not_placed": not_placed}
+    texts["rig.json"] = json_text({**data, "files": [*texts, "rig.json"]})
     for name, text in texts.items():
         write_text(folder / name, text)
     return [folder / name for name in texts]

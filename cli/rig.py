@@ -1,0 +1,149 @@
+"""`dgc-pose rig`: the poses of fixed cameras in one frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dgc_pose.batch.options import BatchOptions
+from dgc_pose.cli.batch import OUT
+from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.estimate import NO_POSE
+from dgc_pose.cli.process import say
+from dgc_pose.cli.progress import progress_bars
+from dgc_pose.colmap.options import ReconstructionOptions
+from dgc_pose.errors import ArgumentName, InputError, printable
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.options import option
+
+if TYPE_CHECKING:
+    from dgc_pose.cameras.by_image import Calibration
+    from dgc_pose.rigs.rig import Rig
+
+
+@dataclass(frozen=True, kw_only=True)
+class RigChoice:
+    """The options of a rig: the walk, the cameras that are known, and how it works."""
+
+    walk: str | None = option(
+        None, "Photographs between the cameras: a folder or a video.", metavar="SOURCE"
+    )
+    model: Path | None = option(None, "A model in place of the walk.", metavar="SOURCE")
+    images: Path | None = option(None, "Folder of the model's images.", metavar="FOLDER")
+    start: Path | None = option(
+        None, "An older calibration: which cameras have moved since.", metavar="FILE"
+    )
+    k: tuple[str, ...] = option(
+        (),
+        "Camera NAME, as --K of estimate; or a file that names cameras. Repeat it.",
+        flag="--K",
+        metavar="NAME=K|FILE",
+        section="cameras",
+    )
+    walk_k: str = option(
+        "auto", "Camera of the walk.", flag="--walk-K", metavar="K|FILE|auto", section="cameras"
+    )
+    work: BatchOptions
+    matcher: MatcherOptions
+    estimation: EstimationOptions
+    reconstruction: ReconstructionOptions
+
+
+@click.command()
+@click.argument("frames", metavar="FRAMES", type=click.Path(path_type=Path))
+@OUT
+@dataclass_options(RigChoice, "choice")
+def rig(frames: Path, out: Path, choice: RigChoice) -> int:
+    """Place fixed cameras in one frame.
+
+    FRAMES is a folder with an entry for each camera, which gives the camera its name: an image, a
+    video, or a folder of frames. --walk is photographs that you take between the cameras, so that
+    each camera shares views with some of them. Without --walk the cameras must share views.
+
+    Writes calibration.toml (anipose, Pose2Sim), camera_array.toml (caliscope), rig_config.json
+    (COLMAP), stereo.yml (OpenCV, of two cameras), rig.json with the expected errors, sparse/
+    (COLMAP's model of walk and cameras), points.ply and model.html. Exits with 3 if no camera has a
+    place.
+    """
+    from dgc_pose.batch.source import PAGE
+    from dgc_pose.cameras.formats.recognise import read_file
+    from dgc_pose.files.outputs import write_text
+    from dgc_pose.model import load_model
+    from dgc_pose.rigs.comparison import compared
+    from dgc_pose.rigs.files import write_rig
+    from dgc_pose.rigs.rig import estimate_rig
+    from dgc_pose.viz.model_page import model_page
+
+    walk = choice.walk
+    if (choice.model is None) != (choice.images is None) or (walk and choice.model):
+        raise InputError(ArgumentName("model"), "needs --images, and no --walk")
+    before = None if choice.start is None else read_file(choice.start)
+    if before is not None and not before.poses:
+        raise InputError(ArgumentName("start"), f"{choice.start} has no poses of cameras")
+    known = {name: K for text in choice.k for name, K in _stated(text)}
+    with progress_bars() as progress:
+        found = estimate_rig(
+            frames,
+            out,
+            load_model(choice.model, choice.images) if choice.model and choice.images else walk,
+            K=known,
+            walk_K=choice.walk_k,
+            matcher=choice.matcher,
+            estimation=choice.estimation,
+            reconstruction=choice.reconstruction,
+            work=choice.work,
+            progress=progress,
+        )
+    unit = found.metric.get("unit", "")
+    click.echo(rig_text(found))
+    if found.model is None:
+        return NO_POSE
+    for path in write_rig(out, found.cameras, unit):
+        click.echo(str(path))
+    write_text(out / PAGE, model_page(found.model, unit))
+    click.echo(f"{out / PAGE}: cameras with their pictures, and points, for a browser")
+    if before is not None:
+        for change in compared(before.poses, found.placed, before.by_name):
+            click.echo(change.text(unit))
+    return 0
+
+
+def _stated(text: str) -> list[tuple[str, str]]:
+    """The cameras of an option --K by name, each with its K as a text."""
+    from dgc_pose.cameras.formats.recognise import read_file
+
+    name, equals, K = text.partition("=")
+    if equals and not os.path.lexists(text):
+        return [(name, K)]
+    file: Calibration = read_file(Path(text))
+    names = list(file.parts or file.by_name)
+    if not names:
+        raise InputError(ArgumentName("K"), f"{text} names no camera: NAME=K states one")
+    return [(name, f"{text}:{name}") for name in names]
+
+
+def rig_text(found: Rig) -> str:
+    """A rig for people: a line for each camera."""
+    from dgc_pose.cli.output import row_lines
+    from dgc_pose.estimation.status import percent_text
+
+    unit = found.metric.get("unit", "")
+    lines = []
+    for name, of in found.cameras.items():
+        if of.centre is None or of.camera is None:
+            lines.append(f"{name}: not placed: {of.reason}")
+            continue
+        likely = "" if of.probability is None else f", probability {percent_text(of.probability)}"
+        lines.append(
+            f"{name}: centre {row_lines(of.centre)[0]} +- {of.position_error_90:.2g} {unit}".rstrip()
+            + f", R +- {of.rotation_error_90_deg:.2f} deg, f = {of.camera.focal:.1f} px{likely}"
+        )
+    lines += [f"warning: {warning}" for warning in found.warnings]
+    lines += [f"{fact.replace('_', ' ')}: {value}" for fact, value in found.metric.items()]
+    return "\n".join(map(printable, lines))

@@ -1,0 +1,61 @@
+"""Fixed cameras in the model of a walk, by one bundle adjustment of the walk and the cameras."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dgc_pose.cameras.camera import matrix_camera
+from dgc_pose.colmap.mapping import adjust
+from dgc_pose.localization.location import Location
+from dgc_pose.model import HALF_PIXEL, Model
+from dgc_pose.system.colmap_library import pycolmap
+
+_MAX_ERROR_PX = 2.0  # reprojection error of a point that the adjustment takes
+# Of the expected rotation errors, which count the walk's poses as exact: docs/experiments.md
+_ROTATION_FACTOR = 1.5
+
+
+def adjusted(
+    model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
+) -> tuple[pycolmap.Reconstruction, dict[str, Location]]:
+    """The model with the located cameras, and the cameras with the poses that all photographs
+    determine together. Cameras that are exact keep their K, and the walk keeps its cameras.
+
+    model: with COLMAP's own form. pictures: the upright pictures of the cameras, by name.
+    """
+    views = {pictures[n]: (of.camera, of.cam_from_world) for n, of in located.items()}
+    whole = model.extended({p: (c, x) for p, (c, x) in views.items() if c and x is not None})
+    numbers = {image.name: image.image_id for image in whole.images.values()}
+    assert model.colmap is not None
+    keys = np.array([*model.colmap.points3D])
+    for name, location in located.items():
+        image = whole.images[numbers[pictures[name].name]]
+        agreeing = [of for of in location.database_images if of.agrees]
+        points = np.concatenate([of.points for of in agreeing])
+        seen = np.concatenate([of.seen for of in agreeing])
+        at = [image.project_point(xyz) for xyz in model.points[points]]
+        off = [np.inf if p is None else np.abs(p - HALF_PIXEL - s).max() for p, s in zip(at, seen)]
+        good = np.flatnonzero(np.array(off) < _MAX_ERROR_PX)
+        good = good[np.unique(points[good], return_index=True)[1]]
+        image.points2D = [pycolmap.Point2D(pixel + HALF_PIXEL) for pixel in seen[good]]
+        for index, key in enumerate(keys[points[good]].tolist()):
+            whole.add_observation(key, pycolmap.TrackElement(image.image_id, index))
+    open_ = [pictures[n].name for n, of in located.items() if of.camera and not of.camera.exact]
+    adjust(whole, open_)
+    poses = {}
+    for name, location in located.items():
+        image = whole.images[numbers[pictures[name].name]]
+        pose, camera, before = image.cam_from_world().matrix(), location.camera, location.covariance
+        assert camera is not None and before is not None  # of a location
+        found = matrix_camera(image.camera)
+        grown = np.array([_ROTATION_FACTOR] * 3 + [1.0] * 3)
+        poses[name] = replace(
+            location,
+            R=pose[:, :3],
+            centre=-pose[:, :3].T @ pose[:, 3],
+            covariance=before * np.outer(grown, grown),
+            camera=replace(camera, K=found.K, distortion=found.distortion),
+        )
+    return whole, poses

@@ -1,0 +1,75 @@
+"""One still picture for each fixed camera: its only frame, or what stays in all of its frames."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.files.outputs import writing
+from dgc_pose.images.folder import copies_of_others, search_images
+from dgc_pose.images.image import load_image
+from dgc_pose.images.video import frames_folder
+
+_FRAMES = ArgumentName("frames")
+_MOST_FRAMES = 15  # read of each camera
+_CHANGE = 12.0  # grey levels by which a pixel differs from the still picture where things move
+_STAYING = 0.7  # least share of the frames that show the still picture at a pixel
+_LEAST_CONTRAST = 2.0  # standard deviation of grey levels; a covered lens has less
+
+
+def camera_frames(folder: Path, videos: Path) -> dict[str, list[Path]]:
+    """The frames of each camera, by camera name. An entry of the folder is a camera: an image, a
+    video, or a folder of frames; its name without the ending is that of the camera.
+
+    videos: folder for the frames of videos. Raises InputError for fewer than two cameras, two
+    cameras of one name, and two cameras of one picture.
+    """
+    if not folder.is_dir():
+        raise InputError(_FRAMES, f"{folder}: no such folder")
+    cameras: dict[str, list[Path]] = {}
+    images = search_images(folder).names
+    for entry in sorted(path for path in folder.iterdir() if path.name[0] != "."):
+        within = frames_folder(entry, _MOST_FRAMES, videos / entry.stem)
+        found = [within / name for name in search_images(within).names] if within.is_dir() else []
+        if entry.name in images:
+            found = [entry]
+        if found and entry.stem in cameras:
+            raise InputError(_FRAMES, f"{folder}: two cameras have the name {entry.stem}")
+        if found:
+            step = -(-len(found) // _MOST_FRAMES)
+            cameras[entry.stem] = found[::step]
+    if len(cameras) < 2:
+        raise InputError(_FRAMES, f"{folder}: {len(cameras)} cameras found, and a rig has two")
+    if copies := copies_of_others(folder, [name for name in images if "/" not in name]):
+        raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
+    return cameras
+
+
+def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
+    """Write the still picture of a camera as `name` with an ending into a folder.
+
+    A single upright frame is copied. Other frames give their upright median, and the mask
+    `name`.png.png, which is black where things move. Raises InputError for frames of several sizes
+    and for a picture without contrast; ImageError.
+    """
+    images = [load_image(path) for path in frames]
+    if len({image.size for image in images}) > 1:
+        raise InputError(_FRAMES, f"{frames[0].parent}: frames of several sizes")
+    stack = np.stack([image.pixels for image in images])
+    still = np.median(stack, axis=0).astype(np.uint8)
+    grey, *others = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (still, *stack))
+    if grey.std() < _LEAST_CONTRAST:
+        raise InputError(_FRAMES, f"{frames[0]}: a picture of one colour")
+    if len(frames) == 1 and images[0].exif.orientation == 1:
+        return Path(shutil.copy2(frames[0], folder / f"{name}{frames[0].suffix}"))
+    offsets = [cv2.blur(other.astype(np.float32) - grey, (5, 5)) for other in others]
+    moves = [np.abs(offset - np.median(offset)) > _CHANGE for offset in offsets]
+    mask = np.where(np.mean(moves, axis=0) <= 1 - _STAYING, 255, 0).astype(np.uint8)
+    path = folder / f"{name}.png"
+    for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
+        with writing(file):
+            file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+    return path

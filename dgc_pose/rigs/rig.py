@@ -1,0 +1,267 @@
+"""The poses of fixed cameras in one frame, by photographs of a walk between them.
+
+The walk becomes a model, each camera is located in the model, and one bundle adjustment has both.
+Without a walk the cameras' own pictures become the model.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dgc_pose.batch.options import BatchOptions
+from dgc_pose.batch.pair_choice import PairChoice
+from dgc_pose.batch.run import Progress, run_batch
+from dgc_pose.batch.source import BATCH, Source, open_source
+from dgc_pose.cameras.by_image import Calibration
+from dgc_pose.cameras.calibration import image_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.colmap.metric import known_metres, to_metres
+from dgc_pose.colmap.options import ReconstructionOptions
+from dgc_pose.colmap.reconstruction import MODEL, POINTS, reconstruct
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.files.outputs import replaced, replaced_folder
+from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.images.image import load_image
+from dgc_pose.images.video import frames_folder
+from dgc_pose.localization.locate import Locator
+from dgc_pose.localization.location import Location
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.cache import image_cache
+from dgc_pose.model import Model, load_model, require_model_folder, write_points
+from dgc_pose.rigs.adjustment import adjusted
+from dgc_pose.rigs.frames import camera_frames, still_picture
+from dgc_pose.system.colmap_library import pycolmap
+
+if TYPE_CHECKING:
+    from dgc_pose.pose import CameraSource
+
+PICTURES = "rig_pictures"  # folder of the cameras' pictures and masks, in that of a rig
+_VIDEOS, _WALK = "camera_frames", "walk_frames"  # folders of the frames of videos
+_WALK_FRAMES = 20  # taken of a video
+_SIMILAR = 6  # photographs of the walk that each photograph is paired with
+_LEAST_AGREEING = 2  # pictures of the walk that a location rests on
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Fixed cameras in one frame.
+
+    Attributes:
+        cameras: By camera name the pose in the frame of the rig, or why the camera has none.
+        model: The walk and the placed cameras with points in space; None if no camera is placed.
+        metric: The unit, the frame and the error of the scale; empty up to scale.
+        warnings: Sentences for people.
+    """
+
+    cameras: Mapping[str, Location]
+    model: Model | None = None
+    metric: Mapping[str, Any] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def placed(self) -> dict[str, Location]:
+        """The cameras that have a pose, by name."""
+        return {name: of for name, of in self.cameras.items() if of.success}
+
+
+def estimate_rig(
+    frames: str | Path,
+    out: str | Path,
+    walk: str | Path | Model | None = None,
+    *,
+    K: Mapping[str, CameraSource] | None = None,
+    walk_K: str = "auto",
+    matcher: MatcherOptions | None = None,
+    estimation: EstimationOptions | None = None,
+    reconstruction: ReconstructionOptions | None = None,
+    work: BatchOptions | None = None,
+    progress: Progress = lambda stage, done, of: None,
+) -> Rig:
+    """The poses cam_from_world of fixed cameras in one frame: x = R X + t.
+
+    frames: folder with an entry for each camera, which gives the camera its name: an image, a
+    video, or a folder of frames. What moves between frames is not matched. out: folder for the
+    model and the cameras' pictures. walk: photographs taken between the cameras: a folder, a
+    video, or a model that is made already, which stays as it is; None if the cameras' views
+    overlap. K: by camera name, as of `estimate_relative_pose`; the focal length and lens of all
+    others are estimated. walk_K: the same of the walk, a text as of --K. reconstruction: what
+    determines metres, among others. progress: takes a stage, how much is done, and of how much.
+
+    Raises InputError for frames, a K or a scale that cannot be used, and for a result that is
+    there, without `resume` of `work`; MappingError if the walk makes no model; ImageError; OSError.
+    """
+    frames, out = Path(frames), Path(out)
+    estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
+    options = reconstruction or ReconstructionOptions()
+    there = [out / name for name in (PICTURES, BATCH, MODEL) if (out / name).exists()]
+    if there and not (work and work.resume):
+        hint = "continues that run and replaces its result"
+        raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
+    require_model_folder(out / MODEL, several=True)
+    out.mkdir(parents=True, exist_ok=True)
+    found = camera_frames(frames, out / _VIDEOS)
+    with replaced_folder(out / PICTURES) as folder:
+        files = {name: still_picture(paths, name, folder).name for name, paths in found.items()}
+    pictures = {name: out / PICTURES / file for name, file in files.items()}
+    if unknown := sorted({*(K or {})} - {*pictures}):
+        names = ", ".join(pictures)
+        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
+    exact = {
+        name: image_camera(value, load_image(pictures[name]), f"K of {name}")
+        for name, value in (K or {}).items()
+    }
+    if options.scale:
+        *pair, metres = options.scale.split(",")
+        options = replace(options, scale=",".join([*(files.get(n, n) for n in pair), metres]))
+        known_metres(dict.fromkeys(files.values(), out), options)  # refused before the matching
+    models = [walk] if isinstance(walk, Model) else None
+    if models is None:
+        up_to_scale = replace(options, gps=False, scale=None, marker=None)
+        if walk is None:
+            by_file = {files[name]: camera for name, camera in exact.items()}
+            calibration = Calibration("K", by_file, auto="two")
+            names = tuple(sorted(files.values()))
+            source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
+            up_to_scale, choice = replace(up_to_scale, min_images=2), PairChoice("exhaustive")
+        else:
+            calibration = read_calibration(walk_K, "walk_K")
+            source = open_source(frames_folder(Path(walk), _WALK_FRAMES, out / _WALK))
+            up_to_scale, choice = replace(up_to_scale, refine_centres=True), _choice(source)
+        batch = run_batch(
+            source,
+            calibration,
+            choice,
+            out / BATCH,
+            matcher=matcher,
+            estimation=estimation,
+            options=work or BatchOptions(),
+            progress=progress,
+        )
+        models, *_ = reconstruct(batch, out, up_to_scale)
+    each = []
+    for number, model in enumerate(models):
+        locator = Locator(model, matcher.load(image_cache()), estimation, out / PICTURES)
+        located = {}
+        for name, picture in pictures.items():
+            location = locator.locate(picture, exact.get(name), left_out=[picture.name], whole=True)
+            located[name] = _checked(location, name, len(model.poses))
+            progress("cameras", number * len(pictures) + len(located), len(models) * len(pictures))
+        each.append(located)
+    counts = [sum(of.success for of in located.values()) for located in each]
+    best = int(np.argmax(counts))
+    cameras, model = each[best], models[best]
+    for number, located in enumerate(each):
+        for name, of in located.items():
+            if of.success and not cameras[name].success:
+                why = f"it is located in model {number} of the walk alone, which nothing connects"
+                cameras[name] = replace(cameras[name], reason=why)
+    placed = {name: of for name, of in cameras.items() if of.success}
+    if not placed:
+        return Rig(cameras)
+    if walk is None:
+        whole, placed = model.colmap, _of_model(placed, files, model)
+    elif isinstance(walk, Model):
+        views = {pictures[n]: (of.camera, of.cam_from_world) for n, of in placed.items()}
+        whole = model.extended(views)
+    else:
+        whole, placed = adjusted(model, placed, pictures)
+    assert whole is not None  # with points
+    paths = {name: model.root / name for name in model.poses}
+    paths |= {files[name]: pictures[name] for name in placed}
+    before = Model.of_colmap(whole, Path()).extent
+    metric = to_metres(whole, paths, options)
+    extent = Model.of_colmap(whole, Path()).extent
+    poses = {image.name: image.cam_from_world().matrix() for image in whole.images.values()}
+    moved = {n: _in_metres(of, poses[files[n]], extent / before) for n, of in placed.items()}
+    model = _written(whole, paths, out)
+    return Rig({**cameras, **moved}, model, metric, _same_poses(moved, extent))
+
+
+def _choice(walk: Source) -> PairChoice:
+    few = len(walk.names) <= _SIMILAR + 1
+    return PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
+
+
+def _checked(location: Location, name: str, images: int) -> Location:
+    """A location that rests on enough pictures of a model of so many; or the reason against it,
+    with the picture that is most similar."""
+    matched = location.database_images
+    agreeing = sum(image.agrees for image in matched)
+    if location.success and agreeing >= min(_LEAST_AGREEING, images - 1):
+        return location
+    reason = location.reason
+    if location.success:
+        reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
+    if matched:
+        reason += f"; pictures between {name} and {matched[0].name} would connect it"
+    return Location("nowhere", reason, matched, warnings=location.warnings)
+
+
+def _of_model(
+    located: Mapping[str, Location], files: Mapping[str, str], model: Model
+) -> dict[str, Location]:
+    """Locations of pictures that the model itself has, with its poses and cameras."""
+    return {
+        name: replace(
+            of,
+            R=model.poses[files[name]][:, :3],
+            centre=model.centre(files[name]),
+            camera=model.cameras[files[name]],
+        )
+        for name, of in located.items()
+        if files[name] in model.poses
+    }
+
+
+def _in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:
+    """A location as its pose (3, 4) in a frame that is `scale` times as large."""
+    assert location.R is not None and location.covariance is not None
+    turn = np.eye(6)
+    turn[3:, 3:] = scale * pose[:, :3].T @ location.R
+    covariance = turn @ location.covariance @ turn.T
+    centre = -pose[:, :3].T @ pose[:, 3]
+    return replace(location, R=pose[:, :3], centre=centre, covariance=covariance)
+
+
+def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Path) -> Model:
+    """Write COLMAP's model and the points, with the images' names relative to a folder that has all
+    of them, and read the model."""
+    every = {name: os.path.abspath(path) for name, path in paths.items()}
+    root = os.path.commonpath([os.path.dirname(path) for path in every.values()])
+    for image in whole.images.values():
+        if image.name in every:
+            image.name = Path(os.path.relpath(every[image.name], root)).as_posix()
+    with replaced_folder(out / MODEL) as folder:
+        whole.write_binary(folder)
+    model = load_model(out / MODEL, root)
+    with replaced(out / POINTS) as file:
+        write_points(file, model.points, model.colours)
+    return model
+
+
+def _same_poses(cameras: Mapping[str, Location], extent: float) -> tuple[str, ...]:
+    """A warning for each two cameras whose poses differ by less than their expected errors."""
+    warnings = []
+    for (name1, one), (name2, two) in combinations(cameras.items(), 2):
+        pose1, pose2 = one.cam_from_world, two.cam_from_world
+        assert pose1 is not None and pose2 is not None and one.centre is not None
+        angle = rotation_angle_deg(pose1[:, :3] @ pose2[:, :3].T)
+        apart = float(np.linalg.norm(one.centre - two.centre))
+        errors = [
+            (of.rotation_error_90_deg or 0.0, of.position_error_90 or 0.0) for of in (one, two)
+        ]
+        if angle < sum(r for r, _ in errors) and apart < sum(c for _, c in errors):
+            share = 100 * apart / extent
+            warnings.append(
+                f"{name1} and {name2} have the same pose: {angle:.2f} degrees and {share:.2g} % of "
+                "the extent apart"
+            )
+    return tuple(warnings)
