@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,6 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
-from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError, printable
@@ -140,10 +138,11 @@ def rig_text(found: Rig) -> str:
             lines.append(f"{name}: not placed: {of.reason}")
             continue
         likely = "" if of.probability is None else f", probability {percent_text(of.probability)}"
-        lines.append(
-            f"{name}: centre {row_lines(of.centre)[0]} +- {of.position_error_90:.2g} {unit}".rstrip()
-            + f", R +- {of.rotation_error_90_deg:.2f} deg, f = {of.camera.focal:.1f} px{likely}"
-        )
-    lines += [f"warning: {warning}" for warning in found.warnings]
+        centre = f"{row_lines(of.centre)[0]} +- {of.position_error_90:.2g} {unit}".rstrip()
+        focal = f"f = {of.camera.focal:.1f} px"
+        turn = f"R +- {of.rotation_error_90_deg:.2f} deg"
+        lines.append(f"{name}: centre {centre}, {turn}, {focal}{likely}")
+    told = [f"{name}: {text}" for name, of in found.cameras.items() for text in of.warnings]
+    lines += [f"warning: {warning}" for warning in (*found.warnings, *told)]
     lines += [f"{fact.replace('_', ' ')}: {value}" for fact, value in found.metric.items()]
     return "\n".join(map(printable, lines))

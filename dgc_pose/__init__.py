@@ -41,6 +41,8 @@ if TYPE_CHECKING:
     from dgc_pose.pair_result import PairResult as PairResult
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
     from dgc_pose.pose import solve_pair as solve_pair
+    from dgc_pose.rigs.rig import Rig as Rig
+    from dgc_pose.rigs.rig import estimate_rig as estimate_rig
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
@@ -70,6 +72,7 @@ _PUBLIC = {
     "motion": ("CameraMotion", "camera_motion"),
     "pair_result": ("PairResult",),
     "pose": ("estimate_relative_pose", "solve_pair"),
+    "rigs.rig": ("Rig", "estimate_rig"),
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}
 

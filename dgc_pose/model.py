@@ -111,7 +111,8 @@ class Model:
             names.add(path.name)
 
     def write(self, folder: Path, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> None:
-        """Write COLMAP's binary files of `extended` over what is there. Raises likewise; OSError."""
+        """Write COLMAP's binary files of `extended` over what is there. Raises InputError as
+        `extended`; OSError."""
         written = self.extended(added)
         with replaced_folder(folder) as new:
             written.write_binary(new)

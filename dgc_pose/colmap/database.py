@@ -28,6 +28,10 @@ from dgc_pose.system.colmap_library import pycolmap
 _EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32
 
 
+class NoPairError(InputError):
+    """No pair of a batch has a pose that holds."""
+
+
 def share(
     batch: Batch,
     per_image: int,
@@ -36,14 +40,14 @@ def share(
     """The shared key points of a batch, of the pixels as stored. per_image: most corners of an
     image.
 
-    Raises InputError if no pair has a pose; ImageError if an image cannot be read any more.
+    Raises NoPairError if no pair has a pose; ImageError if an image cannot be read any more.
     """
     pairs = pair_geometries(batch)
     if not pairs:
         down = sum(row.turned_down for row in batch.rows)
         first = "".join(f"; of the first {row.reason}" for row in batch.rows[:1])
         first = f"; {down} are turned down" if down else first
-        raise InputError(f"{batch.folder}: no pair of this batch has a pose that holds{first}")
+        raise NoPairError(f"{batch.folder}: no pair of this batch has a pose that holds{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
     key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}

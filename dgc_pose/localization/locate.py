@@ -137,8 +137,8 @@ class Locator:
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the model (M,) int that a database image and the query show, and where the query
-        shows them (M, 2)."""
+        """Points of the model (M,) int that a database image and the query show, and where the
+        query shows them (M, 2)."""
         if name not in self.model.seen or not pose.success:
             return np.zeros(0, np.int64), np.zeros((0, 2))
         which, pixels = self.model.seen[name]

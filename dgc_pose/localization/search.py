@@ -99,8 +99,8 @@ class LocationSearch:
     def add(
         self, name: str, pose: RelativePose, matches: Matches, points: np.ndarray, seen: np.ndarray
     ) -> None:
-        """Add a pair of the database image `name`, and estimate the pose of all. points: (M,) int of
-        the model, that the query shows at the pixels `seen` (M, 2)."""
+        """Add a pair of the database image `name`, and estimate the pose of all. points: (M,) int
+        of the model, that the query shows at the pixels `seen` (M, 2)."""
         self.waiting.remove(name)
         self.pairs.append(Pair(name, pose, matches, points, seen))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]

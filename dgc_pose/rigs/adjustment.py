@@ -17,6 +17,16 @@ _MAX_ERROR_PX = 2.0  # reprojection error of a point that the adjustment takes
 _ROTATION_FACTOR = 1.5
 
 
+def extended(
+    model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
+) -> pycolmap.Reconstruction:
+    """COLMAP's form of the model with the located cameras. pictures: of these, by name."""
+    views = {pictures[name]: (of.camera, of.cam_from_world) for name, of in located.items()}
+    return model.extended(
+        {p: (c, pose) for p, (c, pose) in views.items() if c and pose is not None}
+    )
+
+
 def adjusted(
     model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
 ) -> tuple[pycolmap.Reconstruction, dict[str, Location]]:
@@ -25,8 +35,7 @@ def adjusted(
 
     model: with COLMAP's own form. pictures: the upright pictures of the cameras, by name.
     """
-    views = {pictures[n]: (of.camera, of.cam_from_world) for n, of in located.items()}
-    whole = model.extended({p: (c, x) for p, (c, x) in views.items() if c and x is not None})
+    whole = extended(model, located, pictures)
     numbers = {image.name: image.image_id for image in whole.images.values()}
     assert model.colmap is not None
     keys = np.array([*model.colmap.points3D])
@@ -35,11 +44,13 @@ def adjusted(
         agreeing = [of for of in location.database_images if of.agrees]
         points = np.concatenate([of.points for of in agreeing])
         seen = np.concatenate([of.seen for of in agreeing])
-        at = [image.project_point(xyz) for xyz in model.points[points]]
-        off = [np.inf if p is None else np.abs(p - HALF_PIXEL - s).max() for p, s in zip(at, seen)]
-        good = np.flatnonzero(np.array(off) < _MAX_ERROR_PX)
+        shown = [image.project_point(xyz) for xyz in model.points[points]]
+        behind = np.full(2, np.nan)
+        at = np.array([behind if pixel is None else pixel - HALF_PIXEL for pixel in shown])
+        good = np.flatnonzero(np.abs(at.reshape(-1, 2) - seen).max(1) < _MAX_ERROR_PX)
         good = good[np.unique(points[good], return_index=True)[1]]
-        image.points2D = [pycolmap.Point2D(pixel + HALF_PIXEL) for pixel in seen[good]]
+        pixels = [pycolmap.Point2D(pixel + HALF_PIXEL) for pixel in seen[good]]
+        image.points2D = pycolmap.Point2DList(pixels)
         for index, key in enumerate(keys[points[good]].tolist()):
             whole.add_observation(key, pycolmap.TrackElement(image.image_id, index))
     open_ = [pictures[n].name for n, of in located.items() if of.camera and not of.camera.exact]
@@ -56,6 +67,11 @@ def adjusted(
             R=pose[:, :3],
             centre=-pose[:, :3].T @ pose[:, 3],
             covariance=before * np.outer(grown, grown),
-            camera=replace(camera, K=found.K, distortion=found.distortion),
+            camera=replace(
+                found,
+                focal_std=camera.focal_std,
+                centre_std=camera.centre_std,
+                focal_source=camera.focal_source,
+            ),
         )
     return whole, poses

@@ -17,6 +17,7 @@ _FRAMES = ArgumentName("frames")
 _MOST_FRAMES = 15  # read of each camera
 _CHANGE = 12.0  # grey levels by which a pixel differs from the still picture where things move
 _STAYING = 0.7  # least share of the frames that show the still picture at a pixel
+_LEAST_SIDE = 15  # pixels, of a part between things that move
 _LEAST_CONTRAST = 2.0  # standard deviation of grey levels; a covered lens has less
 
 
@@ -67,7 +68,8 @@ def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
         return Path(shutil.copy2(frames[0], folder / f"{name}{frames[0].suffix}"))
     offsets = [cv2.blur(other.astype(np.float32) - grey, (5, 5)) for other in others]
     moves = [np.abs(offset - np.median(offset)) > _CHANGE for offset in offsets]
-    mask = np.where(np.mean(moves, axis=0) <= 1 - _STAYING, 255, 0).astype(np.uint8)
+    stays = np.where(np.mean(moves, axis=0) <= 1 - _STAYING, 255, 0).astype(np.uint8)
+    mask = cv2.morphologyEx(stays, cv2.MORPH_OPEN, np.ones((_LEAST_SIDE, _LEAST_SIDE)))
     path = folder / f"{name}.png"
     for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
         with writing(file):

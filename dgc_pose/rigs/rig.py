@@ -7,7 +7,7 @@ Without a walk the cameras' own pictures become the model.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -21,7 +21,8 @@ from dgc_pose.batch.run import Progress, run_batch
 from dgc_pose.batch.source import BATCH, Source, open_source
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import image_camera, read_calibration
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.colmap.database import NoPairError
+from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.metric import known_metres, to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import MODEL, POINTS, reconstruct
@@ -36,7 +37,7 @@ from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
-from dgc_pose.rigs.adjustment import adjusted
+from dgc_pose.rigs.adjustment import adjusted, extended
 from dgc_pose.rigs.frames import camera_frames, still_picture
 from dgc_pose.system.colmap_library import pycolmap
 
@@ -98,11 +99,11 @@ def estimate_rig(
     Raises InputError for frames, a K or a scale that cannot be used, and for a result that is
     there, without `resume` of `work`; MappingError if the walk makes no model; ImageError; OSError.
     """
-    frames, out = Path(frames), Path(out)
+    frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
     options = reconstruction or ReconstructionOptions()
     there = [out / name for name in (PICTURES, BATCH, MODEL) if (out / name).exists()]
-    if there and not (work and work.resume):
+    if there and not work.resume:
         hint = "continues that run and replaces its result"
         raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
     require_model_folder(out / MODEL, several=True)
@@ -122,19 +123,23 @@ def estimate_rig(
         *pair, metres = options.scale.split(",")
         options = replace(options, scale=",".join([*(files.get(n, n) for n in pair), metres]))
         known_metres(dict.fromkeys(files.values(), out), options)  # refused before the matching
-    models = [walk] if isinstance(walk, Model) else None
-    if models is None:
+
+    if isinstance(walk, Model):
+        models, warnings = [walk], walk.warnings
+    else:
         up_to_scale = replace(options, gps=False, scale=None, marker=None)
         if walk is None:
+            every = tuple(sorted(files.values()))
+            source = Source(out / PICTURES, every, None, {}, masks=out / PICTURES)
             by_file = {files[name]: camera for name, camera in exact.items()}
             calibration = Calibration("K", by_file, auto="two")
-            names = tuple(sorted(files.values()))
-            source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
             up_to_scale, choice = replace(up_to_scale, min_images=2), PairChoice("exhaustive")
         else:
-            calibration = read_calibration(walk_K, "walk_K")
             source = open_source(frames_folder(Path(walk), _WALK_FRAMES, out / _WALK))
-            up_to_scale, choice = replace(up_to_scale, refine_centres=True), _choice(source)
+            calibration = read_calibration(walk_K, "walk_K")
+            few = len(source.names) <= _SIMILAR + 1
+            choice = PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
+            up_to_scale = replace(up_to_scale, refine_centres=True)
         batch = run_batch(
             source,
             calibration,
@@ -142,52 +147,58 @@ def estimate_rig(
             out / BATCH,
             matcher=matcher,
             estimation=estimation,
-            options=work or BatchOptions(),
+            options=work,
             progress=progress,
         )
-        models, *_ = reconstruct(batch, out, up_to_scale)
+        try:
+            models, *_ = reconstruct(batch, out, up_to_scale)
+        except (MappingError, NoPairError) as error:
+            if walk is not None:
+                raise
+            reason = f"{error}; photographs of a walk between the cameras would connect them"
+            return Rig({name: Location("nowhere", reason, ()) for name in pictures})
+        warnings = source.left_out
+        if (count := len(models[0].poses)) < len(source.names) and walk is not None:
+            warnings += (
+                f"{count} of {len(source.names)} photographs of the walk are in its model",
+            )
+
     each = []
     for number, model in enumerate(models):
         locator = Locator(model, matcher.load(image_cache()), estimation, out / PICTURES)
         located = {}
         for name, picture in pictures.items():
-            location = locator.locate(picture, exact.get(name), left_out=[picture.name], whole=True)
+            left_out = [picture.name]  # of a model of the cameras themselves
+            location = locator.locate(picture, exact.get(name), left_out=left_out, whole=True)
             located[name] = _checked(location, name, len(model.poses))
             progress("cameras", number * len(pictures) + len(located), len(models) * len(pictures))
         each.append(located)
-    counts = [sum(of.success for of in located.values()) for located in each]
-    best = int(np.argmax(counts))
+    best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
     cameras, model = each[best], models[best]
     for number, located in enumerate(each):
         for name, of in located.items():
             if of.success and not cameras[name].success:
-                why = f"it is located in model {number} of the walk alone, which nothing connects"
+                why = f"its place is in model {number} of the walk, which nothing connects"
                 cameras[name] = replace(cameras[name], reason=why)
     placed = {name: of for name, of in cameras.items() if of.success}
     if not placed:
-        return Rig(cameras)
-    if walk is None:
+        return Rig(cameras, warnings=warnings)
+
+    if walk is None and model.colmap is not None:
         whole, placed = model.colmap, _of_model(placed, files, model)
     elif isinstance(walk, Model):
-        views = {pictures[n]: (of.camera, of.cam_from_world) for n, of in placed.items()}
-        whole = model.extended(views)
+        whole = extended(model, placed, pictures)
     else:
         whole, placed = adjusted(model, placed, pictures)
-    assert whole is not None  # with points
     paths = {name: model.root / name for name in model.poses}
     paths |= {files[name]: pictures[name] for name in placed}
-    before = Model.of_colmap(whole, Path()).extent
-    metric = to_metres(whole, paths, options)
     extent = Model.of_colmap(whole, Path()).extent
+    metric = to_metres(whole, paths, options)
+    scale = Model.of_colmap(whole, Path()).extent / extent
     poses = {image.name: image.cam_from_world().matrix() for image in whole.images.values()}
-    moved = {n: _in_metres(of, poses[files[n]], extent / before) for n, of in placed.items()}
-    model = _written(whole, paths, out)
-    return Rig({**cameras, **moved}, model, metric, _same_poses(moved, extent))
-
-
-def _choice(walk: Source) -> PairChoice:
-    few = len(walk.names) <= _SIMILAR + 1
-    return PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
+    placed = {name: _in_metres(of, poses[files[name]], scale) for name, of in placed.items()}
+    model, warnings = _written(whole, paths, out), (*warnings, *_same_poses(placed))
+    return Rig({**cameras, **placed}, model, metric, warnings)
 
 
 def _checked(location: Location, name: str, images: int) -> Location:
@@ -247,7 +258,7 @@ def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Pat
     return model
 
 
-def _same_poses(cameras: Mapping[str, Location], extent: float) -> tuple[str, ...]:
+def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
     """A warning for each two cameras whose poses differ by less than their expected errors."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
@@ -259,9 +270,6 @@ def _same_poses(cameras: Mapping[str, Location], extent: float) -> tuple[str, ..
             (of.rotation_error_90_deg or 0.0, of.position_error_90 or 0.0) for of in (one, two)
         ]
         if angle < sum(r for r, _ in errors) and apart < sum(c for _, c in errors):
-            share = 100 * apart / extent
-            warnings.append(
-                f"{name1} and {name2} have the same pose: {angle:.2f} degrees and {share:.2g} % of "
-                "the extent apart"
-            )
+            differ = f"{angle:.2g} degrees and {apart:.2g} apart"
+            warnings.append(f"{name1} and {name2} have the same pose: they are {differ}")
     return tuple(warnings)
