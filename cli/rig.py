@@ -13,6 +13,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
+from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError, printable
@@ -107,8 +108,11 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     write_text(out / PAGE, model_page(found.model, unit))
     click.echo(f"{out / PAGE}: cameras with their pictures, and points, for a browser")
     if before is not None:
-        for change in compared(before.poses, found.placed, before.by_name):
-            click.echo(change.text(unit))
+        try:
+            for change in compared(before.poses, found.placed, before.by_name):
+                click.echo(change.text(unit))
+        except InputError as error:  # the rig stands
+            say(f"warning: {error}")
     return 0
 
 

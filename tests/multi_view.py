@@ -40,7 +40,7 @@ def render_views(count: int, *, seed: int = 0, step: float = 0.35) -> list[View]
     for i in range(count):
         x = (i - (count - 1) / 2) * step
         centre = np.array([x, 0.15 * np.sin(2.0 * i), 0.05 * x * x + 0.1 * np.cos(1.5 * i)])
-        R = _look_at(centre, np.array([0.0, 0.2, 4.6]))
+        R = look_at(centre, np.array([0.0, 0.2, 4.6]))
         views.append(View(render(R, centre, textures)[0], R, -R @ centre))
     return views
 
@@ -75,7 +75,7 @@ def _texture(rng: np.random.Generator) -> np.ndarray:
     return np.clip(127 + 50 * np.sum(layers, axis=0), 0, 255).astype(np.float32)
 
 
-def _look_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
+def look_at(centre: np.ndarray, target: np.ndarray) -> np.ndarray:
     z = (target - centre) / np.linalg.norm(target - centre)
     x = np.cross((0.0, 1.0, 0.0), z)
     x /= np.linalg.norm(x)

@@ -64,6 +64,8 @@ def _pipeline_options(options: ReconstructionOptions) -> Any:
         settings = pycolmap.IncrementalPipelineOptions()
         if options.min_images < MIN_IMAGES:  # a pair whose pose holds is a model
             settings.mapper.init_min_num_inliers = settings.mapper.abs_pose_min_num_inliers
+            settings.mapper.init_min_tri_angle = settings.mapper.filter_min_tri_angle
+            settings.triangulation.ignore_two_view_tracks = False
         settings.ba_refine_focal_length = settings.ba_refine_extra_params = refine
         settings.mapper.abs_pose_refine_focal_length = refine
         settings.mapper.abs_pose_refine_extra_params = refine

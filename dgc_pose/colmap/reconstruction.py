@@ -7,7 +7,7 @@ from typing import Any
 
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import share, write_shared
-from dgc_pose.colmap.mapping import adjust, map_database
+from dgc_pose.colmap.mapping import MIN_IMAGES, adjust, map_database
 from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
@@ -69,9 +69,11 @@ def reconstruct(
 
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
-    """Whether bundle adjustment changes the cameras."""
+    """Whether bundle adjustment changes the cameras: not those of two images, which do not
+    determine them."""
     stds = ((c.focal_std, c.lens_std, c.aspect_std) for c in batch.plan.cameras.values())
-    return options.refine_intrinsics or any(map(any, stds))
+    unknown = options.min_images >= MIN_IMAGES and any(map(any, stds))
+    return options.refine_intrinsics or unknown
 
 
 def write_summary(

@@ -173,14 +173,12 @@ def _by_marker(
     metres: float,
 ) -> tuple[float, float] | str:
     """The length and its variance by the side of markers; a warning if they have none."""
-    views = [(np.eye(3, 4), np.column_stack(pose)) for pose in poses]
     try:
-        found = [marker_side(markers, cameras, view) for view in views]
+        found = [marker_side(markers, cameras, (np.eye(3, 4), np.column_stack(of))) for of in poses]
     except InputError as error:
         return f"the length of t is not known: {error}"
-    lengths = metres / np.array([of.side for of in found])
-    off = [found[0].std * lengths[0], *(lengths[1:] - lengths[0])]
-    return float(lengths[0]), float(np.square(off).sum())
+    length, *others = (metres / of.side for of in found)
+    return length, sum((of - length) ** 2 for of in others) + (found[0].std * length) ** 2
 
 
 def _inverse_depths(

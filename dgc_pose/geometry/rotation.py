@@ -53,20 +53,6 @@ def rotation_of_quaternion(wxyz: np.ndarray) -> np.ndarray:
     return np.eye(3) + 2 * (w * cross + cross @ cross)
 
 
-def rotation_vector(R: np.ndarray) -> np.ndarray:
-    """The rotation vector (3,) of a rotation matrix (3, 3): its axis times its angle, radians, as
-    of Rodrigues."""
-    w, *axis = quaternion_wxyz(R)
-    sine = math.hypot(*axis)
-    return np.array(axis) * (2 * math.atan2(sine, w) / sine if sine else 2.0)
-
-
-def rotation_of_vector(vector: np.ndarray) -> np.ndarray:
-    """The rotation matrix (3, 3) of a rotation vector (3,), radians."""
-    half = np.linalg.norm(vector) / 2
-    return rotation_of_quaternion(np.array([np.cos(half), *vector / 2 * np.sinc(half / np.pi)]))
-
-
 def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
     """The rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976).
 

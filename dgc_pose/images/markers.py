@@ -22,29 +22,28 @@ def find_markers(pixels: np.ndarray) -> dict[str, np.ndarray]:
     """
     grey = pixels if pixels.ndim == 2 else pixels[:, :, 1]
     grey = cv2.normalize(grey, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
-    squares, numbers, _, kinds = _detector(_KINDS).detectMarkersMultiDict(grey)
-    kinds = [] if numbers is None else [_KINDS[kind] for kind in np.ravel(kinds)]
-    names = [f"{kind}:{number}" for kind, number in zip(kinds, np.ravel(numbers), strict=False)]
-    found = {}
-    for square, kind, name in zip(squares, kinds, names, strict=True):
-        low, high = square[0].min(0), square[0].max(0)
-        margin = _MARGIN * (high - low).max()
-        x, y = np.maximum(low - margin, 0).astype(int)
-        right, bottom = (high + margin).astype(int)
-        # By lines along the sides, which have no bias of blurred corners: slow in a whole image.
-        refiner = _detector((kind,), cv2.aruco.CORNER_REFINE_APRILTAG)
-        refined, again, _ = refiner.detectMarkers(grey[y:bottom, x:right])
-        at = {f"{kind}:{n}": of[0] for n, of in zip(np.ravel(again), refined, strict=False)}
-        if name in at and names.count(name) == 1:
-            found[name] = at[name].astype(np.float64) + (x, y) - 0.5  # (0, 0) is a corner there
+    rough, found = _markers(grey, cv2.aruco.CORNER_REFINE_NONE), {}
+    names = [name for name, _ in rough]
+    for name, corners in rough:
+        margin = _MARGIN * np.ptp(corners, axis=0).max()
+        x, y = (corners.min(0) - margin).clip(0).astype(int)
+        right, bottom = (corners.max(0) + margin).astype(int)
+        # Lines along the sides have no bias of blurred corners, and are slow in a whole image.
+        refined = dict(_markers(grey[y:bottom, x:right], cv2.aruco.CORNER_REFINE_APRILTAG))
+        if name in refined and names.count(name) == 1:
+            found[name] = refined[name] + (x, y) - 0.5  # (0, 0) is a corner there
     return found
 
 
 @cache
-def _detector(
-    kinds: tuple[str, ...], refinement: int = cv2.aruco.CORNER_REFINE_NONE
-) -> cv2.aruco.ArucoDetector:
+def _detector(refinement: int) -> cv2.aruco.ArucoDetector:
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = refinement
-    numbers = [getattr(cv2.aruco, f"DICT_{kind}") for kind in kinds]
-    return cv2.aruco.ArucoDetector([*map(cv2.aruco.getPredefinedDictionary, numbers)], settings)
+    kinds = [getattr(cv2.aruco, f"DICT_{kind}") for kind in _KINDS]
+    return cv2.aruco.ArucoDetector([*map(cv2.aruco.getPredefinedDictionary, kinds)], settings)
+
+
+def _markers(grey: np.ndarray, refinement: int) -> list[tuple[str, np.ndarray]]:
+    corners, numbers, _, kinds = _detector(refinement).detectMarkersMultiDict(grey)
+    rows = zip(corners, np.ravel(kinds), np.ravel(numbers), strict=False)  # None without markers
+    return [(f"{_KINDS[int(kind)]}:{n}", at[0].astype(np.float64)) for at, kind, n in rows]

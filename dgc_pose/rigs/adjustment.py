@@ -12,9 +12,12 @@ from dgc_pose.localization.location import Location
 from dgc_pose.model import HALF_PIXEL, Model
 from dgc_pose.system.colmap_library import pycolmap
 
-_MAX_ERROR_PX = 2.0  # reprojection error of a point that the adjustment takes
-# Of the expected rotation errors, which count the walk's poses as exact: docs/experiments.md
-_ROTATION_FACTOR = 1.5
+# Of points that the adjustment takes: the largest reprojection error; or so many times the median,
+# as the location may be off
+_MAX_ERROR_PX, _WIDE = 2.0, 3.0
+# Of the expected errors of R and the centre, which take the walk's model for exact, if the camera
+# is fitted and if it is exact, which takes up no error of the walk's camera: docs/experiments.md
+_FITTED, _EXACT = (1.5, 1.0), (2.0, 1.5)
 
 
 def extended(
@@ -47,7 +50,8 @@ def adjusted(
         shown = [image.project_point(xyz) for xyz in model.points[points]]
         behind = np.full(2, np.nan)
         at = np.array([behind if pixel is None else pixel - HALF_PIXEL for pixel in shown])
-        good = np.flatnonzero(np.abs(at.reshape(-1, 2) - seen).max(1) < _MAX_ERROR_PX)
+        error = np.abs(at.reshape(-1, 2) - seen).max(1)
+        good = np.flatnonzero(error < max(_MAX_ERROR_PX, _WIDE * float(np.nanmedian(error))))
         good = good[np.unique(points[good], return_index=True)[1]]
         pixels = [pycolmap.Point2D(pixel + HALF_PIXEL) for pixel in seen[good]]
         image.points2D = pycolmap.Point2DList(pixels)
@@ -61,7 +65,7 @@ def adjusted(
         pose, camera, before = image.cam_from_world().matrix(), location.camera, location.covariance
         assert camera is not None and before is not None  # of a location
         found = matrix_camera(image.camera)
-        grown = np.array([_ROTATION_FACTOR] * 3 + [1.0] * 3)
+        grown = np.repeat(_EXACT if camera.exact else _FITTED, 3)
         poses[name] = replace(
             location,
             R=pose[:, :3],

@@ -8,7 +8,6 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.json_files import finite_or_none
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.localization.location import Location
 
@@ -22,28 +21,27 @@ class CameraChange:
 
     name: str
     angle_deg: float  # of its rotation
-    angle_error_deg: float | None  # expected of the new calibration; None: not known
+    angle_error_deg: float  # expected of the new calibration; 0: not known
     distance: float  # of its centres, in the new calibration's unit
-    distance_error: float | None  # likewise
+    distance_error: float  # likewise
     moved: bool  # by more than three times the error, and 0.05 degrees or 0.1 % of the extent
-    focal_change: float | None = None  # percent; None: the older focal length is not known
-    relative_to: str | None = None  # of only two cameras the other one: either may have moved
+    focal_change: float | None  # percent; None: the older focal length is not known
+    relative_to: str | None  # of only two cameras the other one: either may have moved
 
     def text(self, unit: str) -> str:
         """One line for people. unit: of length, if it is known."""
         verdict = "moved" if self.moved else "has not moved"
         other = f" relative to {self.relative_to}" if self.relative_to else ""
-        angle, distance = self.angle_error_deg or 0.0, self.distance_error or 0.0
         focal = "" if self.focal_change is None else f", focal length {self.focal_change:+.2f} %"
-        turn = f"{self.angle_deg:.3f} +- {angle:.3f} deg"
-        shift = f"{self.distance:.3g} +- {distance:.2g} {unit}".rstrip()
+        turn = f"{self.angle_deg:.3f} +- {self.angle_error_deg:.3f} deg"
+        shift = f"{self.distance:.3g} +- {self.distance_error:.2g} {unit}".rstrip()
         return f"{self.name} {verdict}{other}: by {turn} and {shift}{focal}"
 
 
 def compared(
     start: Mapping[str, np.ndarray],
     cameras: Mapping[str, Location],
-    start_cameras: Mapping[str, Camera] | None = None,
+    start_cameras: Mapping[str, Camera],
 ) -> list[CameraChange]:
     """The changes of the cameras that two calibrations have in common, in the order of `cameras`.
 
@@ -60,43 +58,37 @@ def compared(
     located = [cameras[name] for name in names]
     old = np.stack([start[name] for name in names])
     new = np.stack([pose for of in located if (pose := of.cam_from_world) is not None])
-    stated = [(of.rotation_error_90_deg, of.position_error_90) for of in located]
-    errors = np.array(stated, dtype=float)  # (N, 2), NaN where not known
-    only_two = len(names) == 2
-    if only_two:
-        errors[1] = np.linalg.norm(errors, axis=0)
+    expected = [(of.rotation_error_90_deg or 0, of.position_error_90 or 0) for of in located]
+    errors = np.array(expected, dtype=float)  # (N, 2)
     extent = max(float(np.linalg.norm(a - b)) for a, b in combinations(_centres(new), 2))
-    least = np.fmax(_FACTOR * errors, (_LEAST_ANGLE_DEG, _LEAST_SHIFT * extent))
-    pairs = [[*pair] for pair in combinations(range(len(names)), 2)]
-    if not only_two:
-        offs = [(_changes(old, new, pair, pair) / least).max(1) for pair in pairs]
-        best = min(range(len(pairs)), key=lambda n: np.minimum(offs[n], 1).sum())
-        agree = np.flatnonzero(offs[best] <= 1).tolist()
-        pairs = [agree if len(agree) > 1 else pairs[best]]
-    changes = _changes(old, new, [0] if only_two else pairs[0], pairs[0])
+    first = names[0] if len(names) == 2 else None
+    if first:
+        errors[1] = np.linalg.norm(errors, axis=0)
+    limits = np.maximum(_FACTOR * errors, (_LEAST_ANGLE_DEG, _LEAST_SHIFT * extent))
+    changes = _changes(old, new, [0] if first else _unmoved(old, new, limits))
     found = []
-    for n, (name, of) in enumerate(zip(names, located, strict=True)):
-        known = (start_cameras or {}).get(name)
-        change = CameraChange(
-            name,
-            angle_deg=float(changes[n, 0]),
-            angle_error_deg=finite_or_none(errors[n, 0]),
-            distance=float(changes[n, 1]),
-            distance_error=finite_or_none(errors[n, 1]),
-            moved=bool((changes[n] > least[n]).any()),
-            focal_change=100 * (of.camera.focal / known.focal - 1) if of.camera and known else None,
-            relative_to=names[0] if only_two else None,
-        )
-        found.append(change)
-    return found[1:] if only_two else found
+    for name, of, change, error, limit in zip(names, located, changes, errors, limits, strict=True):
+        known, (angle, distance) = start_cameras.get(name), change.tolist()
+        focal = 100 * (of.camera.focal / known.focal - 1) if of.camera and known else None
+        moved = bool((change > limit).any())
+        found.append(CameraChange(name, angle, error[0], distance, error[1], moved, focal, first))
+    return found[1:] if first else found
 
 
-def _changes(
-    old: np.ndarray, new: np.ndarray, still: Sequence[int], scaled: Sequence[int]
-) -> np.ndarray:
+def _unmoved(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> list[int]:
+    """The cameras that agree with the similarity by two of them, of which most do."""
+    pairs = [[*pair] for pair in combinations(range(len(old)), 2)]
+    offs = [(_changes(old, new, pair) / limits).max(1) for pair in pairs]
+    best = min(range(len(pairs)), key=lambda n: np.minimum(offs[n], 1).sum())
+    agree: list[int] = np.flatnonzero(offs[best] <= 1).tolist()
+    return agree if len(agree) > 1 else pairs[best]
+
+
+def _changes(old: np.ndarray, new: np.ndarray, still: Sequence[int]) -> np.ndarray:
     """Angle in degrees and distance (N, 2) between the poses (N, 3, 4) of two calibrations, after
-    the similarity by the poses of the cameras `still` and the distances of the cameras `scaled`."""
+    the similarity by the cameras `still`; if this is one, with the scale by all."""
     before, after = _centres(old), _centres(new)
+    scaled = still if len(still) > 1 else range(len(old))
     spread = [np.linalg.norm(at[scaled] - at[scaled].mean(0)) for at in (before, after)]
     W = aligning_rotation(*(of[still, :, :3].reshape(-1, 3) for of in (old, new)))
     expected = spread[1] / (spread[0] or 1.0) * (before - before[still].mean(0)) @ W.T

@@ -37,11 +37,12 @@ def camera_frames(folder: Path, videos: Path) -> dict[str, list[Path]]:
         found = [within / name for name in search_images(within).names] if within.is_dir() else []
         if entry.name in images:
             found = [entry]
-        if found and entry.stem in cameras:
-            raise InputError(_FRAMES, f"{folder}: two cameras have the name {entry.stem}")
+        name = entry.name if entry.is_dir() else entry.stem
+        if found and name in cameras:
+            raise InputError(_FRAMES, f"{folder}: two cameras have the name {name}")
         if found:
             step = -(-len(found) // _MOST_FRAMES)
-            cameras[entry.stem] = found[::step]
+            cameras[name] = found[::step]
     if len(cameras) < 2:
         raise InputError(_FRAMES, f"{folder}: {len(cameras)} cameras found, and a rig has two")
     if copies := copies_of_others(folder, [name for name in images if "/" not in name]):

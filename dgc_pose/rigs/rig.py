@@ -6,6 +6,7 @@ Without a walk the cameras' own pictures become the model.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,7 @@ import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice
+from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
 from dgc_pose.batch.source import BATCH, Source, open_source
 from dgc_pose.cameras.by_image import Calibration
@@ -102,30 +104,32 @@ def estimate_rig(
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
     options = reconstruction or ReconstructionOptions()
-    there = [out / name for name in (PICTURES, BATCH, MODEL) if (out / name).exists()]
+    there = [out / name for name in (BATCH, MODEL) if (out / name).exists()]
     if there and not work.resume:
         hint = "continues that run and replaces its result"
         raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
     require_model_folder(out / MODEL, several=True)
-    out.mkdir(parents=True, exist_ok=True)
     found = camera_frames(frames, out / _VIDEOS)
+    if unknown := sorted({*(K or {})} - {*found}):
+        names = ", ".join(found)
+        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
+    if options.scale:  # refused before the matching
+        known_metres(dict.fromkeys(found, out), options)
+    out.mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
         files = {name: still_picture(paths, name, folder).name for name, paths in found.items()}
     pictures = {name: out / PICTURES / file for name, file in files.items()}
-    if unknown := sorted({*(K or {})} - {*pictures}):
-        names = ", ".join(pictures)
-        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
     exact = {
         name: image_camera(value, load_image(pictures[name]), f"K of {name}")
         for name, value in (K or {}).items()
     }
     if options.scale:
         *pair, metres = options.scale.split(",")
-        options = replace(options, scale=",".join([*(files.get(n, n) for n in pair), metres]))
-        known_metres(dict.fromkeys(files.values(), out), options)  # refused before the matching
+        options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
 
+    batch = None
     if isinstance(walk, Model):
-        models, warnings = [walk], walk.warnings
+        models, warnings, walked = [walk], walk.warnings, {*walk.poses}
     else:
         up_to_scale = replace(options, gps=False, scale=None, marker=None)
         if walk is None:
@@ -140,6 +144,10 @@ def estimate_rig(
             few = len(source.names) <= _SIMILAR + 1
             choice = PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
             up_to_scale = replace(up_to_scale, refine_centres=True)
+        models, warnings, walked = [], source.left_out, {*source.names} if walk else set()
+    if both := walked & {*files.values()}:
+        raise InputError(ArgumentName("walk"), f"has {min(both)}, as a camera's picture has")
+    if not models:
         batch = run_batch(
             source,
             calibration,
@@ -152,16 +160,14 @@ def estimate_rig(
         )
         try:
             models, *_ = reconstruct(batch, out, up_to_scale)
-        except (MappingError, NoPairError) as error:
+        except (MappingError, NoPairError):
             if walk is not None:
                 raise
-            reason = f"{error}; photographs of a walk between the cameras would connect them"
+            reason = "the cameras' own pictures make no model; photographs between them would"
             return Rig({name: Location("nowhere", reason, ()) for name in pictures})
-        warnings = source.left_out
-        if (count := len(models[0].poses)) < len(source.names) and walk is not None:
-            warnings += (
-                f"{count} of {len(source.names)} photographs of the walk are in its model",
-            )
+        if (count := len(models[0].poses)) < len(walked):
+            share = f"{count} of {len(walked)} photographs of the walk"
+            warnings += (f"{share} are in its model",)
 
     each = []
     for number, model in enumerate(models):
@@ -184,8 +190,10 @@ def estimate_rig(
     if not placed:
         return Rig(cameras, warnings=warnings)
 
-    if walk is None and model.colmap is not None:
-        whole, placed = model.colmap, _of_model(placed, files, model)
+    if walk is None and batch is not None and model.colmap is not None:
+        placed = _of_batch(placed, files, model, batch)
+        cameras, whole = {**cameras, **placed}, model.colmap
+        placed = {name: of for name, of in placed.items() if of.success}
     elif isinstance(walk, Model):
         whole = extended(model, placed, pictures)
     else:
@@ -216,20 +224,34 @@ def _checked(location: Location, name: str, images: int) -> Location:
     return Location("nowhere", reason, matched, warnings=location.warnings)
 
 
-def _of_model(
-    located: Mapping[str, Location], files: Mapping[str, str], model: Model
+def _of_batch(
+    located: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
 ) -> dict[str, Location]:
-    """Locations of pictures that the model itself has, with its poses and cameras."""
-    return {
-        name: replace(
+    """Locations of pictures in the model of the batch of them: its poses and cameras, and errors of
+    at least those of a picture's best pair, since the located pictures determine the points."""
+    found = {}
+    for name, of in located.items():
+        if (file := files[name]) not in model.poses:
+            reason = "it has a pose, and COLMAP did not take it into the model"
+            found[name] = Location("nowhere", reason, of.database_images)
+            continue
+        errors = []
+        for row in batch.rows:
+            if row.success and row.pose and file in row.names and {*row.names} <= {*model.poses}:
+                apart = np.linalg.norm(np.subtract(*map(model.centre, row.names)))
+                angle = math.radians(row.pose.translation_error_90_deg or 0.0)
+                errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
+        stated = np.array([of.rotation_error_90_deg, of.position_error_90])
+        grown = np.repeat(np.maximum(np.min(errors or [stated], axis=0) / stated, 1.0), 3)
+        assert of.covariance is not None
+        found[name] = replace(
             of,
-            R=model.poses[files[name]][:, :3],
-            centre=model.centre(files[name]),
-            camera=model.cameras[files[name]],
+            R=model.poses[file][:, :3],
+            centre=model.centre(file),
+            camera=batch.plan.final_cameras[file],
+            covariance=of.covariance * np.outer(grown, grown),
         )
-        for name, of in located.items()
-        if files[name] in model.poses
-    }
+    return found
 
 
 def _in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:

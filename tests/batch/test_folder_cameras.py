@@ -108,6 +108,19 @@ def test_a_resized_photograph_has_the_camera_of_the_others(tmp_path, resized):
     assert small.focal == pytest.approx(FOCAL / 2, rel=0.02)
 
 
+def test_a_camera_of_one_image_alone_takes_no_other(tmp_path):
+    """Of a resized photograph without an identity, as fixed cameras have none."""
+    half = SIZE[0] // 2, SIZE[1] // 2
+    true = [pinhole(FOCAL, SIZE)] * COUNT
+    true[1] = true[1].resized(half)
+    priors = {f"{i}.png": _prior(camera) for i, camera in enumerate(true)}
+    priors[SECOND] = replace(priors[SECOND], identity=None)
+    cameras, _, _ = _folder(tmp_path, true, priors)
+    small, whole = cameras[SECOND], cameras["0.png"]
+    assert small.identity is None and whole.identity is not None and small.size == half
+    assert small.focal == pytest.approx(FOCAL / 2, rel=0.05) and small.focal != whole.focal / 2
+
+
 def test_a_resized_photograph_does_not_have_the_camera_of_a_zoomed_one(tmp_path):
     """Which comes first, and is of the size and EXIF data of the others."""
     true = [pinhole(FOCAL, SIZE)] * COUNT

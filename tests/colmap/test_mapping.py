@@ -3,7 +3,7 @@
 import numpy as np
 import pycolmap
 
-from dgc_pose.colmap.mapping import refine_centres
+from dgc_pose.colmap.mapping import adjust
 
 
 def test_the_principal_points_of_some_cameras_are_found() -> None:
@@ -18,9 +18,9 @@ def test_the_principal_points_of_some_cameras_are_found() -> None:
     params = true[cut].copy()
     params[[-3, -2] if len(params) == 4 else [-2, -1]] += (30.0, -20.0)
     model.cameras[cut].params = params
-    refine_centres(model, [])
+    adjust(model, [], centres=True)
     np.testing.assert_array_equal(model.cameras[cut].params, params)
-    refine_centres(model, names)
+    adjust(model, names, centres=True)
     np.testing.assert_allclose(model.cameras[cut].params, true[cut], atol=0.05)
     for key in model.cameras.keys():  # noqa: SIM118, pycolmap's map
         if key != cut:

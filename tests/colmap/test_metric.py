@@ -33,6 +33,10 @@ def tag(path: Path, enu: np.ndarray) -> None:
     PIL.Image.new("RGB", (40, 30)).save(path, exif=exif)
 
 
+def paths(folder: Path, count: int = 6) -> dict[str, Path]:
+    return {name: folder / name for name in NAMES[:count]}
+
+
 def places(seed: int = 0) -> np.ndarray:
     """East, north, up (6, 3), metres: a walk; the first is the origin."""
     walk = np.random.default_rng(seed).uniform(-60, 60, (6, 3)) * (1, 1, 0.1)
@@ -71,7 +75,7 @@ def test_gps_gives_metres_east_north_and_up(tmp_path: Path, wrong: float) -> Non
         tag(tmp_path / name, true[number] + noise[number] + (wrong * (number == 4), 0, 0))
     turn = Rotation.from_euler("xyz", [1.0, 0.5, -2.0]).as_matrix()
     model = model_of(0.013 * true @ turn.T + (3, -2, 8))
-    facts = to_metres(model, tmp_path, NAMES, GPS)
+    facts = to_metres(model, paths(tmp_path), GPS)
     assert np.linalg.norm(centres_of(model) - (true - noise[0]), axis=1).max() < 2
     assert facts["unit"] == "m" and facts["frame"].startswith("east, north, up; origin at -33.85")
     assert 0.1 < facts["median_gps_residual_m"] < 2
@@ -90,7 +94,7 @@ def test_noise_turns_no_small_survey_upside_down(tmp_path: Path, axis: str) -> N
         for name, place in zip(NAMES, true + rng.normal(0, 3, true.shape), strict=True):
             tag(tmp_path / name, place)
         model = model_of(0.02 * true @ of_model.T)
-        to_metres(model, tmp_path, NAMES, GPS)
+        to_metres(model, paths(tmp_path), GPS)
         lower = model.images[1].cam_from_world().rotation.matrix()["xyz".index(axis)]
         upside_down += lower[2] > 0
     assert upside_down <= 4
@@ -101,7 +105,7 @@ def test_positions_that_do_not_agree_are_told(tmp_path: Path) -> None:
         tag(tmp_path / name, place)
     rng = np.random.default_rng(3)
     with pytest.raises(MappingError, match="no similarity that brings 6 cameras to 15 m from"):
-        to_metres(model_of(rng.standard_normal((6, 3))), tmp_path, NAMES, GPS)
+        to_metres(model_of(rng.standard_normal((6, 3))), paths(tmp_path), GPS)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +119,7 @@ def test_few_positions_or_a_line_of_them_are_refused(
         if number < count:
             tag(tmp_path / name, number * np.array([20.0, 5.0, 0.1]))
     with pytest.raises(InputError, match=words):
-        known_metres(tmp_path, NAMES, GPS)
+        known_metres(paths(tmp_path), GPS)
 
 
 def test_the_distance_of_two_cameras_gives_the_scale(tmp_path: Path) -> None:
@@ -123,12 +127,12 @@ def test_the_distance_of_two_cameras_gives_the_scale(tmp_path: Path) -> None:
     model = model_of(0.02 * true)
     metres = float(np.linalg.norm(true[1] - true[4]))
     options = ReconstructionOptions(scale=f"{NAMES[1]},{NAMES[4]},{metres}")
-    facts = to_metres(model, tmp_path, NAMES, options)
+    facts = to_metres(model, paths(tmp_path), options)
     assert facts == {"unit": "m", "frame": "the model's own"}
     np.testing.assert_allclose(centres_of(model), true, atol=1e-6)
-    assert to_metres(model, tmp_path, NAMES, ReconstructionOptions()) == {}
+    assert to_metres(model, paths(tmp_path), ReconstructionOptions()) == {}
     with pytest.raises(InputError, match="view4.png is not in the model"):
-        to_metres(model_of(true[:4]), tmp_path, NAMES, options)
+        to_metres(model_of(true[:4]), paths(tmp_path), options)
 
 
 def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
@@ -148,14 +152,14 @@ def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
         of_marker = np.column_stack([np.eye(3), -centre])
         pixels = draw_markers(texture((640, 480), number), K, of_marker, marker, number)
         PIL.Image.fromarray(pixels).save(tmp_path / image.name)
-    facts = to_metres(model, tmp_path, NAMES[:3], ReconstructionOptions(marker=0.2))
+    facts = to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
     assert (facts["unit"], facts["frame"]) == ("m", "the model's own")
     assert facts["marker_images"][name] == 3 and 0.001 < facts["scale_relative_std"] < 0.01
     np.testing.assert_allclose(centres_of(model), true, atol=0.004)
     for image in NAMES[:3]:
         PIL.Image.fromarray(texture((640, 480))).save(tmp_path / image)
     with pytest.raises(InputError, match="two or more of the 3 images show 0$"):
-        to_metres(model, tmp_path, NAMES[:3], ReconstructionOptions(marker=0.2))
+        to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
 
 
 @pytest.mark.parametrize("both", [("gps", "scale"), ("gps", "marker"), ("scale", "marker")])

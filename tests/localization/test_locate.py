@@ -49,9 +49,9 @@ def test_the_lines_of_a_query_tell_its_focal_length(
     searched: list[Camera] = []
 
     class Search(locate.LocationSearch):
-        def __init__(self, model: Model, camera: Camera, *others: Any) -> None:
+        def __init__(self, model: Model, camera: Camera, *others: Any, **options: Any) -> None:
             searched.append(camera)
-            super().__init__(model, camera, *others)
+            super().__init__(model, camera, *others, **options)
 
     monkeypatch.setattr(locate, "LocationSearch", Search)
     options = EstimationOptions(effort="fast", runs=1, iterations=100)

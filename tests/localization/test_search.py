@@ -17,7 +17,7 @@ from dgc_pose.localization.search import MAX_IMAGES, LocationSearch
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.model import Model
 
-NO_POINTS = np.zeros((0, 3)), np.zeros((0, 2))
+NO_POINTS = np.zeros(0, np.int64), np.zeros((0, 2))
 NO_POSE = RelativePose("too_few_matches", "few", np.zeros(0, bool), 0)
 MIRRORED = RelativePose("mirrored", "the mirror image has a pose", np.zeros(300, bool), 300)
 AROUND = np.array([[2.5, 0, 0], [-2.5, 1.5, 0], [0.3, -2.5, 0.1], [-1, 2.0, 1.0]])
@@ -92,14 +92,17 @@ def test_one_database_image_has_no_scale_and_points_have() -> None:
     scene = world_scene(np.array([[1.0, 0, 0]]))
     location, _ = _searched(scene)
     assert location.status == "no_scale" and "r0.jpg alone" in location.reason
-    search = LocationSearch(scene.model(), PHOTO_CAMERA, OPTIONS, scene.names)
+    model = replace(scene.model(), points=scene.points)
+    search = LocationSearch(model, PHOTO_CAMERA, OPTIONS, scene.names)
     seen = scene.pixels(PHOTO_CAMERA, scene.R, scene.centre)
-    points = scene.points[:60], seen[:60]
+    points = np.arange(60), seen[:60]
     search.add("r0.jpg", scene.pair_pose(0), scene.matches(0), *points)
     location = search.location()
     assert location.success and location.centre is not None
     assert np.linalg.norm(location.centre - scene.centre) < 0.02
     assert location.position_error_90 is not None and location.position_error_90 < 0.05
+    np.testing.assert_array_equal(location.database_images[0].points, points[0])
+    np.testing.assert_array_equal(location.database_images[0].seen, points[1])
 
 
 def test_unrelated_images_end_the_search_early() -> None:

@@ -5,10 +5,12 @@ and rig.json, which has the tables of the TOML.
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
 
+import cv2
 import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration
@@ -16,7 +18,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import intrinsics
 from dgc_pose.cameras.formats.keyed import MODEL_KEYS, keyed_camera, numbers, require_read
 from dgc_pose.errors import InputError, reason
-from dgc_pose.geometry.rotation import is_rotation, rotation_of_quaternion, rotation_of_vector
+from dgc_pose.geometry.rotation import is_rotation, rotation_of_quaternion
 
 # Keys that end with their camera. P1 and P2 are of OpenCV's rectified images, and not needed.
 _STEREO = re.compile(r"(M|cameraMatrix|K|D|distCoeffs|P)([12])")
@@ -45,18 +47,15 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
         return None
     tables = {}
     for camera in (camera for rig in rigs for camera in rig["cameras"]):
-        prefix = PurePath(str(camera["image_prefix"]))
+        prefix, first = PurePath(str(camera["image_prefix"])), camera.get("ref_sensor")
         table: dict[str, Any] = {"name": prefix.name}
         if len(rigs) == 1:
-            rotation = [1, 0, 0, 0] if camera.get("ref_sensor") else None
-            table["rotation"] = camera.get("cam_from_rig_rotation", rotation)
-            table["translation"] = camera.get("cam_from_rig_translation", rotation and [0, 0, 0])
+            table["rotation"] = [1, 0, 0, 0] if first else camera.get("cam_from_rig_rotation")
+            table["translation"] = [0, 0, 0] if first else camera.get("cam_from_rig_translation")
         if "camera_params" in camera:
-            model, values = str(camera["camera_model_name"]), numbers(camera["camera_params"])
-            K, lens = intrinsics(model, values or [])
-            table["matrix"] = K.tolist()
-            if lens is not None:
-                table |= {"model": lens.model, "coefficients": lens.coefficients}
+            values = numbers(camera["camera_params"]) or []
+            K, lens = intrinsics(str(camera["camera_model_name"]), values)
+            table |= {"matrix": K.tolist(), **({} if lens is None else vars(lens))}
         tables[str(prefix)] = table
     return _calibration(tables, path)
 
@@ -92,17 +91,15 @@ def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibra
 def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
     """cam_from_world [R | t] (3, 4), the rotation a matrix, a rotation vector or a quaternion; None
     of a camera without a pose."""
-    rotation, translation = (numbers(table.get(key)) for key in ("rotation", "translation"))
-    if not rotation or not translation or np.isnan([*rotation, *translation]).all():
+    values, t = (np.array(numbers(table.get(key)) or ()) for key in ("rotation", "translation"))
+    if not len(values) or not len(t) or np.isnan([*values, *t]).all():
         return None
-    values = np.array(rotation)
-    if np.isfinite([*rotation, *translation]).all() and len(translation) == 3:
-        if len(values) == 3:
-            values = rotation_of_vector(values)
-        elif len(values) == 4 and values.any():
-            values = rotation_of_quaternion(values)
-        if values.size == 9 and is_rotation(R := values.reshape(3, 3)):
-            return np.column_stack([R, translation])
+    with suppress(ValueError):
+        R = rotation_of_quaternion(values) if len(values) == 4 else values
+        R = cv2.Rodrigues(values)[0] if len(values) == 3 else R.reshape(3, 3)
+        pose = np.column_stack([R, t])
+        if np.isfinite(pose).all() and is_rotation(pose[:, :3]):
+            return pose
     raise InputError("rotation and translation are no rigid pose")
 
 
@@ -114,7 +111,7 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         for key, table in (listed.items() if isinstance(listed, Mapping) else ())
         if isinstance(table, Mapping) and not {"matrix", "size"}.isdisjoint(table)
     }
-    lenses = ({"distortions"}, {"matrix", "coefficients"})
+    lenses = [{"distortions"}, {"matrix", "coefficients"}]
     if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}
     require_read(data, "cameras", *tables)

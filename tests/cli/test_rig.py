@@ -1,0 +1,117 @@
+"""`dgc-pose rig`: its text, exit codes and files, of a rig whose cameras are known."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import assert_refused, contents, run
+from multi_view import SIZE, K, render_views, write_views
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.localization.location import Location
+from dgc_pose.model import Model
+from dgc_pose.rigs.files import write_rig
+from dgc_pose.rigs.rig import Rig
+
+COVARIANCE = np.diag([1e-3] * 3 + [2e-3] * 3) ** 2
+NOWHERE = Location("nowhere", "none of 4 database images has a pose", ())
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """With the pictures of three cameras in frames/."""
+    monkeypatch.chdir(tmp_path)
+    write_views(tmp_path / "frames", render_views(3))
+    return tmp_path
+
+
+def cameras(turned: str = "") -> dict[str, Location]:
+    """Of these pictures. turned: the name of one that is turned by two degrees."""
+    known = {"covariance": COVARIANCE, "probability": 0.97, "camera": Camera(K, SIZE)}
+    found = {}
+    for name, view in zip(("view0", "view1", "view2"), render_views(3), strict=True):
+        turn = Rotation.from_euler("x", 2.0 * (name == turned), degrees=True).as_matrix()
+        found[name] = Location("located", "", (), turn @ view.R, view.centre, **known)
+    return found
+
+
+def estimated(monkeypatch: pytest.MonkeyPatch, rig: Rig | None = None) -> list[dict[str, Any]]:
+    """Every estimate is this rig, by default of the cameras. Returns what it is asked for."""
+    located, asked = cameras(), []
+    poses = {f"{name}.png": of.cam_from_world for name, of in located.items()}
+    model = Model(Path("frames"), dict.fromkeys(poses, Camera(K, SIZE)), poses)
+    metric, warnings = {"unit": "m", "scale_relative_std": 0.002}, ("two have one pose",)
+
+    def estimate(frames: Path, out: Path, walk: object, **options: Any) -> Rig:
+        asked.append({"walk": walk, **options})
+        out.mkdir(exist_ok=True)
+        return rig or Rig({**located, "west": NOWHERE}, model, metric, warnings)
+
+    monkeypatch.setattr("dgc_pose.rigs.rig.estimate_rig", estimate)
+    return asked
+
+
+def test_the_text_and_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = estimated(monkeypatch)
+    words = ("rig", "frames", "--out", "out", "--walk", "photos", "--walk-K", "1,1,1,1")
+    result = run(*words, "--K", "view0=500,500,320,240", "--K", "view1=auto", "--marker", 0.2)
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert lines[1].startswith("view1: centre") and lines[1].endswith(
+        "+- 0.005 m, R +- 0.14 deg, f = 225.8 px, probability 97 %"
+    )
+    assert lines[3] == f"west: not placed: {NOWHERE.reason}"
+    assert lines[4:7] == ["warning: two have one pose", "unit: m", "scale relative std: 0.002"]
+    data = json.loads((folder / "out" / "rig.json").read_text())
+    assert {*data["files"]} | {"model.html"} == {path.name for path in (folder / "out").iterdir()}
+    assert data["not_placed"] == {"west": NOWHERE.reason} and data["unit"] == "m"
+    assert {str(Path("out") / file) for file in data["files"]} <= {*lines}
+    assert asked[0]["K"] == {"view0": "500,500,320,240", "view1": "auto"}
+    assert (asked[0]["walk"], asked[0]["walk_K"]) == ("photos", "1,1,1,1")
+    assert asked[0]["reconstruction"].marker == 0.2
+
+
+def test_nothing_placed_is_exit_code_3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    estimated(monkeypatch, Rig({"view0": NOWHERE}))
+    result = run("rig", "frames", "--out", "out")
+    assert result.exit_code == 3 and contents(folder / "out") == {}
+    assert result.stdout == f"view0: not placed: {NOWHERE.reason}\n"
+
+
+def test_start_tells_which_camera_moved(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    estimated(monkeypatch)
+    (folder / "before").mkdir()
+    write_rig(folder / "before", cameras("view2"), "m")
+    result = run("rig", "frames", "--out", "out", "--start", "before/calibration.toml")
+    assert result.exit_code == 0, result.output
+    first, second, third = result.stdout.splitlines()[-3:]
+    assert first.startswith("view0 has not moved: by 0.000 +- 0.143 deg")
+    assert second.startswith("view1 has not moved")
+    assert third.startswith("view2 moved: by 2.000 +- 0.143 deg")
+    assert third.endswith("m, focal length +0.00 %")
+
+
+def test_unusable_input_is_one_line(folder: Path) -> None:
+    write_views(folder / "one", render_views(1))
+    write_views(folder / "walk" / "part", render_views(2))
+    (folder / "list.toml").write_text("[metadata]\n")
+    before = contents(folder)
+    for number, (words, expected) in enumerate(
+        (
+            (("one",), "1 cameras found, and a rig has two"),
+            (("frames", "--model", "one"), "--model needs --images, and no --walk"),
+            (("frames", "--start", "list.toml"), "list.toml"),
+            (("frames", "--K", "list.toml"), "list.toml"),
+            (("frames", "--K", "east=1,1,1,1"), "--K is of east, and the cameras are view0, v"),
+            (("frames", "--K", "view0=1,2"), "K of view0"),
+            (("frames", "--scale", "view0,east,2"), "--scale must be two of the 3 images"),
+            (("frames", "--gps", "--marker", 0.2), "--gps and --marker both bring the model"),
+            (("frames", "--walk", "missing"), "missing: no such folder"),
+            (("frames", "--walk", "walk", "--walk-K", "1,2"), "K: '1,2' is neither auto"),
+        )
+    ):
+        assert_refused(run("rig", *words, "--out", f"out{number}"), expected)
+    assert before.items() <= contents(folder).items()

@@ -1,0 +1,84 @@
+"""Located cameras of a synthetic model, whose observations and true poses are known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.localization.location import DatabaseImage, Location
+from dgc_pose.matches import Matches
+from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.model import Model
+from dgc_pose.rigs.adjustment import adjusted
+
+CAMERA = Camera(np.array([[700.0, 0, 410], [0, 700, 290], [0, 0, 1]]), (800, 600))
+NOISE_PX, STDS = 0.1, np.repeat([5e-4, 3e-3], 3)  # of the located poses: radians and units
+NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), 1.0)
+
+
+def turned(R: np.ndarray, rng: np.random.Generator, std: float) -> np.ndarray:
+    return Rotation.from_rotvec(rng.normal(0, std, 3)).as_matrix() @ R
+
+
+def seen_by(model: Model, near: str, seed: int) -> tuple[Location, Location]:
+    """The truth of a camera near one of the model's, and its location with errors. It sees the
+    points with noise, and one in ten somewhere, some by two of the model's images."""
+    rng, size = np.random.default_rng(seed), CAMERA.size
+    R = turned(model.poses[near][:, :3], rng, 0.05)
+    centre = model.centre(near) + rng.normal(0, 0.2, 3)
+    local = (model.points - centre) @ R.T
+    pixels = CAMERA.project(local[:, :2] / local[:, 2:])
+    inside = (local[:, 2] > 0) & (pixels > 0).all(1) & (pixels < size).all(1)
+    points = rng.permutation(np.flatnonzero(inside))
+    seen = pixels[points] + rng.normal(0, NOISE_PX, (len(points), 2))
+    wrong = rng.random(len(points)) < 0.1
+    seen[wrong] = rng.uniform(0, size, (wrong.sum(), 2))
+    images = [
+        DatabaseImage(
+            "", NO_MATCHES, np.zeros(0, bool), 0.9, agrees, points[part], off + seen[part]
+        )
+        for agrees, part, off in ((True, np.s_[:150], 0), (True, np.s_[120:], 0), (False, ..., 1.5))
+    ]
+    true = Location("located", "", tuple(images), R=R, centre=centre, camera=CAMERA)
+    centre, covariance = centre + rng.normal(0, STDS[3:]), np.diag(STDS**2)
+    return true, replace(true, R=turned(R, rng, STDS[0]), centre=centre, covariance=covariance)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool) -> None:
+    """An exact K stays, another is fitted; the walk keeps its cameras, and wrong observations bend
+    nothing."""
+    pycolmap.set_random_seed(0)
+    options = pycolmap.SyntheticDatasetOptions()
+    options.num_rigs, options.num_frames_per_rig, options.num_points3D = 1, 8, 400
+    walk = Model.of_colmap(pycolmap.synthesize_dataset(options), Path())
+    cameras = {name: seen_by(walk, name, n) for n, name in enumerate(sorted(walk.poses)[:3])}
+    assumed = replace(CAMERA, focal_std=0.01, centre_std=2.0).with_focal(703.0)
+    camera = CAMERA if exact else assumed
+    located = {name: replace(near, camera=camera) for name, (_, near) in cameras.items()}
+    pictures = {name: tmp_path / f"cam_{name}" for name in cameras}
+    for path in pictures.values():
+        PIL.Image.new("RGB", CAMERA.size).save(path)
+    whole, found = adjusted(walk, located, pictures)
+    errors = []
+    for name, (true, near) in cameras.items():
+        of, image = found[name], whole.find_image_with_name(pictures[name].name)
+        for each in (near, of):
+            off = np.linalg.norm(each.centre - true.centre)
+            errors.append((rotation_error_deg(each.R, true.R), off))
+        np.testing.assert_allclose(image.cam_from_world().matrix(), of.cam_from_world, atol=1e-12)
+        assert image.num_points3D > 60 and of.camera.exact == exact
+        assert 1 < of.rotation_error_90_deg / near.rotation_error_90_deg < 3  # of the walk too
+        assert 0.99 < of.position_error_90 / near.position_error_90 < 3
+        np.testing.assert_allclose(of.camera.K, CAMERA.K, atol=1e-9 if exact else 1.5)
+    before, after = (np.mean(errors[first::2], axis=0) for first in (0, 1))
+    assert after[0] < 0.4 * before[0]
+    assert after[1] < (0.4 if exact else 1.5) * before[1]  # a focal length trades with the centre
+    for key, theirs in walk.colmap.cameras.items():
+        np.testing.assert_array_equal(whole.cameras[key].params, theirs.params)
+    assert len(walk.colmap.images) == 8 and len(whole.images) == 11  # the walk is as it was

@@ -1,0 +1,88 @@
+"""The frames of fixed cameras by their names, and the still picture of each."""
+
+from pathlib import Path
+
+import numpy as np
+import PIL.Image
+import pytest
+from marker_scene import texture
+
+from dgc_pose.errors import InputError
+from dgc_pose.images.image import load_image, read_pixels
+from dgc_pose.rigs.frames import camera_frames, still_picture
+
+SIZE = (160, 120)
+SCENE = np.stack([texture(SIZE, seed) for seed in range(3)], -1)  # not brighter than 200
+
+
+def save(path: Path, pixels: np.ndarray = SCENE, orientation: int = 1) -> Path:
+    exif = PIL.Image.Exif()
+    exif[274] = orientation
+    path.parent.mkdir(parents=True, exist_ok=True)
+    PIL.Image.fromarray(pixels).save(path, exif=exif)
+    return path
+
+
+def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
+    """An image by its content, and a folder of frames, of which at most 15 are read."""
+    rig = tmp_path / "rig"
+    save(rig / "north.jpg")
+    save(rig / "south.png", SCENE[::-1]).rename(rig / "south.data")
+    many = [save(rig / "west" / f"{number:02d}.png") for number in range(40)]
+    (rig / "notes.txt").write_text("of the cameras")
+    (rig / "empty").mkdir()
+    found = camera_frames(rig, tmp_path / "videos")
+    expected = {"north": [rig / "north.jpg"], "south": [rig / "south.data"], "west": many[::3]}
+    assert found == expected and not (tmp_path / "videos").exists()
+
+
+def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
+    """One camera, one camera twice, and two of a name, each with the path."""
+    rig, videos = tmp_path / "rig", tmp_path / "videos"
+    save(rig / "a.png")
+    with pytest.raises(InputError, match="rig: 1 cameras found, and a rig has two$"):
+        camera_frames(rig, videos)
+    save(rig / "b.png")
+    with pytest.raises(InputError, match=r"b\.png is the picture of another camera$"):
+        camera_frames(rig, videos)
+    (rig / "b.png").unlink()
+    save(rig / "a" / "0.png")
+    with pytest.raises(InputError, match="rig: two cameras have the name a$"):
+        camera_frames(rig, videos)
+
+
+def test_a_single_picture_is_copied_and_a_turned_one_is_upright(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.jpg")
+    copied = still_picture([path], "cam", tmp_path)
+    assert copied.name == "cam.jpg" and copied.read_bytes() == path.read_bytes()
+    turned = still_picture([save(tmp_path / "b.png", np.rot90(SCENE), 6)], "turned", tmp_path)
+    np.testing.assert_array_equal(load_image(turned).pixels, SCENE)
+    assert load_image(turned).exif.orientation == 1
+
+
+def test_the_picture_is_without_what_moves_and_the_mask_black_there(tmp_path: Path) -> None:
+    """A thing that passes, and a flag in 3 of 8 frames; light that changes moves nothing."""
+    rng, paths = np.random.default_rng(0), []
+    for number in range(8):
+        pixels = SCENE // 2 + 5 * number + rng.normal(0, 2, SCENE.shape)
+        pixels[90:110, 20 * number : 20 * number + 20] = 255
+        if number % 3 == 0:
+            pixels[20:50, 60:100] = 255
+        paths.append(save(tmp_path / "frames" / f"{number}.png", pixels.astype(np.uint8)))
+    picture = still_picture(paths, "cam.1", tmp_path)
+    assert picture.name == "cam.1.png"
+    mask = read_pixels(tmp_path / "cam.1.png.png")
+    assert (mask[24:46, 64:96] == 0).all()
+    mask[18:52, 58:102] = 255
+    assert (mask == 255).mean() > 0.99
+    off = load_image(picture).pixels - (SCENE // 2 + 17.5)
+    assert np.abs(off).mean() < 4 and np.abs(off).max() < 25
+
+
+def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
+    other = [save(tmp_path / "a" / "0.png"), save(tmp_path / "a" / "1.png", SCENE[:100])]
+    with pytest.raises(InputError, match="a: frames of several sizes$"):
+        still_picture(other, "cam", tmp_path)
+    with pytest.raises(InputError, match=r"black\.png: a picture of one colour$"):
+        still_picture([save(tmp_path / "black.png", 0 * SCENE)], "cam", tmp_path)
+    assert not [*tmp_path.glob("cam*")]

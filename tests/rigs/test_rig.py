@@ -1,0 +1,152 @@
+"""Fixed cameras of a rendered scene by photographs of a walk, with the shipped network."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from multi_view import SIZE, K_text, draw_textures, look_at, render, render_views, write_views
+from multi_view import K as WALK_K
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.batch.options import BatchOptions
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.colmap.options import ReconstructionOptions
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.metrics import rotation_error_deg
+from dgc_pose.model import Model, load_model
+from dgc_pose.rigs.rig import Rig, estimate_rig
+
+K = np.array([[180.0, 0, 120], [0, 180, 89.5], [0, 0, 1]])  # of the fixed cameras
+CENTRES = {"north": (-0.7, -0.5, 0.3), "south": (0.8, -0.3, -0.4), "west": (0.1, 0.4, 0.5)}
+CENTRES["zoo"] = CENTRES["west"]  # in another scene
+TRUE = {name: (look_at(np.array(c), np.array([0, 0.2, 4.6])), c) for name, c in CENTRES.items()}
+FAST = EstimationOptions(effort="fast", runs=1, iterations=300)
+QUICK = {"estimation": FAST, "work": BatchOptions(workers=1)}
+
+
+def write_cameras(folder: Path, *names: str) -> Path:
+    """Pictures of the cameras."""
+    folder.mkdir()
+    for name in names:
+        textures = draw_textures(9 * (name == "zoo"))
+        pixels, _ = render(TRUE[name][0], np.array(TRUE[name][1]), textures, K)
+        cv2.imwrite(str(folder / f"{name}.png"), pixels[:, :, ::-1])
+    return folder
+
+
+def walk_model(folder: Path, second: str = "view1.png") -> Model:
+    """Three photographs with their true poses."""
+    views = render_views(3, step=0.8)
+    names = write_views(folder, views)
+    names[1] = (folder / names[1]).rename(folder / second).name
+    poses = {n: np.column_stack([view.R, view.t]) for n, view in zip(names, views, strict=True)}
+    return Model(folder, dict.fromkeys(poses, Camera(WALK_K, SIZE)), poses)
+
+
+def assert_true(rig: Rig, names: str, frame: pycolmap.Sim3d) -> None:
+    """The placed cameras are where they were rendered, within three times the stated errors.
+    frame: from the world to that of the rig."""
+    assert [*rig.placed] == names.split(), rig.cameras
+    for name, of in rig.placed.items():
+        off_deg = rotation_error_deg(of.R @ frame.rotation.matrix(), TRUE[name][0])
+        assert off_deg < 3 * of.rotation_error_90_deg < 6
+        off = np.linalg.norm(of.centre - frame * np.array(TRUE[name][1]))
+        assert off < 3 * of.position_error_90 < frame.scale
+        assert of.camera.size == SIZE and of.probability > 0.9
+
+
+@pytest.fixture(scope="module")
+def placed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Rig]:
+    folder = tmp_path_factory.mktemp("rig")
+    frames = write_cameras(folder / "frames", "north", "south", "zoo")
+    walk, known = walk_model(folder / "walk"), {"south": K, "zoo": K}
+    metres = ReconstructionOptions(scale="north,south,3.0")
+    made = estimate_rig(frames, folder / "out", walk, K=known, reconstruction=metres, **QUICK)
+    return folder, made
+
+
+def test_cameras_are_placed_in_a_model_in_metres(placed: tuple[Path, Rig]) -> None:
+    """Also one without a K; a K that is given stays. A camera of another scene has the reason."""
+    rig = placed[1]
+    assert (rig.metric["unit"], rig.warnings) == ("m", ())
+    scale = 3.0 / np.linalg.norm(np.subtract(CENTRES["north"], CENTRES["south"]))
+    assert_true(rig, "north south", pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3)))
+    north, south, zoo = rig.cameras.values()
+    assert np.linalg.norm(north.centre - south.centre) == pytest.approx(3.0)
+    np.testing.assert_array_equal(south.camera.K, K)
+    assert south.camera.exact and not north.camera.exact
+    assert abs(north.camera.focal / 180 - 1) < 3 * north.camera.focal_std < 0.1
+    assert zoo.centre is None and "pictures between zoo and view" in zoo.reason
+
+
+def test_the_model_is_written_but_not_over_another(placed: tuple[Path, Rig]) -> None:
+    folder, rig = placed
+    out = folder / "out"
+    assert {path.name for path in out.iterdir()} == {"rig_pictures", "sparse", "points.ply"}
+    model = load_model(out / "sparse", rig.model.root)
+    for name, of in rig.placed.items():
+        stored = f"out/rig_pictures/{name}.png"
+        np.testing.assert_allclose(model.poses[stored], of.cam_from_world, atol=1e-9)
+        np.testing.assert_allclose(model.cameras[stored].K, of.camera.K, atol=1e-9)
+    assert sum(name.startswith("walk/") for name in model.poses) == 3 and len(model.poses) == 5
+    with pytest.raises(InputError, match="sparse is there already: resume continues"):
+        estimate_rig(folder / "frames", out, folder / "walk", **QUICK)
+
+
+def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
+    frames = write_cameras(tmp_path / "frames", "north", "zoo")
+    rig = estimate_rig(frames, tmp_path / "out", K={"north": K, "zoo": K}, **QUICK)
+    assert rig.model is None and not rig.placed and [*rig.cameras] == ["north", "zoo"]
+    assert all("photographs" in of.reason for of in rig.cameras.values())
+
+
+@pytest.mark.parametrize("kind", ["folder", "model"])
+def test_a_photograph_with_the_name_of_a_picture_is_refused(
+    placed: tuple[Path, Rig], tmp_path: Path, kind: str
+) -> None:
+    """The camera would get the pose of the photograph."""
+    model = walk_model(tmp_path / "walk", "north.png")
+    walk = model.root if kind == "folder" else model
+    with pytest.raises(InputError, match=r"^walk has north\.png, as a camera's picture has$"):
+        estimate_rig(placed[0] / "frames", tmp_path / "out", walk, **QUICK)
+
+
+def frame_of(poses: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> pycolmap.Sim3d:
+    """From the world to a model's frame, by all rotations and the spread of the centres."""
+    turns = [poses[n][:, :3].T @ true[n][:, :3] for n in true]
+    turn = Rotation.from_matrix(turns).mean().as_matrix()
+    of = [np.stack([-p[n][:, :3].T @ p[n][:, 3] for n in true]) for p in (true, poses)]
+    before, after = (float(np.linalg.norm(at - at.mean(0))) for at in of)
+    shift = of[1].mean(0) - after / before * turn @ of[0].mean(0)
+    return pycolmap.Sim3d(after / before, pycolmap.Rotation3d(turn), shift)
+
+
+@pytest.mark.slow
+def test_a_walk_becomes_the_model_and_is_adjusted_with_the_cameras(tmp_path: Path) -> None:
+    frames = write_cameras(tmp_path / "frames", "north", "south", "zoo")
+    views, walk, out = render_views(5, step=0.5), tmp_path / "walk", tmp_path / "out"
+    names = [f"walk/{name}" for name in write_views(walk, views)]
+    rig = estimate_rig(frames, out, walk, K={"south": K}, walk_K=K_text(), **QUICK)
+    true = {n: np.column_stack([view.R, view.t]) for n, view in zip(names, views, strict=True)}
+    assert_true(rig, "north south", frame_of(rig.model.poses, true))
+    np.testing.assert_allclose(rig.cameras["south"].camera.K, K, atol=1e-9)
+    for name in rig.placed:
+        image = rig.model.colmap.find_image_with_name(f"out/rig_pictures/{name}.png")
+        assert image is not None and image.num_points3D > 100
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", ["south", "north south west"])
+def test_without_a_walk_the_pictures_are_the_model(tmp_path: Path, known: str) -> None:
+    """A K that is given stays, also beside others that are not."""
+    names = ("north", "south", "west")
+    frames = write_cameras(tmp_path / "frames", *names)
+    rig = estimate_rig(frames, tmp_path / "out", K=dict.fromkeys(known.split(), K), **QUICK)
+    true = {n: np.column_stack([TRUE[n][0], -TRUE[n][0] @ TRUE[n][1]]) for n in names}
+    poses = {name: rig.cameras[name].cam_from_world for name in names}
+    assert_true(rig, "north south west", frame_of(poses, true))
+    for name in known.split():
+        np.testing.assert_allclose(rig.cameras[name].camera.K, K, atol=1e-9)
