@@ -148,13 +148,15 @@ def estimate_rig(
     if both := walked & {*files.values()}:
         raise InputError(ArgumentName("walk"), f"has {min(both)}, as a camera's picture has")
     if not models:
+        # Corners are aligned at full resolution after the matching: a coarse pass shows where.
+        coarse = walk is not None and estimation.effort == "auto"
         batch = run_batch(
             source,
             calibration,
             choice,
             out / BATCH,
             matcher=matcher,
-            estimation=estimation,
+            estimation=replace(estimation, effort="fast") if coarse else estimation,
             options=work,
             progress=progress,
         )
@@ -242,7 +244,8 @@ def _of_batch(
                 angle = math.radians(row.pose.translation_error_90_deg or 0.0)
                 errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
         stated = np.array([of.rotation_error_90_deg, of.position_error_90])
-        grown = np.repeat(np.maximum(np.min(errors or [stated], axis=0) / stated, 1.0), 3)
+        least = np.array(errors or [(0.0, 0.0)]).min(0)
+        grown = np.repeat(np.maximum(least / stated, 1.0), 3)
         assert of.covariance is not None
         found[name] = replace(
             of,
