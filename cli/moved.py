@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,7 +65,9 @@ def moved(
     with staged(json_file) as stage, scratch_folder() as scratch, progress_bars() as progress:
         first, k = load_image(reference), cameras.k
         camera = pair_cameras(k, k, first, first, ("--K", "--K"), cameras.details)[0]
-        pictures = dict(_pictures(now, watch.frames, scratch))
+        pictures: dict[str, Path] = {}
+        for number, source in enumerate(now):
+            pictures |= _pictures(source, watch.frames, scratch / str(number))
         loaded = matcher.load()
         for name, path in pictures.items():
             picture = replace(load_image(path), name=name)
@@ -82,37 +84,33 @@ def moved(
     return MOVED if "moved" in verdicts else CANNOT_SAY if "cannot say" in verdicts else 0
 
 
-def _pictures(sources: Sequence[str], frames: int, scratch: Path) -> Iterator[tuple[str, Path]]:
-    """The names and paths of all pictures: files, those of folders by their names, and the frames
-    of videos, which are written to `scratch`."""
+def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
+    """The pictures of a file, folder or video by name. `folder` gets the frames of a video."""
     from dgc_pose.images.folder import search_images
     from dgc_pose.images.video import frames_folder
 
-    for number, source in enumerate(sources):
-        path = frames_folder(Path(source), frames, scratch / str(number))
-        if not path.is_dir():
-            yield source, path
-            continue
-        found = search_images(path)
-        for line in found.left_out:
-            say(f"warning: {line}")
-        if not found.names:
-            raise InputError(f"{source}: no image is in this folder")
-        yield from ((f"{source}/{name}", path / name) for name in found.names)
+    path = frames_folder(Path(source), frames, folder)
+    if not path.is_dir():
+        return {source: path}
+    found = search_images(path)
+    for line in found.left_out:
+        say(f"warning: {line}")
+    if not found.names:
+        raise InputError(f"{source}: no image is in this folder")
+    return {f"{source}/{name}": path / name for name in found.names}
 
 
 def motions_text(motions: dict[str, CameraMotion]) -> str:
     """A table of the motions for people, and which was the first."""
     rows = [("picture", "verdict", "angle (deg)", "shift (% of depth)")]
-    for name, motion in motions.items():
+    for name, of in motions.items():
         angle = shift = "-"
-        if motion.angle_deg is not None and motion.shift is not None:
-            angle = f"{motion.angle_deg:.3f} +- {motion.angle_error_90_deg:.3f}"
-            shift = f"{100 * motion.shift:.2f} +- {100 * (motion.shift_error_90 or 0):.2f}"
-        rows.append((printable(name), motion.verdict, angle, shift))
-    reasons = ["", *(motion.reason for motion in motions.values())]
-    table = aligned(rows).splitlines()
-    lines = [f"{row}  {reason}".rstrip() for row, reason in zip(table, reasons, strict=True)]
-    first = next((name for name, motion in motions.items() if motion.verdict == "moved"), None)
+        if of.angle_deg is not None:
+            angle = f"{of.angle_deg:.3f} +- {of.angle_error_90_deg:.3f}"
+            shift = f"{100 * (of.shift or 0):.2f} +- {100 * (of.shift_error_90 or 0):.2f}"
+        rows.append((printable(name), of.verdict, angle, shift))
+    reasons = ["", *(of.reason for of in motions.values())]
+    lines = map("{}  {}".format, aligned(rows).splitlines(), reasons)
+    first = next((name for name, of in motions.items() if of.verdict == "moved"), None)
     last = "none has moved" if first is None else f"the first that has moved: {printable(first)}"
-    return "\n".join([*lines, last])
+    return "\n".join([*(line.rstrip() for line in lines), last])

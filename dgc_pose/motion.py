@@ -13,6 +13,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -53,13 +54,14 @@ _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells t
 # Shares of the matched cells: the least that agree on a motion; the least that stay although the
 # motion would move them, so that what moves are objects; and the most that stay if all has moved.
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
+_MIRRORED = 0.3  # share of random triangles that are mirrored: motions mirror up to 0.21
 _DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
 _PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
 _NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, in its expected error
 _INLIER, _OUTLIER, _STAYS = 3.6, 8.0, 3.0  # largest errors, in standard deviations
 _ERROR_SCALE = 1.3  # chosen on simulated pairs
-_SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0  # rotations; their threshold; standard deviation at first
-_STEPS = 40
+_SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0  # triples; their threshold; standard deviation at first
+_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -132,162 +134,163 @@ def camera_motion(
     return replace(motion, warnings=camera.warnings, seconds=seconds)
 
 
+class _Matched(NamedTuple):
+    """N matches in normalised points."""
+
+    x1: np.ndarray  # (N, 2)
+    x2: np.ndarray  # (N, 2)
+    weights: np.ndarray  # (N,), 1 in all for each cell of the picture
+    pixel: float  # expected error of a match
+
+
 class _Fit(NamedTuple):
-    """A motion, and the N matches' errors over their standard deviations."""
+    """A motion, and what follows from it at N matches."""
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), in median depths
     std: float  # standard deviation of a match, normalised
-    errors: np.ndarray  # (N, 2), along and across the parallax
-    slopes: np.ndarray  # (N, 2, 6), minus their derivatives by a rotation vector, radians, and t
-    weights: np.ndarray  # (N,)
-    score: float  # log likelihood, in cells
-    inliers: np.ndarray  # (N,) bool
+    agree: np.ndarray  # (N,), weights of the matches that agree, 0 of all others
+    covariance: np.ndarray  # (6, 6), of a rotation vector, radians, and t
+    moves: np.ndarray  # (N,), degrees that the picture moves by at median depth
+    error: np.ndarray  # (N,), degrees that the error of `moves` stays below, nine times in ten
 
 
 @one_blas_thread()
 def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMotion:
     """The motion by the matches of two pictures of a size (width, height)."""
-    points = camera.normalise(matches.points1), camera.normalise(matches.points2)
-    usable = np.isfinite(np.hstack(points)).all(1)
-    x1, x2 = points[0][usable], points[1][usable]
-    if len(x1) < _MIN_MATCHES:
-        return CameraMotion("cannot say", f"only {len(x1)} matches", num_matches=len(x1))
-    cell = max(size) / _CELLS
+    x1, x2 = camera.normalise(matches.points1), camera.normalise(matches.points2)
+    usable, cell = np.isfinite(x1 + x2).all(1), max(size) / _CELLS
+    number = int(usable.sum())
+    if number < _MIN_MATCHES:
+        return CameraMotion("cannot say", f"only {number} matches", num_matches=number)
     cells = np.floor(matches.points1[usable] / cell) @ (1, _CELLS + 1)
-    _, of_cell, count = np.unique(cells, return_inverse=True, return_counts=True)
-    weights, pixel = 1 / count[of_cell], matches.error_px / camera.focal
-
-    def most(values: np.ndarray) -> float:
-        """What the values stay below in most of the picture that agrees with the motion."""
-        order = np.argsort(values)
-        total = np.cumsum((weights * fit.inliers)[order])
-        return float(values[order][np.searchsorted(total, _MOST * total[-1])])
-
-    def share(part: np.ndarray) -> float:
-        return float(weights @ part) / len(count)
-
-    at_rest, common, none = np.eye(3), _common_rotation(x1, x2, weights), np.zeros(3)
-    apart = max(float(np.median(np.linalg.norm(_errors(x1, x2, common, none)[0], axis=1))), pixel)
-    shifts = apart * np.diag([1.0, 1, 2])
-    starts = [(at_rest, none, 0.0)]  # the loss has several minima
-    starts += [(common, shift, _WIDE * pixel) for shift in (none, *shifts, *-shifts)]
-    fits = [_fit(x1, x2, weights, pixel, *start) for start in starts]
-    fit = max(fits, key=lambda fit: fit.score)
-    covariance, motion, error = _uncertainty(fit, x1)
-    stay = np.linalg.norm(x2 - x1, axis=1) < _STAYS * fit.std
-    moved = most(motion - _SIGNIFICANT * error) > _LEAST_DEG
-    moved |= most(motion) > STILL_DEG and share(stay) < _NOTHING
-    against = stay & (np.radians(motion) > 2 * _STAYS * fit.std)
-    if share(against) > _STAY if moved else share(stay) > _AGREE:
-        moved = False  # all else is people and objects
-        fit = _fit(x1, x2, weights * stay, pixel, at_rest, none, 0.0)
-        covariance, motion, error = _uncertainty(fit, x1)
-    agree, numbers = share(fit.inliers), (len(x1), int(fit.inliers.sum()))
-    covers = agree * len(count) * cell**2 / (size[0] * size[1])
-    verdict: Literal["still", "moved", "cannot say"] = "cannot say"
+    _, index, count = np.unique(cells, return_inverse=True, return_counts=True)
+    pixel = matches.error_px / camera.focal
+    matched = _Matched(x1[usable], x2[usable], 1 / count[index], pixel)
+    common, mirrored = _sampled(matched)
+    fit, moved = _decided(matched, common)
+    agree = fit.agree.sum() / len(count)
+    covers = fit.agree.sum() * cell**2 / (size[0] * size[1])
+    of = partial(CameraMotion, num_matches=number, num_inliers=int(np.count_nonzero(fit.agree)))
     if agree < (_AGREE if moved else _STAY) or covers < _COVERED:
-        of = f"{100 * agree:.0f} % of the matched picture, {100 * covers:.0f} % of all,"
-        reason = f"only {of} agrees on one motion"
-        return CameraMotion(verdict, reason, num_matches=numbers[0], num_inliers=numbers[1])
+        parts = f"{100 * agree:.0f} % of the matched picture, {100 * covers:.0f} % of all,"
+        return of("cannot say", f"only {parts} agrees on one motion")
+    if moved and mirrored > _MIRRORED:
+        return of("cannot say", "the picture is mirrored, or of another place")
+    sizes, moves = _sizes(fit, camera), _below(fit.moves, fit.agree)
+    bound, error = _below(fit.moves + fit.error, fit.agree), _below(fit.error, fit.agree)
     if moved:
-        verdict = "moved"
-        reason = f"{100 * agree:.0f} % of the matched picture moves by {most(motion):.3g} deg"
-    elif (bound := most(motion + error)) < STILL_DEG:
-        verdict, reason = "still", f"the picture moves by less than {bound + 5e-4:.3f} deg"
-    else:
-        reason = f"the picture moves by {most(motion):.3f} +- {most(error):.3f} deg"
+        reason = f"{100 * agree:.0f} % of the matched picture moves by {moves:.3g} deg"
+        return of("moved", reason, *sizes)
+    if bound < STILL_DEG:
+        return of("still", f"the picture moves by less than {bound + 5e-4:.3f} deg", *sizes)
+    return of("cannot say", f"the picture moves by {moves:.3f} +- {error:.3f} deg", *sizes)
+
+
+def _sizes(fit: _Fit, camera: Camera) -> tuple[float, float, float, float]:
+    """The angle and its error, degrees, and the shift and its error, median depths."""
     angle, shift = rotation_angle_deg(fit.R), float(np.linalg.norm(fit.t))
-    errors = NORMAL_90 * np.sqrt([covariance[:3, :3].trace(), covariance[3:, 3:].trace()])
+    variances = fit.covariance.diagonal().reshape(2, 3).sum(1)
     # With a wrong focal length a rotation passes for a shift in part, and the other way round.
-    of_focal = NORMAL_90 * camera.focal_std * (math.radians(angle) + shift)
-    angle_error = math.degrees(math.hypot(errors[0], of_focal))
-    shift_error = math.hypot(errors[1], of_focal)
-    return CameraMotion(verdict, reason, angle, angle_error, shift, shift_error, *numbers)
+    of_focal = camera.focal_std * (math.radians(angle) + shift)
+    angle_error, shift_error = NORMAL_90 * np.sqrt(variances + of_focal**2)
+    return angle, math.degrees(angle_error), shift, float(shift_error)
 
 
-def _common_rotation(x1: np.ndarray, x2: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The rotation (3, 3) that most of the picture agrees with, among those of random pairs of
-    matches."""
-    rng, rays1, rays2 = np.random.default_rng(0), unit_rays(x1), unit_rays(x2)
-    pairs = rng.choice(len(x1), (_SAMPLES, 2), p=weights / weights.sum())
-    rotations = [aligning_rotation(rays1[pair], rays2[pair]) for pair in pairs]
+def _sampled(matched: _Matched) -> tuple[np.ndarray, float]:
+    """By random triples of matches: the rotation (3, 3) that most of the picture agrees with, and
+    the share of the triangles that are mirrored."""
+    rng, rays1, rays2 = np.random.default_rng(0), unit_rays(matched.x1), unit_rays(matched.x2)
+    weights = matched.weights / matched.weights.sum()
+    triples = rng.choice(len(weights), (_SAMPLES, 3), p=weights)
+    mirrored = np.linalg.det(rays1[triples]) * np.linalg.det(rays2[triples]) < 0
+    rotations = [aligning_rotation(rays1[triple], rays2[triple]) for triple in triples]
     squared = [np.square(rays1 @ R.T - rays2).sum(1) for R in rotations]
-    return rotations[np.argmax([weights @ (1 / (1 + part / _LOOSE**2)) for part in squared])]
+    best = np.argmax([weights @ (1 / (1 + part / _LOOSE**2)) for part in squared])
+    return rotations[best], float(mirrored.mean())
 
 
-def _fit(
-    x1: np.ndarray,
-    x2: np.ndarray,
-    weights: np.ndarray,
-    pixel: float,
-    R: np.ndarray,
-    t: np.ndarray,
-    std: float,
-) -> _Fit:
-    """Gauss-Newton steps from R and t. pixel: expected error of a match,
-    normalised. std: standard deviation of a match at the start; each step narrows it, down to what
-    the best quarter of the picture shows."""
-    least, most = np.multiply(_NOISE, pixel)
+def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool]:
+    """The motion, from rest or from a rotation (3, 3), and whether the camera moved. If people and
+    objects moved, the motion is that of the matches that stay."""
+    x1, x2, weights, pixel = matched
+    wide = _WIDE * pixel
+    starts = (np.eye(3), 0.0), (np.eye(3), wide), (common, wide)  # the loss has several minima
+    fit = max((_fit(matched, *start) for start in starts), key=lambda fit: fit.agree.sum())
+    stay = np.linalg.norm(x2 - x1, axis=1) < _STAYS * fit.std
+    against = stay & (np.radians(fit.moves) > 2 * _STAYS * fit.std)
+    stays, stays_against = np.array([stay, against]) @ weights / weights.sum()
+    moved = _below(fit.moves - _SIGNIFICANT * fit.error, fit.agree) > _LEAST_DEG
+    moved |= _below(fit.moves, fit.agree) > STILL_DEG and stays < _NOTHING
+    if stays_against > _STAY if moved else stays > _AGREE:
+        return _fit(matched._replace(weights=weights * stay), np.eye(3), 0.0), False
+    return fit, moved
+
+
+def _fit(matched: _Matched, R: np.ndarray, std: float) -> _Fit:
+    """The motion by Gauss-Newton steps from a rotation (3, 3). std: standard deviation of a match
+    at first; each step narrows it, down to what the best quarter of the picture shows."""
+    x1, _, weights, pixel = matched
+    t, (least, most) = np.zeros(3), np.multiply(_NOISE, pixel)
     std = max(std, most)
-    for step in range(_STEPS + 1):
-        left, parallax, slopes = _errors(x1, x2, R, t)
-        length = np.linalg.norm(parallax, axis=1)[:, None]
-        along = np.where(length > 0, parallax, (1.0, 0)) / np.where(length > 0, length, 1)
-        axes = np.stack([along, along[:, ::-1] * (-1, 1)], 1)
-        spread = _DEPTH_STD * length
-        stds = np.hstack([np.hypot(std, spread), np.full_like(spread, std)])
-        errors = np.einsum("nki,ni->nk", axes, left) / stds
-        rho = 1 + spread[:, 0] * _DEPTH_STD * errors[:, 0] / stds[:, 0]
-        slopes = axes @ slopes / stds[..., None]
-        slopes[:, 1, 3:] *= rho.clip(0, 4)[:, None]
-        if step == _STEPS:
-            break
+    for _ in range(_STEPS):
+        errors, slopes = _errors(matched, R, t, std)
         robust = weights[:, None] / (1 + np.square(errors / EFFICIENT))
         robust *= (np.abs(errors) < _OUTLIER).all(1)[:, None]
-        gradient = np.einsum("nk,nki,nk->i", robust, slopes, errors) - _PRIOR @ [0, 0, 0, *t]
-        move = np.linalg.solve(
-            np.einsum("nk,nki,nkj->ij", robust, slopes, slopes) + _PRIOR, gradient
-        )
+        gradient = np.einsum("nk,nki,nk->i", robust, slopes, errors) - _PRIOR[:, 3:] @ t
+        information = np.einsum("nk,nki,nkj->ij", robust, slopes, slopes) + _PRIOR
+        move = np.linalg.solve(information, gradient)
         R, t = cv2.Rodrigues(move[:3])[0] @ R, t + move[3:]
-        t = t * min(1, 5 * _SHIFT_STD / max(float(np.linalg.norm(t)), _SHIFT_STD))
-        noise = np.abs(errors[:, 1]) if np.median(length) > least else np.hypot(*errors.T) / 1.5
-        order = np.argsort(noise)
-        quarter = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 4)
-        shown = std * noise[order][quarter] / 0.3186  # of a Gaussian's quartile
-        std = max(0.7 * std, most) if std > most else float(np.clip(shown, least, most))
-    density = np.exp(-np.square(errors).sum(1) / 2) / (2 * np.pi * stds.prod(1))
-    score = float(weights @ np.log(0.9 * density + 0.1))  # one match in ten is wrong
-    return _Fit(R, t, std, errors, slopes, weights, score, (np.abs(errors) < _INLIER).all(1))
+        shown = std * _below(np.abs(errors[:, 1]), weights, 0.25) / 0.3186  # a Gaussian's
+        std = max(0.7 * std, least, min(shown, most))
+    errors, slopes = _errors(matched, R, t, std)
+    inliers = (np.abs(errors) < _INLIER).all(1)
+    some = np.repeat(inliers if inliers.any() else ~inliers, 2)
+    terms = loss_terms(errors.ravel(), slopes.reshape(-1, 6), EFFICIENT)
+    terms, points = (terms * np.repeat(weights, 2)[:, None])[some], np.repeat(x1, 2, axis=0)[some]
+    information = terms[:, :36].sum(0).reshape(6, 6) + _PRIOR
+    blocks = [jackknife(information, block_sums(terms, points, by), KEPT) for by in SHIFTS]
+    covariance = _ERROR_SCALE**2 * (np.mean(blocks, axis=0) + np.linalg.inv(information))
+    slopes = _seen(x1, np.eye(3), t)[2]
+    error = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, covariance, slopes))
+    seen, parallax, _ = _seen(x1, R, t)
+    moves = np.degrees(np.linalg.norm(seen + parallax - x1, axis=1))
+    return _Fit(R, t, std, weights * inliers, covariance, moves, np.degrees(error))
 
 
 def _errors(
-    x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
+    matched: _Matched, R: np.ndarray, t: np.ndarray, std: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The errors (N, 2) of matches, along and across the parallax, over their standard deviations,
+    and minus their derivatives (N, 2, 6) by a rotation vector, radians, and t."""
+    seen, parallax, slopes = _seen(matched.x1, R, t)
+    direction = parallax + (1e-12, 0.0)  # any, without a parallax
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    along, spread = direction / length, _DEPTH_STD * length
+    axes = np.stack([along, along[:, ::-1] * (-1, 1)], 1)
+    stds = np.hstack([np.hypot(std, spread), np.full_like(spread, std)])
+    errors = np.einsum("nki,ni->nk", axes, matched.x2 - seen - parallax) / stds
+    slopes = axes @ slopes / stds[..., None]
+    rho = 1 + _DEPTH_STD * spread[:, 0] * errors[:, 0] / stds[:, 0]
+    slopes[:, 1, 3:] *= rho.clip(0, 4)[:, None]
+    return errors, slopes
+
+
+def _seen(
+    x1: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The errors (N, 2) of matches at the median depth, the parallax (N, 2) there, and the
-    derivatives (N, 2, 6) of x2 by a rotation vector and t."""
+    """Points (N, 2) as they are seen after a rotation, their parallax (N, 2) at the median depth,
+    and the derivatives (N, 2, 6) by a rotation vector, radians, and t."""
     turned = homogeneous(x1) @ R.T
     x, y = (turned[:, :2] / turned[:, 2:]).T
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    of_x = np.stack([-x * y, 1 + x * x, -y, one, zero, -x], -1)
-    of_y = np.stack([-1 - y * y, x * y, x, zero, one, -y], -1)
+    of_x = np.stack([-x * y, 1 + x * x, -y, 1 + 0 * x, 0 * x, -x], -1)
+    of_y = np.stack([-1 - y * y, x * y, x, 0 * y, 1 + 0 * y, -y], -1)
     slopes = np.stack([of_x, of_y], 1)
-    parallax = slopes[..., 3:] @ t
-    return x2 - np.column_stack([x, y]) - parallax, parallax, slopes
+    return np.column_stack([x, y]), slopes[..., 3:] @ t, slopes
 
 
-def _uncertainty(fit: _Fit, x1: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The covariance (6, 6) of a rotation vector and t: that of the jackknife over blocks, and that
-    of independent cells. The motion (N,) of the picture at points of median depth, degrees, and the
-    error (N,) that nine in ten stay below."""
-    inliers = fit.inliers if fit.inliers.any() else np.ones_like(fit.inliers)
-    errors, slopes = fit.errors[inliers].ravel(), fit.slopes[inliers].reshape(-1, 6)
-    terms = loss_terms(errors, slopes, EFFICIENT) * np.repeat(fit.weights[inliers], 2)[:, None]
-    information = terms[:, :36].sum(0).reshape(6, 6) + _PRIOR
-    points = np.repeat(x1[inliers], 2, axis=0)
-    blocks = [jackknife(information, block_sums(terms, points, by), KEPT) for by in SHIFTS]
-    covariance = _ERROR_SCALE**2 * (np.mean(blocks, 0) + np.linalg.inv(information))
-    slopes = _errors(x1, x1, np.eye(3), np.zeros(3))[2]
-    error = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, covariance, slopes))
-    motion = np.linalg.norm(_errors(x1, x1, fit.R, fit.t)[0], axis=1)
-    return covariance, np.degrees(motion), np.degrees(error)
+def _below(values: np.ndarray, weights: np.ndarray, share: float = _MOST) -> float:
+    """What values (N,) stay below in a share of all weights (N,)."""
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, share * total[-1])])

@@ -86,6 +86,14 @@ def test_a_camera_before_which_an_object_moves_is_still(part, step) -> None:
         assert motion.shift < motion.shift_error_90
 
 
+def test_a_mirrored_picture_is_no_motion() -> None:
+    rng = np.random.default_rng(0)
+    points1 = rng.random((1000, 2)) * SIZE
+    points2 = points1 * (-1, 1) + (SIZE[0] - 1, 0)
+    motion = camera_motion(PICTURE, PICTURE, K, matcher=Given(points1, points2))
+    assert motion.verdict == "cannot say" and motion.angle_deg is None
+
+
 def test_the_focal_length_that_is_not_known_is_part_of_the_error() -> None:
     known, assumed = seen((0.0, 3.0, 0.0)), seen((0.0, 3.0, 0.0), k=None)
     assert known.verdict == assumed.verdict == "moved"
