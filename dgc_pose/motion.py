@@ -176,7 +176,7 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
         parts = f"{100 * agree:.0f} % of the matched picture, {100 * covers:.0f} % of all,"
         return of("cannot say", f"only {parts} agrees on one motion")
     if moved and mirrored > _MIRRORED:
-        return of("cannot say", "the picture is mirrored, or of another place")
+        return of("cannot say", "the matches are those of a mirror image")
     sizes, moves = _sizes(fit, camera), _below(fit.moves, fit.agree)
     bound, error = _below(fit.moves + fit.error, fit.agree), _below(fit.error, fit.agree)
     if moved:

@@ -237,10 +237,10 @@ def _of_batch(
             reason = "it has a pose, and COLMAP did not take it into the model"
             found[name] = Location("nowhere", reason, of.database_images)
             continue
-        errors = []
+        errors: list[tuple[float, float]] = []
         for row in batch.rows:
             if row.success and row.pose and file in row.names and {*row.names} <= {*model.poses}:
-                apart = np.linalg.norm(np.subtract(*map(model.centre, row.names)))
+                apart = float(np.linalg.norm(np.subtract(*map(model.centre, row.names))))
                 angle = math.radians(row.pose.translation_error_90_deg or 0.0)
                 errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
         stated = np.array([of.rotation_error_90_deg, of.position_error_90])
