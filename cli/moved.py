@@ -14,7 +14,7 @@ from dgc_pose.cli.guard import STDOUT
 from dgc_pose.cli.options import KChoice, output_file
 from dgc_pose.cli.process import say
 from dgc_pose.cli.progress import progress_bars
-from dgc_pose.errors import InputError, printable
+from dgc_pose.errors import ImageError, InputError, printable
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, scratch_folder, staged
 from dgc_pose.files.tables import aligned
@@ -58,7 +58,7 @@ def moved(
     """
     from dgc_pose.cameras.calibration import pair_cameras
     from dgc_pose.images.image import load_image
-    from dgc_pose.motion import camera_motion
+    from dgc_pose.motion import CameraMotion, camera_motion
 
     json_file = None if watch.json == STDOUT else watch.json
     motions: dict[str, CameraMotion] = {}
@@ -70,9 +70,12 @@ def moved(
             pictures |= _pictures(source, watch.frames, scratch / str(number))
         loaded = matcher.load()
         for name, path in pictures.items():
-            picture = replace(load_image(path), name=name)
-            motions[name] = camera_motion(first, picture, camera, matcher=loaded)
-            loaded.forget(picture)
+            try:
+                picture = replace(load_image(path), name=name)
+                motions[name] = camera_motion(first, picture, camera, matcher=loaded)
+                loaded.forget(picture)
+            except (ImageError, InputError) as error:  # the other pictures stand
+                motions[name] = CameraMotion("cannot say", str(error))
             progress("pictures", len(motions), len(pictures))
         data = json_text({name: motion.to_dict() for name, motion in motions.items()})
         if json_file is not None:
@@ -87,17 +90,19 @@ def moved(
 def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
     """The pictures of a file, folder or video by name. `folder` gets the frames of a video."""
     from dgc_pose.images.folder import search_images
+    from dgc_pose.images.image import image_header
     from dgc_pose.images.video import frames_folder
 
     path = frames_folder(Path(source), frames, folder)
     if not path.is_dir():
+        image_header(path)  # raises for no image
         return {source: path}
     found = search_images(path)
     for line in found.left_out:
         say(f"warning: {line}")
     if not found.names:
         raise InputError(f"{source}: no image is in this folder")
-    return {f"{source}/{name}": path / name for name in found.names}
+    return {(Path(source) / name).as_posix(): path / name for name in found.names}
 
 
 def motions_text(motions: dict[str, CameraMotion]) -> str:

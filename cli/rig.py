@@ -72,10 +72,10 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
-    from dgc_pose.files.outputs import write_text
+    from dgc_pose.files.outputs import require_no_input, write_text
     from dgc_pose.model import load_model
     from dgc_pose.rigs.comparison import compared
-    from dgc_pose.rigs.files import write_rig
+    from dgc_pose.rigs.files import FILES, write_rig
     from dgc_pose.rigs.rig import estimate_rig
     from dgc_pose.viz.model_page import model_page
 
@@ -85,7 +85,9 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     before = None if choice.start is None else read_file(choice.start)
     if before is not None and not before.poses:
         raise InputError(ArgumentName("start"), f"{choice.start} has no poses of cameras")
-    known = {name: K for text in choice.k for name, K in _stated(text)}
+    if choice.start is not None:
+        require_no_input([out / name for name in FILES], [choice.start])
+    known = {name: K for text in choice.k for name, K in _stated(text, frames)}
     with progress_bars() as progress:
         found = estimate_rig(
             frames,
@@ -103,7 +105,7 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     click.echo(rig_text(found))
     if found.model is None:
         return NO_POSE
-    for path in write_rig(out, found.cameras, unit):
+    for path in write_rig(out, found.cameras, found.metric):
         click.echo(str(path))
     write_text(out / PAGE, model_page(found.model, unit))
     click.echo(f"{out / PAGE}: cameras with their pictures, and points, for a browser")
@@ -116,17 +118,22 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     return 0
 
 
-def _stated(text: str) -> list[tuple[str, str]]:
-    """The cameras of an option --K by name, each with its K as a text."""
+def _stated(text: str, frames: Path) -> list[tuple[str, str]]:
+    """The cameras of an option --K by name, each with its K as a text: those of a file that FRAMES
+    has too."""
     from dgc_pose.cameras.formats.recognise import read_file
 
     name, equals, K = text.partition("=")
     if equals and not os.path.lexists(text):
         return [(name, K)]
     file: Calibration = read_file(Path(text))
-    names = list(file.parts or file.by_name)
+    entries = [*frames.iterdir()] if frames.is_dir() else []
+    there = {path.name if path.is_dir() else path.stem for path in entries}
+    names = [name for name in (file.parts or file.by_name) if name in there]
     if not names:
-        raise InputError(ArgumentName("K"), f"{text} names no camera: NAME=K states one")
+        raise InputError(
+            ArgumentName("K"), f"{text} names no camera of {frames}: NAME=K states one"
+        )
     return [(name, f"{text}:{name}") for name in names]
 
 

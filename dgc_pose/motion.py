@@ -54,6 +54,7 @@ _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells t
 # Shares of the matched cells: the least that agree on a motion; the least that stay although the
 # motion would move them, so that what moves are objects; and the most that stay if all has moved.
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
+_MAJORITY = 0.6  # a part that moves together and is larger may be the scene, beside a lens hood
 _MIRRORED = 0.3  # share of random triangles that are mirrored: motions mirror up to 0.21
 _DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
 _PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
@@ -168,13 +169,15 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     pixel = matches.error_px / camera.focal
     matched = _Matched(x1[usable], x2[usable], 1 / count[index], pixel)
     common, mirrored = _sampled(matched)
-    fit, moved = _decided(matched, common)
+    fit, moved, doubt = _decided(matched, common)
     agree = fit.agree.sum() / len(count)
     covers = fit.agree.sum() * cell**2 / (size[0] * size[1])
     of = partial(CameraMotion, num_matches=number, num_inliers=int(np.count_nonzero(fit.agree)))
     if agree < (_AGREE if moved else _STAY) or covers < _COVERED:
         parts = f"{100 * agree:.0f} % of the matched picture, {100 * covers:.0f} % of all,"
         return of("cannot say", f"only {parts} agrees on one motion")
+    if doubt:
+        return of("cannot say", doubt)
     if moved and mirrored > _MIRRORED:
         return of("cannot say", "the matches are those of a mirror image")
     sizes, moves = _sizes(fit, camera), _below(fit.moves, fit.agree)
@@ -210,9 +213,9 @@ def _sampled(matched: _Matched) -> tuple[np.ndarray, float]:
     return rotations[best], float(mirrored.mean())
 
 
-def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool]:
-    """The motion, from rest or from a rotation (3, 3), and whether the camera moved. If people and
-    objects moved, the motion is that of the matches that stay."""
+def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool, str]:
+    """The motion, from rest or from a rotation (3, 3); whether the camera moved; and why that is
+    open, or "". If people and objects moved, the motion is that of the matches that stay."""
     x1, x2, weights, pixel = matched
     wide = _WIDE * pixel
     starts = (np.eye(3), 0.0), (np.eye(3), wide), (common, wide)  # the loss has several minima
@@ -222,9 +225,14 @@ def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool]:
     stays, stays_against = np.array([stay, against]) @ weights / weights.sum()
     moved = _below(fit.moves - _SIGNIFICANT * fit.error, fit.agree) > _LEAST_DEG
     moved |= _below(fit.moves, fit.agree) > STILL_DEG and stays < _NOTHING
+    share = fit.agree.sum() / weights.sum()
+    if moved and stays_against > _STAY and share > _MAJORITY:
+        angle = _below(fit.moves, fit.agree)
+        both = f"moves by {angle:.3g} deg, and {100 * stays_against:.0f} % stays"
+        return fit, moved, f"{100 * share:.0f} % of the matched picture {both}"
     if stays_against > _STAY if moved else stays > _AGREE:
-        return _fit(matched._replace(weights=weights * stay), np.eye(3), 0.0), False
-    return fit, moved
+        return _fit(matched._replace(weights=weights * stay), np.eye(3), 0.0), False, ""
+    return fit, moved, ""
 
 
 def _fit(matched: _Matched, R: np.ndarray, std: float) -> _Fit:

@@ -22,14 +22,17 @@ from dgc_pose.model import colmap_camera
 # How many of OpenCV's coefficients hold a lens of COLMAP's: k1 k2 p1 p2 k3, or k1 to k4.
 _OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)
 _OPENCV |= {f"{kind}FISHEYE": 4 for kind in ("", "SIMPLE_", "RADIAL_", "SIMPLE_RADIAL_", "OPENCV_")}
+FILES = ("calibration.toml", "camera_array.toml", "rig_config.json", "stereo.yml", "rig.json")
 _OF_RIG = ("centre", "covariance", "probability", "rotation_error_90_deg", "position_error_90")
 
 
-def write_rig(folder: Path, cameras: Mapping[str, Location], unit: str) -> list[Path]:
+def write_rig(
+    folder: Path, cameras: Mapping[str, Location], metric: Mapping[str, Any]
+) -> list[Path]:
     """Write the files of a rig into a folder, each whole or not at all, and return their paths.
 
-    cameras: by name, located with the size of the image, or not located. unit: of the positions,
-    such as "m".
+    cameras: by name, located with the size of the image, or not located. metric: the unit of the
+    positions, and facts about it; empty up to scale.
 
     - calibration.toml of anipose and Pose2Sim, camera_array.toml of caliscope: x = R X + t;
     - rig_config.json of COLMAP, in the frame of the first camera;
@@ -52,7 +55,7 @@ def write_rig(folder: Path, cameras: Mapping[str, Location], unit: str) -> list[
     ids = ends if len({*ends}) == len(views) else range(len(views))
     listed = zip(ids, tables.values(), strict=True)
     texts = {
-        "calibration.toml": _toml_text({**quoted, "metadata": {"unit": unit}}),
+        "calibration.toml": _toml_text({**quoted, "metadata": {"unit": metric.get("unit", "")}}),
         "camera_array.toml": _toml_text({f"cameras.{n}": {"cam_id": n, **t} for n, t in listed}),
         "rig_config.json": _colmap_text(views, in_rig),
     }
@@ -61,7 +64,7 @@ def write_rig(folder: Path, cameras: Mapping[str, Location], unit: str) -> list[
     for name, table in tables.items():
         table |= {key: plain(getattr(cameras[name], key)) for key in _OF_RIG}
     not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
-    data = {"unit": unit, "cameras": tables, "not_placed": not_placed}
+    data = {"unit": "", **metric, "cameras": tables, "not_placed": not_placed}
     texts["rig.json"] = json_text({**data, "files": [*texts, "rig.json"]})
     for name, text in texts.items():
         write_text(folder / name, text)

@@ -1,7 +1,8 @@
 """One still picture for each fixed camera: its only frame, or what stays in all of its frames."""
 
+import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import cv2
@@ -9,7 +10,7 @@ import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.outputs import writing
-from dgc_pose.images.folder import copies_of_others, search_images
+from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.image import load_image
 from dgc_pose.images.video import frames_folder
 
@@ -21,33 +22,41 @@ _LEAST_SIDE = 15  # pixels, of a part between things that move
 _LEAST_CONTRAST = 2.0  # standard deviation of grey levels; a covered lens has less
 
 
-def camera_frames(folder: Path, videos: Path) -> dict[str, list[Path]]:
-    """The frames of each camera, by camera name. An entry of the folder is a camera: an image, a
-    video, or a folder of frames; its name without the ending is that of the camera.
+def camera_frames(
+    folder: Path, videos: Path, others: Collection[Path] = ()
+) -> tuple[dict[str, list[Path]], tuple[str, ...]]:
+    """The frames of each camera, by camera name; and a line on what is left out. An entry of the
+    folder is a camera: an image, a video, or a folder of frames, with its name without the ending.
 
-    videos: folder for the frames of videos. Raises InputError for fewer than two cameras, two
-    cameras of one name, and two cameras of one picture.
+    videos: folder for the frames of videos. others: files and folders that are no cameras. Raises
+    InputError for fewer than two cameras, two cameras of one name, and two of one picture.
     """
     if not folder.is_dir():
         raise InputError(_FRAMES, f"{folder}: no such folder")
     cameras: dict[str, list[Path]] = {}
-    images = search_images(folder).names
+    left_out = []
+    images = [name for name in search_images(folder).names if "/" not in name]
+    not_cameras = {path.resolve() for path in others}
     for entry in sorted(path for path in folder.iterdir() if path.name[0] != "."):
-        within = frames_folder(entry, _MOST_FRAMES, videos / entry.stem)
+        if entry.resolve() in not_cameras:
+            continue
+        within = frames_folder(entry, _MOST_FRAMES, videos / entry.name)
         found = [within / name for name in search_images(within).names] if within.is_dir() else []
-        if entry.name in images:
-            found = [entry]
+        found = [entry] if entry.name in images else found
         name = entry.name if entry.is_dir() else entry.stem
-        if found and name in cameras:
+        if not found:
+            left_out.append(entry.name)
+        elif name in cameras:
             raise InputError(_FRAMES, f"{folder}: two cameras have the name {name}")
-        if found:
-            step = -(-len(found) // _MOST_FRAMES)
-            cameras[name] = found[::step]
+        else:
+            cameras[name] = found[:: -(-len(found) // _MOST_FRAMES)]
     if len(cameras) < 2:
         raise InputError(_FRAMES, f"{folder}: {len(cameras)} cameras found, and a rig has two")
-    if copies := copies_of_others(folder, [name for name in images if "/" not in name]):
+    if copies := copies_of_others(folder, images):
         raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
-    return cameras
+    why = "neither a picture, nor a video, nor a folder of pictures"
+    lines = [left_out_line("file", left_out, why)] if left_out else []
+    return cameras, tuple(lines)
 
 
 def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
@@ -71,8 +80,10 @@ def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
     moves = [np.abs(offset - np.median(offset)) > _CHANGE for offset in offsets]
     stays = np.where(np.mean(moves, axis=0) <= 1 - _STAYING, 255, 0).astype(np.uint8)
     mask = cv2.morphologyEx(stays, cv2.MORPH_OPEN, np.ones((_LEAST_SIDE, _LEAST_SIDE)))
+    newest = max(frame.stat().st_mtime_ns for frame in frames)
     path = folder / f"{name}.png"
     for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
         with writing(file):
             file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
+            os.utime(file, ns=(newest, newest))  # --resume tells by the time what has changed
     return path

@@ -20,7 +20,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
-from dgc_pose.batch.source import BATCH, Source, open_source
+from dgc_pose.batch.source import BATCH, PAGE, Source, open_source
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import image_camera, read_calibration
 from dgc_pose.colmap.database import NoPairError
@@ -38,16 +38,18 @@ from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
-from dgc_pose.model import Model, load_model, require_model_folder, write_points
+from dgc_pose.model import Model, colmap_camera, load_model, require_model_folder, write_points
 from dgc_pose.rigs.adjustment import adjusted, extended
+from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
 from dgc_pose.system.colmap_library import pycolmap
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
 
-PICTURES = "rig_pictures"  # folder of the cameras' pictures and masks, in that of a rig
-_VIDEOS, _WALK = "camera_frames", "walk_frames"  # folders of the frames of videos
+# Folders in that of a rig: of the cameras' pictures and masks, and of the frames of videos
+_OWN = "rig_pictures"
+PICTURES, _CAMERAS, _WALK = f"{_OWN}/cameras", f"{_OWN}/frames", f"{_OWN}/walk_of_"
 _WALK_FRAMES = 20  # taken of a video
 _SIMILAR = 6  # photographs of the walk that each photograph is paired with
 _LEAST_AGREEING = 2  # pictures of the walk that a location rests on
@@ -103,60 +105,71 @@ def estimate_rig(
     """
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
+    pair_estimation = estimation
     options = reconstruction or ReconstructionOptions()
-    there = [out / name for name in (BATCH, MODEL) if (out / name).exists()]
+    results = (_OWN, BATCH, MODEL, POINTS, PAGE, *FILES)
+    there = [out / name for name in results if (out / name).exists()]
     if there and not work.resume:
         hint = "continues that run and replaces its result"
         raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
+    others = [out] if walk is None or isinstance(walk, Model) else [out, Path(walk)]
+    for given, name in ((frames, "frames"), (others[-1], "walk")):
+        if (out / _OWN).resolve() in (given.resolve(), *given.resolve().parents):
+            raise InputError(ArgumentName(name), f"{given}: is in {out / _OWN}, which is replaced")
     require_model_folder(out / MODEL, several=True)
-    found = camera_frames(frames, out / _VIDEOS)
+    found, left_out = camera_frames(frames, out / _CAMERAS, others)
     if unknown := sorted({*(K or {})} - {*found}):
         names = ", ".join(found)
         raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
-    if options.scale:  # refused before the matching
-        known_metres(dict.fromkeys(found, out), options)
-    out.mkdir(parents=True, exist_ok=True)
+    exact = {
+        name: image_camera(value, load_image(found[name][0]), f"K of {name}")
+        for name, value in (K or {}).items()
+    }
+    for name, camera in exact.items():
+        colmap_camera(camera, name)  # raises for a skew
+    up_to_scale = replace(options, gps=False, scale=None, marker=None)
+    models, source, walked = [], None, dict[str, Path]()
+    if isinstance(walk, Model):
+        models, left_out = [walk], (*left_out, *walk.warnings)
+        walked = {name: walk.root / name for name in walk.poses}
+    elif walk is not None:
+        frames_of_walk = out / f"{_WALK}{Path(walk).name}"
+        source = open_source(frames_folder(Path(walk), _WALK_FRAMES, frames_of_walk))
+        left_out += source.left_out
+        walked = {name: source.root / name for name in source.names}
+        calibration = read_calibration(walk_K, "walk_K")
+        few = len(source.names) <= _SIMILAR + 1
+        choice = PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
+        up_to_scale = replace(up_to_scale, refine_centres=True)
+        if estimation.effort == "auto":  # corners are aligned at full resolution after the matching
+            pair_estimation = replace(estimation, effort="fast")
+    if options.scale or options.gps:  # refused before the matching
+        known_metres(dict.fromkeys(found, out) if options.scale else walked, options)
+
+    for name in (*FILES, PAGE):  # of the run before
+        (out / name).unlink(missing_ok=True)
+    (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
         files = {name: still_picture(paths, name, folder).name for name, paths in found.items()}
     pictures = {name: out / PICTURES / file for name, file in files.items()}
-    exact = {
-        name: image_camera(value, load_image(pictures[name]), f"K of {name}")
-        for name, value in (K or {}).items()
-    }
     if options.scale:
         *pair, metres = options.scale.split(",")
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
-
+    if walk is None:
+        every = tuple(sorted(files.values()))
+        source = Source(out / PICTURES, every, None, {}, masks=out / PICTURES)
+        by_file = {files[name]: camera for name, camera in exact.items()}
+        calibration = Calibration("K", by_file, auto="two")
+        up_to_scale, choice = replace(up_to_scale, min_images=2), PairChoice("exhaustive")
     batch = None
-    if isinstance(walk, Model):
-        models, warnings, walked = [walk], walk.warnings, {*walk.poses}
-    else:
-        up_to_scale = replace(options, gps=False, scale=None, marker=None)
-        if walk is None:
-            every = tuple(sorted(files.values()))
-            source = Source(out / PICTURES, every, None, {}, masks=out / PICTURES)
-            by_file = {files[name]: camera for name, camera in exact.items()}
-            calibration = Calibration("K", by_file, auto="two")
-            up_to_scale, choice = replace(up_to_scale, min_images=2), PairChoice("exhaustive")
-        else:
-            source = open_source(frames_folder(Path(walk), _WALK_FRAMES, out / _WALK))
-            calibration = read_calibration(walk_K, "walk_K")
-            few = len(source.names) <= _SIMILAR + 1
-            choice = PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
-            up_to_scale = replace(up_to_scale, refine_centres=True)
-        models, warnings, walked = [], source.left_out, {*source.names} if walk else set()
-    if both := walked & {*files.values()}:
-        raise InputError(ArgumentName("walk"), f"has {min(both)}, as a camera's picture has")
-    if not models:
-        # Corners are aligned at full resolution after the matching: a coarse pass shows where.
-        coarse = walk is not None and estimation.effort == "auto"
+    if source is not None:
         batch = run_batch(
             source,
             calibration,
             choice,
             out / BATCH,
             matcher=matcher,
-            estimation=replace(estimation, effort="fast") if coarse else estimation,
+            estimation=pair_estimation,
             options=work,
             progress=progress,
         )
@@ -166,48 +179,50 @@ def estimate_rig(
             if walk is not None:
                 raise
             reason = "the cameras' own pictures make no model; photographs between them would"
-            return Rig({name: Location("nowhere", reason, ()) for name in pictures})
-        if (count := len(models[0].poses)) < len(walked):
-            share = f"{count} of {len(walked)} photographs of the walk"
-            warnings += (f"{share} are in its model",)
+            none = {name: Location("nowhere", reason, ()) for name in pictures}
+            return Rig(none, warnings=left_out)
 
-    each = []
+    each, loaded = [], matcher.load(image_cache())
     for number, model in enumerate(models):
-        locator = Locator(model, matcher.load(image_cache()), estimation, out / PICTURES)
+        locator = Locator(model, loaded, estimation, out / PICTURES)
         located = {}
         for name, picture in pictures.items():
-            left_out = [picture.name]  # of a model of the cameras themselves
-            location = locator.locate(picture, exact.get(name), left_out=left_out, whole=True)
+            own = [] if walk else [picture.name]  # in a model of the cameras themselves
+            location = locator.locate(picture, exact.get(name), left_out=own, whole=True)
             located[name] = _checked(location, name, len(model.poses))
             progress("cameras", number * len(pictures) + len(located), len(models) * len(pictures))
         each.append(located)
     best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
     cameras, model = each[best], models[best]
-    for number, located in enumerate(each):
+    for located in each:
         for name, of in located.items():
             if of.success and not cameras[name].success:
-                why = f"its place is in model {number} of the walk, which nothing connects"
+                why = "its place is in another model of the walk: take pictures between both"
                 cameras[name] = replace(cameras[name], reason=why)
+    if (count := len(model.poses)) < len(walked):
+        left_out += (f"{count} of {len(walked)} photographs of the walk are in its model",)
+    if walk is None and batch is not None:
+        cameras = _of_batch(cameras, files, model, batch)
     placed = {name: of for name, of in cameras.items() if of.success}
     if not placed:
-        return Rig(cameras, warnings=warnings)
+        return Rig(cameras, warnings=left_out)
 
-    if walk is None and batch is not None and model.colmap is not None:
-        placed = _of_batch(placed, files, model, batch)
-        cameras, whole = {**cameras, **placed}, model.colmap
-        placed = {name: of for name, of in placed.items() if of.success}
+    if walk is None and model.colmap is not None:
+        whole = model.colmap
+        by_name = {image.name: image.image_id for image in whole.images.values()}
+        ids = {name: by_name[files[name]] for name in placed}
     elif isinstance(walk, Model):
-        whole = extended(model, placed, pictures)
+        whole, ids = extended(model, placed, pictures)
     else:
-        whole, placed = adjusted(model, placed, pictures)
-    paths = {name: model.root / name for name in model.poses}
-    paths |= {files[name]: pictures[name] for name in placed}
-    extent = Model.of_colmap(whole, Path()).extent
+        whole, ids, placed = adjusted(model, placed, pictures)
+    paths = {f"walk/{name}": path for name, path in walked.items()}
+    paths |= {file: out / PICTURES / file for file in files.values()}
+    before = Model.of_colmap(whole, Path()).extent
     metric = to_metres(whole, paths, options)
-    scale = Model.of_colmap(whole, Path()).extent / extent
-    poses = {image.name: image.cam_from_world().matrix() for image in whole.images.values()}
-    placed = {name: _in_metres(of, poses[files[name]], scale) for name, of in placed.items()}
-    model, warnings = _written(whole, paths, out), (*warnings, *_same_poses(placed))
+    scale = Model.of_colmap(whole, Path()).extent / before
+    poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
+    placed = {name: _in_metres(of, poses[name], scale) for name, of in placed.items()}
+    model, warnings = _written(whole, paths, out), (*left_out, *_same_poses(placed))
     return Rig({**cameras, **placed}, model, metric, warnings)
 
 
@@ -227,12 +242,15 @@ def _checked(location: Location, name: str, images: int) -> Location:
 
 
 def _of_batch(
-    located: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
+    cameras: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
 ) -> dict[str, Location]:
-    """Locations of pictures in the model of the batch of them: its poses and cameras, and errors of
-    at least those of a picture's best pair, since the located pictures determine the points."""
-    found = {}
-    for name, of in located.items():
+    """The locations of pictures in the model of the batch of them: its poses and cameras, and
+    errors of at least those of a picture's best pair, since the located pictures determine the
+    points."""
+    found = dict(cameras)
+    for name, of in cameras.items():
+        if not of.success or of.covariance is None:
+            continue
         if (file := files[name]) not in model.poses:
             reason = "it has a pose, and COLMAP did not take it into the model"
             found[name] = Location("nowhere", reason, of.database_images)
@@ -245,13 +263,14 @@ def _of_batch(
                 errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
         stated = np.array([of.rotation_error_90_deg, of.position_error_90])
         least = np.array(errors or [(0.0, 0.0)]).min(0)
-        grown = np.repeat(np.maximum(least / stated, 1.0), 3)
-        assert of.covariance is not None
+        grown, final = np.repeat(np.maximum(least / stated, 1.0), 3), batch.plan.final_cameras[file]
         found[name] = replace(
             of,
             R=model.poses[file][:, :3],
             centre=model.centre(file),
-            camera=batch.plan.final_cameras[file],
+            camera=replace(
+                model.cameras[file], focal_std=final.focal_std, centre_std=final.centre_std
+            ),
             covariance=of.covariance * np.outer(grown, grown),
         )
     return found

@@ -84,7 +84,7 @@ def test_nothing_placed_is_exit_code_3(folder: Path, monkeypatch: pytest.MonkeyP
 def test_start_tells_which_camera_moved(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     estimated(monkeypatch)
     (folder / "before").mkdir()
-    write_rig(folder / "before", cameras("view2"), "m")
+    write_rig(folder / "before", cameras("view2"), {"unit": "m"})
     result = run("rig", "frames", "--out", "out", "--start", "before/calibration.toml")
     assert result.exit_code == 0, result.output
     first, second, third = result.stdout.splitlines()[-3:]

@@ -64,7 +64,7 @@ def test_the_adjusted_poses_are_nearer_to_the_truth(tmp_path: Path, exact: bool)
     pictures = {name: tmp_path / f"cam_{name}" for name in cameras}
     for path in pictures.values():
         PIL.Image.new("RGB", CAMERA.size).save(path)
-    whole, found = adjusted(walk, located, pictures)
+    whole, _, found = adjusted(walk, located, pictures)
     errors = []
     for name, (true, near) in cameras.items():
         of, image = found[name], whole.find_image_with_name(pictures[name].name)

@@ -71,7 +71,7 @@ def assert_read(path: Path, cameras: dict[str, Location]) -> None:
 @pytest.mark.parametrize("name", TOMLS)
 def test_the_tables_are_opencvs_and_read_again(tmp_path: Path, name: str) -> None:
     cameras = rig(*LENSES)
-    paths = write_rig(tmp_path, cameras, "m")
+    paths = write_rig(tmp_path, cameras, {"unit": "m"})
     assert [path.name for path in paths] == [*TOMLS[:2], "rig_config.json", "rig.json"]
     text = (tmp_path / name).read_text()
     data = json.loads(text) if name == "rig.json" else toml_data(text, tmp_path)
@@ -92,13 +92,13 @@ def test_a_half_turn_keeps_its_digits(tmp_path: Path) -> None:
     for location, angle in zip(cameras.values(), (np.pi, np.pi - 1e-7), strict=True):
         R = Rotation.from_rotvec(angle * np.array([0.6, 0, -0.8])).as_matrix()
         object.__setattr__(location, "R", R)
-    write_rig(tmp_path, cameras, "m")
+    write_rig(tmp_path, cameras, {"unit": "m"})
     assert_read(tmp_path / "calibration.toml", cameras)
 
 
 def test_opencvs_stereo_file(tmp_path: Path) -> None:
     cameras = rig(*LENSES[:2])
-    assert (tmp_path / "stereo.yml") in write_rig(tmp_path, cameras, "m")
+    assert (tmp_path / "stereo.yml") in write_rig(tmp_path, cameras, {"unit": "m"})
     storage = cv2.FileStorage(str(tmp_path / "stereo.yml"), cv2.FILE_STORAGE_READ)
     read = {key: storage.getNode(key).mat() for key in ("M1", "D1", "M2", "D2", "R", "T", "E", "F")}
     first, second = cameras.values()
@@ -118,7 +118,7 @@ def test_opencvs_stereo_file(tmp_path: Path) -> None:
 
 def test_colmaps_rig(tmp_path: Path) -> None:
     cameras = rig(*LENSES)
-    write_rig(tmp_path, cameras, "m")
+    write_rig(tmp_path, cameras, {"unit": "m"})
     (theirs,) = pycolmap.read_rig_config(tmp_path / "rig_config.json")
     first = next(iter(cameras.values()))
     away = np.random.default_rng(2).uniform((-1, -1, 3), (1, 1, 5), (20, 3))
@@ -145,7 +145,7 @@ def test_colmaps_rig(tmp_path: Path) -> None:
 def test_a_lens_that_opencv_lacks(tmp_path: Path) -> None:
     """The files of tables have it by COLMAP's model, and no key that others take for a lens."""
     cameras = rig(None, Distortion("FOV", (0.9,)))
-    names = [path.name for path in write_rig(tmp_path, cameras, "m")]
+    names = [path.name for path in write_rig(tmp_path, cameras, {"unit": "m"})]
     assert names == [*TOMLS[:2], "rig_config.json", "rig.json"]
     for name in TOMLS:
         assert_read(tmp_path / name, cameras)
@@ -155,7 +155,7 @@ def test_a_lens_that_opencv_lacks(tmp_path: Path) -> None:
 
 def test_rig_json_has_everything(tmp_path: Path) -> None:
     cameras = rig(None, None, names="12")
-    write_rig(tmp_path, cameras, "m")
+    write_rig(tmp_path, cameras, {"unit": "m"})
     data = json.loads((tmp_path / "rig.json").read_text())
     location, table = cameras["cam 2"], data["cameras"]["cam 2"]
     for key in (
