@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -107,17 +107,10 @@ def estimate_rig(
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
     pair_estimation = estimation
     options = reconstruction or ReconstructionOptions()
-    results = (_OWN, BATCH, MODEL, POINTS, PAGE, *FILES)
-    there = [out / name for name in results if (out / name).exists()]
-    if there and not work.resume:
-        hint = "continues that run and replaces its result"
-        raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
-    others = [out] if walk is None or isinstance(walk, Model) else [out, Path(walk)]
-    for given, name in ((frames, "frames"), (others[-1], "walk")):
-        if (out / _OWN).resolve() in (given.resolve(), *given.resolve().parents):
-            raise InputError(ArgumentName(name), f"{given}: is in {out / _OWN}, which is replaced")
-    require_model_folder(out / MODEL, several=True)
-    found, left_out = camera_frames(frames, out / _CAMERAS, others)
+    walk = Path(walk) if isinstance(walk, str) else walk
+    given = {"frames": frames} | ({"walk": walk} if isinstance(walk, Path) else {})
+    _require_free(out, given, work)
+    found, left_out = camera_frames(frames, out / _CAMERAS, [out, *given.values()])
     if unknown := sorted({*(K or {})} - {*found}):
         names = ", ".join(found)
         raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
@@ -133,8 +126,8 @@ def estimate_rig(
         models, left_out = [walk], (*left_out, *walk.warnings)
         walked = {name: walk.root / name for name in walk.poses}
     elif walk is not None:
-        frames_of_walk = out / f"{_WALK}{Path(walk).name}"
-        source = open_source(frames_folder(Path(walk), _WALK_FRAMES, frames_of_walk))
+        video = out / f"{_WALK}{walk.name}"
+        source = open_source(frames_folder(walk, _WALK_FRAMES, video))
         left_out += source.left_out
         walked = {name: source.root / name for name in source.names}
         calibration = read_calibration(walk_K, "walk_K")
@@ -182,23 +175,19 @@ def estimate_rig(
             none = {name: Location("nowhere", reason, ()) for name in pictures}
             return Rig(none, warnings=left_out)
 
-    each, loaded = [], matcher.load(image_cache())
-    for number, model in enumerate(models):
-        locator = Locator(model, loaded, estimation, out / PICTURES)
-        located = {}
+    each: list[dict[str, Location]] = []
+    loaded = matcher.load(image_cache())
+    for number, of in enumerate(models):
+        locator = Locator(of, loaded, estimation, out / PICTURES)
+        each.append({})
         for name, picture in pictures.items():
             own = [] if walk else [picture.name]  # in a model of the cameras themselves
             location = locator.locate(picture, exact.get(name), left_out=own, whole=True)
-            located[name] = _checked(location, name, len(model.poses))
-            progress("cameras", number * len(pictures) + len(located), len(models) * len(pictures))
-        each.append(located)
-    best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
-    cameras, model = each[best], models[best]
-    for located in each:
-        for name, of in located.items():
-            if of.success and not cameras[name].success:
-                why = "its place is in another model of the walk: take pictures between both"
-                cameras[name] = replace(cameras[name], reason=why)
+            each[-1][name] = _checked(location, name, len(of.poses))
+            done = number * len(pictures) + len(each[-1])
+            progress("cameras", done, len(models) * len(pictures))
+    best, cameras = _most_placed(each)
+    model = models[best]
     if (count := len(model.poses)) < len(walked):
         left_out += (f"{count} of {len(walked)} photographs of the walk are in its model",)
     if walk is None and batch is not None:
@@ -224,6 +213,33 @@ def estimate_rig(
     placed = {name: _in_metres(of, poses[name], scale) for name, of in placed.items()}
     model, warnings = _written(whole, paths, out), (*left_out, *_same_poses(placed))
     return Rig({**cameras, **placed}, model, metric, warnings)
+
+
+def _require_free(out: Path, given: Mapping[str, Path], work: BatchOptions) -> None:
+    """Raise InputError if the folder `out` has results, unless `work` resumes them, or if an
+    argument, by its name, lies in what is replaced there."""
+    results = (_OWN, BATCH, MODEL, POINTS, PAGE, *FILES)
+    there = [out / name for name in results if (out / name).exists()]
+    if there and not work.resume:
+        hint = "continues that run and replaces its result"
+        raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
+    for name, path in given.items():
+        if (out / _OWN).resolve() in (path.resolve(), *path.resolve().parents):
+            raise InputError(ArgumentName(name), f"{path}: is in {out / _OWN}, which is replaced")
+    require_model_folder(out / MODEL, several=True)
+
+
+def _most_placed(each: Sequence[Mapping[str, Location]]) -> tuple[int, dict[str, Location]]:
+    """The number of the model in which most cameras are located, and the locations there; a camera
+    that is located in another one has this as its reason."""
+    best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
+    cameras = dict(each[best])
+    for located in each:
+        for name, of in located.items():
+            if of.success and not cameras[name].success:
+                why = "its place is in another model of the walk: take pictures between both"
+                cameras[name] = replace(cameras[name], reason=why)
+    return best, cameras
 
 
 def _checked(location: Location, name: str, images: int) -> Location:
