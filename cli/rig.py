@@ -85,9 +85,17 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     before = None if choice.start is None else read_file(choice.start)
     if before is not None and not before.poses:
         raise InputError(ArgumentName("start"), f"{choice.start} has no poses of cameras")
-    if choice.start is not None:
+    names = _names(frames)
+    if before is not None and choice.start is not None:
         require_no_input([out / name for name in FILES], [choice.start])
-    known = {name: K for text in choice.k for name, K in _stated(text, frames)}
+        if names and len(names & before.poses.keys()) < 2:
+            these = f"two of {', '.join(sorted(names))} are needed"
+            known_ones = ", ".join(before.poses)
+            raise InputError(ArgumentName("start"), f"has the poses of {known_ones}, and {these}")
+    stated = [camera for text in choice.k for camera in _stated(text, frames)]
+    known = dict(stated)
+    if len(known) < len(stated):
+        raise InputError(ArgumentName("K"), "states a camera twice")
     with progress_bars() as progress:
         found = estimate_rig(
             frames,
@@ -103,10 +111,10 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
         )
     unit = found.metric.get("unit", "")
     click.echo(rig_text(found))
-    if found.model is None:
-        return NO_POSE
     for path in write_rig(out, found.cameras, found.metric):
         click.echo(str(path))
+    if found.model is None:
+        return NO_POSE
     write_text(out / PAGE, model_page(found.model, unit))
     click.echo(f"{out / PAGE}: cameras with their pictures, and points, for a browser")
     if before is not None:
@@ -118,6 +126,12 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     return 0
 
 
+def _names(frames: Path) -> set[str]:
+    """The names of what lies in FRAMES, as cameras have them."""
+    entries = [*frames.iterdir()] if frames.is_dir() else []
+    return {path.name if path.is_dir() else path.stem for path in entries}
+
+
 def _stated(text: str, frames: Path) -> list[tuple[str, str]]:
     """The cameras of an option --K by name, each with its K as a text: those of a file that FRAMES
     has too."""
@@ -127,9 +141,7 @@ def _stated(text: str, frames: Path) -> list[tuple[str, str]]:
     if equals and not os.path.lexists(text):
         return [(name, K)]
     file: Calibration = read_file(Path(text))
-    entries = [*frames.iterdir()] if frames.is_dir() else []
-    there = {path.name if path.is_dir() else path.stem for path in entries}
-    names = [name for name in (file.parts or file.by_name) if name in there]
+    names = [name for name in (file.parts or file.by_name) if name in _names(frames)]
     if not names:
         raise InputError(
             ArgumentName("K"), f"{text} names no camera of {frames}: NAME=K states one"

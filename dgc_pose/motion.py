@@ -182,7 +182,7 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
         return of("cannot say", "the matches are those of a mirror image")
     sizes, moves = _sizes(fit, camera), _below(fit.moves, fit.agree)
     bound, error = _below(fit.moves + fit.error, fit.agree), _below(fit.error, fit.agree)
-    if moved:
+    if moved and bound >= STILL_DEG:
         reason = f"{100 * agree:.0f} % of the matched picture moves by {moves:.3g} deg"
         return of("moved", reason, *sizes)
     if bound < STILL_DEG:

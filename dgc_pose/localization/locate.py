@@ -71,6 +71,10 @@ class Locator:
         self._features: dict[str, np.ndarray] = {}
         self._images = ImageStore(model.root, masks, dropped=self.matcher.forget)
 
+    def image(self, name: str) -> Image:
+        """An image of the model with its mask. Raises ImageError."""
+        return self._images.get(name)
+
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Compute the coarsest features of the model's images, by which those to be matched are
         chosen."""
@@ -128,6 +132,8 @@ class Locator:
             seconds["estimate"] += time.perf_counter() - matched
         self.matcher.forget(image)
         location = search.location()
+        if 2 * len(contradictions) <= len(location.database_images) and location.success:
+            contradictions = []  # most pairs agree with K
         return replace(
             location,
             warnings=(*warnings, *camera.warnings, *location.warnings, *contradictions[:1]),

@@ -45,6 +45,11 @@ def write_rig(
     camera's name, for a K with a skew; OSError, with the path.
     """
     views = {name: of.camera for name, of in cameras.items() if of.success and of.camera}
+    not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
+    if not views:
+        data = {"unit": "", "cameras": {}, "not_placed": not_placed, "files": ["rig.json"]}
+        write_text(folder / "rig.json", json_text(data))
+        return [folder / "rig.json"]
     stated = (cameras[name].cam_from_world for name in views)
     poses = np.stack([pose for pose in stated if pose is not None])
     in_rig = poses @ np.linalg.inv(np.vstack([poses[0], [0, 0, 0, 1]]))  # cam_from_first (N, 3, 4)
@@ -63,7 +68,6 @@ def write_rig(
         texts["stereo.yml"] = _stereo_text([*tables.values()], in_rig[1])
     for name, table in tables.items():
         table |= {key: plain(getattr(cameras[name], key)) for key in _OF_RIG}
-    not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
     data = {"unit": "", **metric, "cameras": tables, "not_placed": not_placed}
     texts["rig.json"] = json_text({**data, "files": [*texts, "rig.json"]})
     for name, text in texts.items():

@@ -31,14 +31,16 @@ from dgc_pose.colmap.reconstruction import MODEL, POINTS, reconstruct
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced, replaced_folder
+from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import flipped, load_image
 from dgc_pose.images.video import frames_folder
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model, colmap_camera, load_model, require_model_folder, write_points
+from dgc_pose.pose import solve_pair
 from dgc_pose.rigs.adjustment import adjusted, extended
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
@@ -110,7 +112,7 @@ def estimate_rig(
     walk = Path(walk) if isinstance(walk, str) else walk
     given = {"frames": frames} | ({"walk": walk} if isinstance(walk, Path) else {})
     _require_free(out, given, work)
-    found, left_out = camera_frames(frames, out / _CAMERAS, [out, *given.values()])
+    found, left_out = camera_frames(frames, out / _CAMERAS, [*given.values()])
     if unknown := sorted({*(K or {})} - {*found}):
         names = ", ".join(found)
         raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
@@ -137,7 +139,8 @@ def estimate_rig(
         if estimation.effort == "auto":  # corners are aligned at full resolution after the matching
             pair_estimation = replace(estimation, effort="fast")
     if options.scale or options.gps:  # refused before the matching
-        known_metres(dict.fromkeys(found, out) if options.scale else walked, options)
+        pictures = {name: paths[0] for name, paths in found.items()}
+        known_metres(pictures if options.scale else walked or pictures, options)
 
     for name in (*FILES, PAGE):  # of the run before
         (out / name).unlink(missing_ok=True)
@@ -184,6 +187,9 @@ def estimate_rig(
             own = [] if walk else [picture.name]  # in a model of the cameras themselves
             location = locator.locate(picture, exact.get(name), left_out=own, whole=True)
             each[-1][name] = _checked(location, name, len(of.poses))
+            if each[-1][name].success and _is_mirrored(each[-1][name], picture, locator):
+                reason = "its mirror image has more inliers than the picture itself"
+                each[-1][name] = Location("nowhere", reason, location.database_images)
             done = number * len(pictures) + len(each[-1])
             progress("cameras", done, len(models) * len(pictures))
     best, cameras = _most_placed(each)
@@ -215,17 +221,39 @@ def estimate_rig(
     return Rig({**cameras, **placed}, model, metric, warnings)
 
 
+def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
+    """Whether the mirror image has more inliers with the picture of the model that has most: a
+    mirrored stream may have a pose where the scene is symmetric."""
+    assert location.camera is not None
+    agreeing = [of for of in location.database_images if of.agrees]
+    name = max(agreeing, key=lambda of: int(of.inliers.sum())).name
+    reference, image, model = locator.image(name), load_image(picture), locator.model
+    try:
+        mirrored = location.camera.turned(exif_turn(2), image.size)
+    except InputError:  # a lens that is not turned
+        return False
+    options = replace(locator.options, effort="fast")
+    direct, flip = (
+        solve_pair(reference, of, (model.cameras[name], camera), locator.matcher, options).pose
+        for of, camera in ((image, location.camera), (flipped(image, 1), mirrored))
+    )
+    locator.matcher.forget(image)
+    return flip.success and flip.num_inliers > direct.num_inliers
+
+
 def _require_free(out: Path, given: Mapping[str, Path], work: BatchOptions) -> None:
-    """Raise InputError if the folder `out` has results, unless `work` resumes them, or if an
-    argument, by its name, lies in what is replaced there."""
-    results = (_OWN, BATCH, MODEL, POINTS, PAGE, *FILES)
+    """Raise InputError if the folder `out` has results, unless `work` resumes them; and if it lies
+    in an argument, by its name, or the argument in its pictures, which are replaced."""
+    results = (BATCH, MODEL, POINTS, PAGE, *FILES)
     there = [out / name for name in results if (out / name).exists()]
     if there and not work.resume:
         hint = "continues that run and replaces its result"
         raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
     for name, path in given.items():
-        if (out / _OWN).resolve() in (path.resolve(), *path.resolve().parents):
-            raise InputError(ArgumentName(name), f"{path}: is in {out / _OWN}, which is replaced")
+        inner, outer = (out / _OWN).resolve(), path.resolve()
+        if outer in inner.parents or inner in (outer, *outer.parents):
+            neither = f"{path} must neither hold the results ({out}) nor lie in {out / _OWN}"
+            raise InputError(ArgumentName(name), neither)
     require_model_folder(out / MODEL, several=True)
 
 

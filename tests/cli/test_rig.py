@@ -77,8 +77,11 @@ def test_the_text_and_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_nothing_placed_is_exit_code_3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     estimated(monkeypatch, Rig({"view0": NOWHERE}))
     result = run("rig", "frames", "--out", "out")
-    assert result.exit_code == 3 and contents(folder / "out") == {}
-    assert result.stdout == f"view0: not placed: {NOWHERE.reason}\n"
+    assert result.exit_code == 3
+    assert result.stdout == f"view0: not placed: {NOWHERE.reason}\nout/rig.json\n"
+    assert [path.name for path in (folder / "out").iterdir()] == ["rig.json"]
+    data = json.loads((folder / "out" / "rig.json").read_text())
+    assert data["not_placed"] == {"view0": NOWHERE.reason} and not data["cameras"]
 
 
 def test_start_tells_which_camera_moved(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,4 +117,4 @@ def test_unusable_input_is_one_line(folder: Path) -> None:
         )
     ):
         assert_refused(run("rig", *words, "--out", f"out{number}"), expected)
-    assert before.items() <= contents(folder).items()
+    assert before == contents(folder)
