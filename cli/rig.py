@@ -128,8 +128,9 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
 
 def _names(frames: Path) -> set[str]:
     """The names of what lies in FRAMES, as cameras have them."""
-    entries = [*frames.iterdir()] if frames.is_dir() else []
-    return {path.name if path.is_dir() else path.stem for path in entries}
+    from dgc_pose.rigs.frames import camera_name
+
+    return {*map(camera_name, frames.iterdir())} if frames.is_dir() else set()
 
 
 def _stated(text: str, frames: Path) -> list[tuple[str, str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -89,6 +89,14 @@ class Location:
     def cam_from_world(self) -> np.ndarray | None:
         """[R | t] (3, 4); None unless located."""
         return None if self.R is None or self.t is None else np.column_stack([self.R, self.t])
+
+    def with_pose(self, cam_from_world: np.ndarray, spread: np.ndarray) -> Location:
+        """The location with another pose (3, 4), and with the covariance spread C spread^T in place
+        of C. spread: (6, 6)."""
+        assert self.covariance is not None  # only of a location
+        R, t = cam_from_world[:, :3], cam_from_world[:, 3]
+        covariance = spread @ self.covariance @ spread.T
+        return replace(self, R=R, centre=-R.T @ t, covariance=covariance)
 
     @property
     def rotation_error_90_deg(self) -> float | None:

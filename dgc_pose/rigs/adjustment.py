@@ -16,10 +16,10 @@ from dgc_pose.system.colmap_library import pycolmap
 # as the location may be off. A camera with fewer points keeps its location.
 _MAX_ERROR_PX, _WIDE, _MIN_POINTS = 2.0, 3.0, 30
 # Factors of the expected errors of R and the centre, which take the walk's model for exact: of a
-# camera that is fitted, and of one that is exact, which takes up no error of the walk's camera. See
-# docs/experiments.md.
+# camera that is fitted, and of one that is exact, which cannot compensate for errors of the walk's
+# camera. See docs/experiments.md.
 _FITTED, _EXACT = (1.5, 1.0), (2.0, 1.5)
-_WALK = "walk/"  # begins the names of the other images
+WALK = "walk/"  # begins the names of the other images
 
 
 def extended(
@@ -40,7 +40,7 @@ def extended(
     for image in [whole.images[number] for number in ids if number not in new.values()]:
         name = image.name if image.name in model.poses else by_file.get(Path(image.name).name)
         if name is not None:
-            image.name = _WALK + name
+            image.name = WALK + name
         elif image.has_pose:
             whole.deregister_frame(image.frame_id)
     return whole, new
@@ -82,18 +82,13 @@ def adjusted(
     adjust(whole, open_)
     poses = {}
     for name, location in located.items():
-        image = whole.images[numbers[name]]
-        pose, camera, before = image.cam_from_world().matrix(), location.camera, location.covariance
-        assert camera is not None and before is not None  # of a location
-        found = matrix_camera(image.camera)
-        grown = np.repeat(_EXACT if camera.exact else _FITTED, 3)
+        image, camera = whole.images[numbers[name]], location.camera
+        assert camera is not None  # of a location
+        grown = np.diag(np.repeat(_EXACT if camera.exact else _FITTED, 3))
         poses[name] = replace(
-            location,
-            R=pose[:, :3],
-            centre=-pose[:, :3].T @ pose[:, 3],
-            covariance=before * np.outer(grown, grown),
+            location.with_pose(image.cam_from_world().matrix(), grown),
             camera=replace(
-                found,
+                matrix_camera(image.camera),
                 focal_std=camera.focal_std,
                 centre_std=camera.centre_std,
                 focal_source=camera.focal_source,

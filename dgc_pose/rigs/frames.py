@@ -43,7 +43,7 @@ def camera_frames(
         within = frames_folder(entry, _MOST_FRAMES, videos / entry.name)
         found = [within / name for name in search_images(within).names] if within.is_dir() else []
         found = [entry] if entry.name in images else found
-        name = entry.name if entry.is_dir() else entry.stem
+        name = camera_name(entry)
         if not found:
             left_out.append(entry.name)
         elif name in cameras:
@@ -57,6 +57,11 @@ def camera_frames(
     why = "neither a picture, nor a video, nor a folder of pictures"
     lines = [left_out_line("file", left_out, why)] if left_out else []
     return cameras, tuple(lines)
+
+
+def camera_name(entry: Path) -> str:
+    """The name of the camera of an image, a video or a folder of frames."""
+    return entry.name if entry.is_dir() else entry.stem
 
 
 def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:

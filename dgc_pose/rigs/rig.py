@@ -41,7 +41,7 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model, colmap_camera, load_model, require_model_folder, write_points
 from dgc_pose.pose import solve_pair
-from dgc_pose.rigs.adjustment import adjusted, extended
+from dgc_pose.rigs.adjustment import WALK, adjusted, extended
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
 from dgc_pose.system.colmap_library import pycolmap
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 # Folders in that of a rig: of the cameras' pictures and masks, and of the frames of videos
 _OWN = "rig_pictures"
-PICTURES, _CAMERAS, _WALK = f"{_OWN}/cameras", f"{_OWN}/frames", f"{_OWN}/walk_of_"
+PICTURES, _CAMERAS, _WALK_OF = f"{_OWN}/cameras", f"{_OWN}/frames", f"{_OWN}/walk_of_"
 _WALK_FRAMES = 20  # taken of a video
 _SIMILAR = 6  # photographs of the walk that each photograph is paired with
 _LEAST_AGREEING = 2  # pictures of the walk that a location rests on
@@ -128,7 +128,7 @@ def estimate_rig(
         models, left_out = [walk], (*left_out, *walk.warnings)
         walked = {name: walk.root / name for name in walk.poses}
     elif walk is not None:
-        video = out / f"{_WALK}{walk.name}"
+        video = out / f"{_WALK_OF}{walk.name}"
         source = open_source(frames_folder(walk, _WALK_FRAMES, video))
         left_out += source.left_out
         walked = {name: source.root / name for name in source.names}
@@ -210,11 +210,11 @@ def estimate_rig(
         whole, ids = extended(model, placed, pictures)
     else:
         whole, ids, placed = adjusted(model, placed, pictures)
-    paths = {f"walk/{name}": path for name, path in walked.items()}
+    paths = {WALK + name: path for name, path in walked.items()}
     paths |= {file: out / PICTURES / file for file in files.values()}
-    before = Model.of_colmap(whole, Path()).extent
+    before = _spread(whole)
     metric = to_metres(whole, paths, options)
-    scale = Model.of_colmap(whole, Path()).extent / before
+    scale = _spread(whole) / before
     poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
     placed = {name: _in_metres(of, poses[name], scale) for name, of in placed.items()}
     model, warnings = _written(whole, paths, out), (*left_out, *_same_poses(placed))
@@ -293,7 +293,7 @@ def _of_batch(
     points."""
     found = dict(cameras)
     for name, of in cameras.items():
-        if not of.success or of.covariance is None:
+        if not of.success:
             continue
         if (file := files[name]) not in model.poses:
             reason = "it has a pose, and COLMAP did not take it into the model"
@@ -307,27 +307,25 @@ def _of_batch(
                 errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
         stated = np.array([of.rotation_error_90_deg, of.position_error_90])
         least = np.array(errors or [(0.0, 0.0)]).min(0)
-        grown, final = np.repeat(np.maximum(least / stated, 1.0), 3), batch.plan.final_cameras[file]
-        found[name] = replace(
-            of,
-            R=model.poses[file][:, :3],
-            centre=model.centre(file),
-            camera=replace(
-                model.cameras[file], focal_std=final.focal_std, centre_std=final.centre_std
-            ),
-            covariance=of.covariance * np.outer(grown, grown),
-        )
+        grown = np.diag(np.repeat(np.maximum(least / stated, 1.0), 3))
+        camera, final = model.cameras[file], batch.plan.final_cameras[file]
+        camera = replace(camera, focal_std=final.focal_std, centre_std=final.centre_std)
+        found[name] = replace(of.with_pose(model.poses[file], grown), camera=camera)
     return found
 
 
 def _in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:
     """A location as its pose (3, 4) in a frame that is `scale` times as large."""
-    assert location.R is not None and location.covariance is not None
+    assert location.R is not None
     turn = np.eye(6)
     turn[3:, 3:] = scale * pose[:, :3].T @ location.R
-    covariance = turn @ location.covariance @ turn.T
-    centre = -pose[:, :3].T @ pose[:, 3]
-    return replace(location, R=pose[:, :3], centre=centre, covariance=covariance)
+    return location.with_pose(pose, turn)
+
+
+def _spread(whole: pycolmap.Reconstruction) -> float:
+    """The root of the summed squared distances of the images' centres from their mean."""
+    centres = np.array([i.projection_center() for i in whole.images.values() if i.has_pose])
+    return float(np.linalg.norm(centres - centres.mean(0)))
 
 
 def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Path) -> Model:
