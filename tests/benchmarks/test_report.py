@@ -1,16 +1,23 @@
+"""Figures of methods: against cases done by hand, and loops over single matches."""
+
 import json
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.files import finite_data
-from dgc_pose.benchmarks.store import PairScore
-from dgc_pose.benchmarks.summary import (
+from dgc_pose.benchmarks.evaluate import PairScore
+from dgc_pose.benchmarks.report import (
+    Reliability,
     columns,
+    draw_cumulative,
+    finite_data,
+    plot_errors,
     summarise,
     summary_table,
 )
+from dgc_pose.viz.figure import new_figure, save_figure
 
 
 def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, doubts=False):
@@ -101,3 +108,64 @@ def test_no_pose_has_no_figures_and_json_has_null_for_them():
     data = json.loads(json.dumps(finite_data(vars(found)), allow_nan=False))
     assert data["median_rotation_deg"] is data["median_focal_error_percent"] is None
     assert data["pairs"] == data["failures"] == 1
+
+
+def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
+    rng = np.random.default_rng(5)
+    confidence = rng.random((20, 30)).astype(np.float32)
+    matches = confidence, rng.random((20, 30)) < confidence**2
+    found, rest = (
+        Reliability.of(*(array[rows] for array in matches), bins=7)
+        for rows in (slice(4), slice(4, None))
+    )
+    found += rest
+    counts, correct, sums = [0] * 7, [0] * 7, [0.0] * 7
+    for value, right in zip(matches[0].ravel().tolist(), matches[1].ravel().tolist(), strict=True):
+        b = next(b for b in range(7) if value * 7 < b + 1)
+        counts[b] += 1
+        correct[b] += right
+        sums[b] += value
+    assert found.counts.tolist() == counts
+    assert found.correct.tolist() == correct
+    np.testing.assert_allclose(found.mean_confidence, np.divide(sums, counts))
+    np.testing.assert_allclose(found.share_correct, np.divide(correct, counts))
+    gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
+    assert found.calibration_error == pytest.approx(sum(gaps) / sum(counts))
+
+
+def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
+    found = Reliability.of(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
+    assert found.counts.tolist() == [1, 0, 0, 2]
+    np.testing.assert_array_equal(found.share_correct, [0, np.nan, np.nan, 0.5])
+    assert found.calibration_error == pytest.approx(2 / 3 * 0.5)
+    assert np.isnan(Reliability.of(np.zeros(0), np.zeros(0, bool)).calibration_error)
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_a_curve_a_method_with_its_median():
+    axes = new_figure(4, 3).subplots()
+    errors = {"a": np.array([3.0, np.inf, 1.0, 9.0, 3.0]), "b": np.full(3, np.inf)}
+    draw_cumulative(axes, errors, quantity="rotation error", unit="degrees")
+    assert legend(axes) == ["a, median 3.00°", "b, median inf°"]
+    # At each value the share of errors not above it.
+    assert axes.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
+    assert axes.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]
+    assert axes.lines[1].get_ydata().tolist() == [0, 0]
+
+
+def test_a_panel_a_quantity_without_the_methods_that_have_it_not(tmp_path):
+    """A method may be called as a formula."""
+    errors = np.array([12.0, 170.0, np.inf])
+    fields = ("rotation_error_deg", "translation_error_deg", "epipolar_confident_px")
+    methods = {
+        name: {**dict.fromkeys(fields, errors), "epipolar_all_px": of_map}
+        for name, of_map in (("$\\frac{$", errors), ("$\\frac{$/all", errors), ("\udcff", [np.nan]))
+    }
+    figure = plot_errors(methods)
+    *_, everywhere, confident = figure.axes
+    assert (len(everywhere.lines), len(confident.lines)) == (2, 3)
+    save_figure(figure, tmp_path / "a.png")
+    assert (tmp_path / "a.png").exists()
