@@ -20,7 +20,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from dgc_pose.benchmarks.report import Reliability, decimals, finite_data
+from dgc_pose.benchmarks.report import (
+    calibration_error,
+    decimals,
+    finite_data,
+    reliability,
+    shares,
+)
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.files.tables import aligned
@@ -179,8 +185,8 @@ def _image(stem: Path) -> Path | None:
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
     """What makes the dense maps of methods, by name: bare networks, and matchers without one.
 
-    Raises InputError for no names, one that is given twice, or a matcher of key points;
-    WeightsError if weights cannot be loaded.
+    Raises InputError for no names or a matcher of key points; WeightsError if weights cannot be
+    loaded.
     """
     if not names:
         raise InputError("no methods named")
@@ -188,8 +194,6 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     methods: dict[str, MapMethod] = {}
     for name in names:
         options = MatcherOptions(name)
-        if name in methods:
-            raise InputError(f"the method {name} is named twice")
         if not options.has_map:
             words = f"{name}: has key points alone and no dense map"
             raise InputError(ArgumentName("methods"), words)
@@ -260,20 +264,19 @@ class MapScore:
     name: str  # of the pair; "" of several
     valid: int  # pixels of known correspondence
     means: Mapping[str, float]
-    near: np.ndarray  # (200,) int, valid pixels within each of PCK_THRESHOLDS
-    within: np.ndarray  # (3,) int, valid pixels within each of WITHIN
-    reliability: Reliability | None  # of matches within RIGHT_PX; None without a mask
+    near: np.ndarray  # (203,) int, valid pixels within each of PCK_THRESHOLDS and of WITHIN
+    reliability: np.ndarray | None  # of matches within RIGHT_PX; None without a mask
     pairs: int = 1
 
     @property
     def pck(self) -> np.ndarray:
-        """Share (200,) of all valid pixels within each of PCK_THRESHOLDS; NaN without any."""
+        """Share (203,) of all valid pixels within each of these; NaN without any."""
         return self.near / self.valid if self.valid else np.full(self.near.shape, np.nan)
 
     @property
     def data(self) -> dict[str, Any]:
         """The figures by name: a row of the tables and of pairs.csv."""
-        shares = zip(WITHIN, self.within.tolist(), strict=True)
+        within = zip(WITHIN, self.pck[len(PCK_THRESHOLDS) :].tolist(), strict=True)
         return {
             "group": self.group,
             "pair": self.name,
@@ -281,7 +284,7 @@ class MapScore:
             "pairs": self.pairs,
             "valid_pixels": self.valid,
             **self.means,
-            **{f"pck{px:g}": count / self.valid if self.valid else np.nan for px, count in shares},
+            **{f"pck{px:g}": share for px, share in within},
         }
 
 
@@ -293,15 +296,15 @@ def score_map(method: str, group: str, name: str, comparison: Comparison) -> Map
     for level, (errors, known) in zip(_LEVELS[::-1], levels[::-1], strict=False):
         means[level] = _mean(errors[known])
     means["aepe"] = means[_LEVELS[-1]]
-    reliability = None
+    counts = None
     if matchability is not None:
         means["jaccard"] = jaccard(matchability > 0.5, valid)
         means["jaccard_found"] = jaccard(matchability > 0.5, distances < FOUND_PX)
-        reliability = Reliability.of(matchability, distances <= RIGHT_PX)
+        counts = reliability(matchability, distances <= RIGHT_PX)
     # The "percentage of correct keypoints" (PCK) of each threshold.
-    ordered = np.sort(distances[valid])
-    near, within = (np.searchsorted(ordered, t, side="right") for t in (PCK_THRESHOLDS, WITHIN))
-    return MapScore(method, group, name, int(valid.sum()), means, near, within, reliability)
+    thresholds = [*PCK_THRESHOLDS, *WITHIN]
+    near = np.searchsorted(np.sort(distances[valid]), thresholds, side="right")
+    return MapScore(method, group, name, int(valid.sum()), means, near, counts)
 
 
 def pooled(scores: Sequence[MapScore], group: str = "all") -> MapScore:
@@ -320,8 +323,7 @@ def pooled(scores: Sequence[MapScore], group: str = "all") -> MapScore:
         valid=sum(pair.valid for pair in scores),
         means={name: _mean(values) for name, values in known.items()},
         near=np.sum([pair.near for pair in scores], axis=0),
-        within=np.sum([pair.within for pair in scores], axis=0),
-        reliability=sum(parts[1:], parts[0]) if parts else None,
+        reliability=np.sum(parts, axis=0) if parts else None,
         pairs=len(scores),
     )
 
@@ -360,12 +362,11 @@ def reliability_lines(scores: Scores) -> list[str]:
     """For each method that has a mask, the share of right matches by matchability, on one line."""
     lines = []
     for method, pairs in scores.items():
-        if (reliability := pooled(pairs).reliability) is not None:
-            shares = " ".join(decimals(100 * v, 0) for v in reliability.share_correct)
+        if (counts := pooled(pairs).reliability) is not None:
+            words = " ".join(decimals(100 * share, 0) for share in shares(counts)[0])
             lines.append(
-                f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {shares}; "
-                "expected calibration error "
-                f"{decimals(100 * reliability.calibration_error, 1)} %"
+                f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {words}; "
+                f"expected calibration error {decimals(100 * calibration_error(counts), 1)} %"
             )
     return lines
 
@@ -375,21 +376,21 @@ def report_data(scores: Scores) -> dict[str, Any]:
     methods = []
     for method, pairs in scores.items():
         total = pooled(pairs)
-        reliability = None
-        if total.reliability is not None:
-            reliability = {
+        calibration = None
+        if (counts := total.reliability) is not None:
+            calibration = {
                 "right_within_px": RIGHT_PX,
-                "counts": total.reliability.counts.tolist(),
-                "share_correct": total.reliability.share_correct.tolist(),
-                "mean_confidence": total.reliability.mean_confidence.tolist(),
-                "expected_calibration_error": total.reliability.calibration_error,
+                "counts": counts[0].tolist(),
+                "share_correct": shares(counts)[0].tolist(),
+                "mean_confidence": shares(counts)[1].tolist(),
+                "expected_calibration_error": calibration_error(counts),
             }
         methods.append(
             {
                 "method": method,
-                "all": {**total.data, "pck": total.pck.tolist()},
+                "all": {**total.data, "pck": total.pck[: len(PCK_THRESHOLDS)].tolist()},
                 "groups": [pooled(pairs, group).data for group in groups_of(scores)],
-                "reliability": reliability,
+                "reliability": calibration,
             }
         )
     return {"pck_thresholds_px": PCK_THRESHOLDS.tolist(), "methods": finite_data(methods)}

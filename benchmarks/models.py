@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -232,94 +232,73 @@ def _relative(model: Model, name1: str, name2: str) -> tuple[np.ndarray, np.ndar
     return R, pose2[:, 3] - R @ pose1[:, 3]
 
 
-@dataclass(frozen=True)
-class LocationScore:
-    """A query that was placed, compared with its true pose."""
-
-    name: str
-    status: str
-    probability: float
-    database_images: int  # that were matched
-    seconds: float
-    pair_seconds: float  # of these, of the pairs
-    # NaN unless it is located
-    rotation_deg: float = np.nan
-    position: float = np.nan  # the model's unit
-    position_percent: float = np.nan  # of the extent
-    rotation_error_90_deg: float = np.nan  # expected
-    position_error_90: float = np.nan
-    focal_percent: float = np.nan  # error of the focal length
-
-    @property
-    def is_right(self) -> bool:
-        """Whether R is within 5 degrees, and the position within 5 % of the extent."""
-        return self.rotation_deg < 5 and self.position_percent < 5
-
-
 def thinned(items: Sequence[str], count: int | None) -> list[str]:
     """So many of the items, evenly chosen; all without a number."""
     most = len(items) if count is None else min(count, len(items))
     return [items[int(i)] for i in np.linspace(0, len(items) - 1, most)]
 
 
-def placed(locator: Locator, name: str, apart: int) -> LocationScore:
-    """The score of an image of the model as a query, without those near it in their order."""
+def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
+    """The figures of an image of the model as a query, without those near it in their order.
+
+    NaN for what is not known. Positions are in the model's unit.
+    """
     model, start = locator.model, time.perf_counter()
-    camera, names = model.cameras[name], sorted(model.poses)
+    names = sorted(model.poses)
     number = names.index(name)
     out = names[max(0, number - apart + 1) : number + apart]
-    location = locator.locate(model.root / name, camera, left_out=out)
-    seconds = time.perf_counter() - start
-    likely = np.nan if location.probability is None else location.probability
-    common = (name, location.status, likely, len(location.database_images), seconds)
-    of_pairs = location.seconds["match"]
-    if location.R is None or location.centre is None or location.camera is None:
-        return LocationScore(*common, of_pairs)
-    position = float(np.linalg.norm(location.centre - model.centre(name)))
-    return LocationScore(
-        *common,
-        of_pairs,
-        rotation_error_deg(location.R, model.poses[name][:, :3]),
-        position,
-        100 * position / model.extent,
-        location.rotation_error_90_deg or np.nan,
-        location.position_error_90 or np.nan,
-        100 * abs(location.camera.focal / camera.focal - 1),
+    location = locator.locate(model.root / name, model.cameras[name], left_out=out)
+    figures = {
+        "name": name,
+        "status": location.status,
+        "probability": np.nan if location.probability is None else location.probability,
+        "database_images": len(location.database_images),  # that were matched
+        "seconds": time.perf_counter() - start,
+        "pair_seconds": location.seconds["match"],  # of these
+        "rotation_deg": np.nan,
+        "position": np.nan,
+        "position_percent": np.nan,  # of the extent
+        "rotation_error_90_deg": location.rotation_error_90_deg or np.nan,  # expected
+        "position_error_90": location.position_error_90 or np.nan,
+    }
+    if location.R is not None and location.centre is not None:
+        position = float(np.linalg.norm(location.centre - model.centre(name)))
+        figures["rotation_deg"] = rotation_error_deg(location.R, model.poses[name][:, :3])
+        figures |= {"position": position, "position_percent": 100 * position / model.extent}
+    return figures
+
+
+def location_report(queries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
+    """What is measured of queries, each as of `placed`, and its figures."""
+    column = {name: np.array([query[name] for query in queries]) for name in queries[0]}
+    rotation, position, located = (
+        column["rotation_deg"],
+        column["position"],
+        column["status"] == "located",
     )
-
-
-def location_report(scores: Sequence[LocationScore]) -> list[tuple[str, str]]:
-    """What is measured, and its figures."""
-    located = [score for score in scores if score.status == "located"]
+    right = (rotation < 5) & (column["position_percent"] < 5)
     counted = {
-        "located": [score.status == "located" for score in scores],
-        "right: within 5 deg and 5 % of the extent": [score.is_right for score in scores],
-        "within 2 deg and 0.05 of the unit": [
-            score.rotation_deg < 2 and score.position < 0.05 for score in scores
-        ],
+        "located": located,
+        "right: within 5 deg and 5 % of the extent": right,
+        "within 2 deg and 0.05 of the unit": (rotation < 2) & (position < 0.05),
         **{
-            f"right of those at {least:g} or more": [
-                score.is_right for score in scores if score.probability >= least
-            ]
+            f"right of those at {least:g} or more": right[column["probability"] >= least]
             for least in _CLAIMS
         },
-        "R within its expected error": [
-            score.rotation_deg < score.rotation_error_90_deg for score in located
-        ],
-        "position within its expected error": [
-            score.position < score.position_error_90 for score in located
-        ],
+        "R within its expected error": (rotation < column["rotation_error_90_deg"])[located],
+        "position within its expected error": (position < column["position_error_90"])[located],
     }
+    seconds, of_pairs = column["seconds"], column["pair_seconds"]
     medians = {
-        "R, median, deg": [score.rotation_deg for score in located],
-        "position, median, % of the extent": [score.position_percent for score in located],
-        "position, median, unit": [score.position for score in located],
-        "f off, median, %": [score.focal_percent for score in located],
-        "database images, median": [float(score.database_images) for score in scores],
-        "seconds, median": [score.seconds for score in scores],
-        "seconds over those of the pairs, median": [
-            score.seconds / score.pair_seconds for score in scores if score.pair_seconds
-        ],
+        "R, median, deg": rotation[located],
+        "position, median, % of the extent": column["position_percent"][located],
+        "position, median, unit": position[located],
+        "database images, median": column["database_images"],
+        "seconds, median": seconds,
+        "seconds over those of the pairs, median": seconds[of_pairs > 0] / of_pairs[of_pairs > 0],
     }
-    lines = [(name, f"{sum(flags)} of {len(flags)}") for name, flags in counted.items()]
-    return lines + [(name, f"{np.median(v):.3g}" if v else "-") for name, v in medians.items()]
+    lines = [(name, f"{flags.sum()} of {len(flags)}") for name, flags in counted.items()]
+    return lines + [
+        (name, f"{np.median(values):.3g}" if len(values) else "-")
+        for name, values in medians.items()
+    ]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -74,53 +73,31 @@ _PANELS: Mapping[str, tuple[str, Unit]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Reliability:
-    """Counts over equal bins of confidence in [0, 1]; counts of several parts can be added.
+def reliability(confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> np.ndarray:
+    """Counts (3, B) over equal bins of confidence in [0, 1]: of the matches, of the correct ones,
+    and the sum of their confidences (Guo et al., 2017). Those of several parts can be added.
 
-    Bin b of B has the confidences in [b / B, (b + 1) / B), the last one also 1.
+    confidence: of any shape, in [0, 1]; correct: bool of the same shape. Bin b has the confidences
+    in [b / B, (b + 1) / B), the last one also 1.
     """
+    values = confidence.astype(np.float64).ravel()
+    index = np.minimum((values * bins).astype(np.intp), bins - 1)
+    weights = np.ones(len(values)), correct.ravel(), values
+    return np.stack([np.bincount(index, of, minlength=bins) for of in weights])
 
-    counts: np.ndarray  # (B,) int, matches
-    correct: np.ndarray  # (B,) int, correct matches
-    confidence: np.ndarray  # (B,) float64, sum of their confidences
 
-    @classmethod
-    def of(cls, confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> Reliability:
-        """Count matches. confidence: of any shape, in [0, 1]; correct: bool of the same shape."""
-        values = confidence.astype(np.float64).ravel()
-        index = np.minimum((values * bins).astype(np.intp), bins - 1)
-        return cls(
-            counts=np.bincount(index, minlength=bins),
-            correct=np.bincount(index[correct.ravel()], minlength=bins),
-            confidence=np.bincount(index, weights=values, minlength=bins),
-        )
+def shares(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Share (B,) of correct matches in each bin of `reliability`, and the mean confidence; NaN if
+    the bin is empty."""
+    with np.errstate(invalid="ignore"):
+        return counts[1] / counts[0], counts[2] / counts[0]
 
-    def __add__(self, other: Reliability) -> Reliability:
-        return Reliability(
-            self.counts + other.counts,
-            self.correct + other.correct,
-            self.confidence + other.confidence,
-        )
 
-    @property
-    def share_correct(self) -> np.ndarray:
-        """Share (B,) of correct matches in each bin; NaN if the bin is empty."""
-        return _quotient(self.correct, self.counts)
-
-    @property
-    def mean_confidence(self) -> np.ndarray:
-        """Mean confidence (B,) of each bin; NaN if the bin is empty."""
-        return _quotient(self.confidence, self.counts)
-
-    @property
-    def calibration_error(self) -> float:
-        """Expected calibration error in [0, 1]: |mean confidence - share correct| of the bins,
-        weighted by their counts. NaN without matches."""
-        total = self.counts.sum()
-        if total == 0:
-            return float("nan")
-        return float(np.abs(self.confidence - self.correct).sum() / total)
+def calibration_error(counts: np.ndarray) -> float:
+    """Expected calibration error in [0, 1] of `reliability`: |mean confidence - share correct| of
+    the bins, weighted by their counts. NaN without matches."""
+    total = counts[0].sum()
+    return float(np.abs(counts[2] - counts[1]).sum() / total) if total else np.nan
 
 
 def columns(scores: Iterable[PairScore]) -> dict[str, dict[str, np.ndarray]]:
@@ -153,7 +130,7 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
     if not np.isfinite(probability[claimed]).any():  # that of a pair without a pose is 0
         probability = np.full(len(rotation), np.nan)
     probable = np.isfinite(probability)
-    reliability = Reliability.of(probability[probable], right[probable])
+    calibration = reliability(probability[probable], right[probable])
     # Of the focal lengths of all claimed poses, two a pair
     error, std = (
         np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
@@ -183,7 +160,7 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         "doubted": int(doubted.sum()),  # of all pairs: by the pose a K may be wrong
         "told_percent": _share(doubted | ~claimed),
         # Expected calibration error, over the pairs that have a probability
-        "probability_error_percent": 100 * reliability.calibration_error,
+        "probability_error_percent": 100 * calibration_error(calibration),
         # Of the right poses that expect an error: whether that of R, of t, is within
         "rotation_within_percent": _share((rotation <= column["rotation_90_deg"])[expected]),
         "translation_within_percent": _share(
@@ -318,22 +295,17 @@ def plot_pck(curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray)
     return figure
 
 
-def draw_reliability(axes: Axes, reliabilities: Mapping[str, Reliability], *, right: str) -> None:
+def draw_reliability(axes: Axes, methods: Mapping[str, np.ndarray], *, right: str) -> None:
     """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
 
-    right: which matches are right, for the label.
+    methods: by name, of `reliability`; right: which matches are right, for the label.
     """
     axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
-    for method, reliability in reliabilities.items():
-        filled = reliability.counts > 0
-        x, y = reliability.mean_confidence[filled], reliability.share_correct[filled]
-        label = f"{method}, calibration error {100 * reliability.calibration_error:.1f} %"
-        axes.plot(x, y, marker="o", ms=4, label=label)
+    for method, counts in methods.items():
+        share, confidence = shares(counts[:, counts[0] > 0])
+        label = f"{method}, calibration error {100 * calibration_error(counts):.1f} %"
+        axes.plot(confidence, share, marker="o", ms=4, label=label)
     axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
     axes.grid(alpha=0.3)
-    if reliabilities:
+    if methods:
         axes.legend(loc="lower right", fontsize=9)
-
-
-def _quotient(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    return np.divide(sums, counts, out=np.full(len(counts), np.nan), where=counts > 0)

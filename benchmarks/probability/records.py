@@ -93,7 +93,10 @@ def collect(
     Raises what making the pair raises.
     """
     posed, entry = pair.make(), pair.entry
-    images, cameras = (posed.image1, posed.image2), (posed.camera1, posed.camera2)
+    images = posed.image1, posed.image2
+    camera1 = replace(posed.camera1, size=posed.image1.size)
+    camera2 = replace(posed.camera2, size=posed.image2.size)
+    posed, cameras = replace(posed, camera1=camera1, camera2=camera2), (camera1, camera2)
     scores = [focal_scores(image) for image in images]
     withheld = _withheld(pair, cameras, scores)
     results: dict[str, list[Any]] = {}

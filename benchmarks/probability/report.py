@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.probability.fitting import (
 )
 from dgc_pose.benchmarks.probability.planned import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
-from dgc_pose.benchmarks.report import Reliability, draw_reliability
+from dgc_pose.benchmarks.report import calibration_error, draw_reliability, reliability
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import (
@@ -91,7 +91,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
 
 def report_text(poses: Sequence[Judged]) -> str:
     """The claims on scenes that have no part in the fit, and what they are worth."""
-    error = 100 * reliability(poses).calibration_error
+    error = 100 * calibration_error(_calibration(poses))
     exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
     R = [p.record.best.rotation_error_deg <= p.rotation_90_deg for p in exact]
     t = [p.record.best.translation_error_deg <= p.translation_90_deg for p in exact]
@@ -121,11 +121,11 @@ def claims_table(poses: Sequence[Judged]) -> str:
     return aligned(rows)
 
 
-def reliability(poses: Sequence[Judged]) -> Reliability:
-    """Of the probability of the poses that have evidence."""
+def _calibration(poses: Sequence[Judged]) -> np.ndarray:
+    """`reliability` of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
     right = np.array([pose.right for pose in known], bool)
-    return Reliability.of(np.array([pose.probability for pose in known]), right)
+    return reliability(np.array([pose.probability for pose in known]), right)
 
 
 def fit_all(
@@ -179,7 +179,7 @@ def fit_all(
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
     figure = new_figure(5.5, 5)
     axes = figure.subplots()
-    curves = {str(kind): reliability(rows) for kind, rows in reported.items()}
+    curves = {str(kind): _calibration(rows) for kind, rows in reported.items()}
     draw_reliability(axes, curves, right="within 10 degrees")
     axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     return text, "\n\n\n".join([*parts, f"lines of the images: {of_images}"]), figure

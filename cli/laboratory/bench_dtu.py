@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import get_args
 
 import click
 
-from dgc_pose.benchmarks.dtu import Light, dtu_pairs
 from dgc_pose.benchmarks.methods import CameraTrial
+from dgc_pose.benchmarks.posed_pairs import Light, dtu_pairs
 from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
@@ -28,11 +27,12 @@ _LIST = "pairs.txt"
 
 @dataclass(frozen=True)
 class DtuChoice:
-    """Which pairs of DTU."""
+    """Which pairs of DTU, and how they are shown."""
 
     scan: int | None = option(None, "Number of the scan; default: all that are there.")
     light: Light = option("3", "Number of the light, or max.")
     pairs: int = option(64, "Pairs of all scans together.", metavar="N", min=1, max=10**7)
+    protocol: Protocol = option("paper", PROTOCOL_HELP)
 
 
 @click.command()
@@ -44,9 +44,6 @@ class DtuChoice:
     metavar="DIR",
     help="Folder of the results: pairs.txt and those of bench-pairs.",
 )
-@click.option(
-    "--protocol", type=click.Choice(get_args(Protocol)), default="paper", help=PROTOCOL_HELP
-)
 @dataclass_options(DtuChoice, "choice")
 @dataclass_options(
     PairBenchOptions, "options", only=("methods", "matches", "resume", "device", "runtime")
@@ -56,7 +53,6 @@ class DtuChoice:
 def bench_dtu(
     root: Path,
     out: Path,
-    protocol: Protocol,
     choice: DtuChoice,
     options: PairBenchOptions,
     matcher: MatcherOptions,
@@ -69,7 +65,7 @@ def bench_dtu(
     """
     pairs = dtu_pairs(root, choice.scan, choice.light, choice.pairs)
     click.echo(f"{out / _LIST}: {len(pairs)} pairs")
-    options = replace(options, out=out, protocol=protocol)
+    options = replace(options, out=out, protocol=choice.protocol)
     run_bench(pairs, options, CameraTrial(), matcher, estimation)
     with replaced(out / _LIST) as stage:  # last: the list of a run that is not gone on with stays
         write_pairs(stage, pairs)

@@ -95,7 +95,9 @@ def bench_maps(bench: MapBenchOptions) -> None:
                 writer.writeheader()
                 writer.writerows(rows)
             curves = {
-                group: {name: pooled(own, group).pck for name, own in scores.items()}
+                group: {
+                    name: pooled(own, group).pck[: len(PCK_ALPHAS)] for name, own in scores.items()
+                }
                 for group in groups_of(scores)
             }
             save_figure(plot_pck(curves, PCK_ALPHAS), files["pck.png"])

@@ -1,6 +1,6 @@
 """`dgc-pose bench-model`: reconstructions and locations compared with true cameras."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -126,11 +126,8 @@ def _placed(locator: Locator, bench: ModelBenchOptions) -> list[dict[str, Any]]:
         ]
     scores = []
     for name in thinned(sorted(locator.model.poses), bench.count):
-        score = placed(locator, name, bench.apart)
-        scores.append(score)
-        click.echo(
-            f"{name}: {score.status}, {score.rotation_deg:.3f} deg, {score.position_percent:.3f} %",
-            err=True,
-        )
+        scores.append(placed(locator, name, bench.apart))
+        found = "{status}, {rotation_deg:.3f} deg, {position_percent:.3f} %"
+        click.echo(f"{name}: {found.format(**scores[-1])}", err=True)
     click.echo(aligned(location_report(scores)))
-    return [asdict(score) for score in scores]
+    return scores

@@ -6,7 +6,7 @@ from command_line import assert_refused, run
 from dtu_layout import write_scan
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.benchmarks.dtu import dtu_pairs, read_projection
+from dgc_pose.benchmarks.posed_pairs import dtu_pairs, read_projection
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.errors import InputError
 from dgc_pose.metrics import rotation_error_deg

@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.benchmarks.models import (
-    LocationScore,
     location_report,
     model_figures,
     pair_figures,
@@ -154,10 +153,14 @@ def test_posed_images_are_a_model(posed: tuple[Path, list[View]]) -> None:
 
 
 def test_a_report_counts_what_is_within_bounds() -> None:
-    right = LocationScore("a", "located", 0.99, 3, 2.0, 1.0, 0.1, 0.02, 0.1, 0.2, 0.01, 0.0)
-    wrong = LocationScore("b", "located", 0.95, 3, 4.0, 2.0, 30.0, 2.0, 20.0, 1.0, 0.1, 0.0)
-    none = LocationScore("c", "nowhere", 0.0, 5, 1.0, 1.0)
-    lines = dict(location_report([right, wrong, none]))
+    names = "status probability database_images seconds pair_seconds rotation_deg position "
+    names += "position_percent rotation_error_90_deg position_error_90"
+    rows = (
+        ("located", 0.99, 3, 2.0, 1.0, 0.1, 0.02, 0.1, 0.2, 0.01),
+        ("located", 0.95, 3, 4.0, 2.0, 30.0, 2.0, 20.0, 1.0, 0.1),
+        ("nowhere", 0.0, 5, 1.0, 1.0, *(5 * [np.nan])),
+    )
+    lines = dict(location_report([dict(zip(names.split(), row, strict=True)) for row in rows]))
     assert lines["located"] == "2 of 3"
     assert lines["right: within 5 deg and 5 % of the extent"] == "1 of 3"
     assert thinned("abcdefg", 3) == ["a", "d", "g"] and thinned(["b", "c"], None) == ["b", "c"]

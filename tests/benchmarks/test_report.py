@@ -9,11 +9,13 @@ import pytest
 
 from dgc_pose.benchmarks.evaluate import PairScore
 from dgc_pose.benchmarks.report import (
-    Reliability,
+    calibration_error,
     columns,
     draw_cumulative,
     finite_data,
     plot_errors,
+    reliability,
+    shares,
     summarise,
     summary_table,
 )
@@ -115,7 +117,7 @@ def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
     confidence = rng.random((20, 30)).astype(np.float32)
     matches = confidence, rng.random((20, 30)) < confidence**2
     found, rest = (
-        Reliability.of(*(array[rows] for array in matches), bins=7)
+        reliability(*(array[rows] for array in matches), bins=7)
         for rows in (slice(4), slice(4, None))
     )
     found += rest
@@ -125,20 +127,19 @@ def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
         counts[b] += 1
         correct[b] += right
         sums[b] += value
-    assert found.counts.tolist() == counts
-    assert found.correct.tolist() == correct
-    np.testing.assert_allclose(found.mean_confidence, np.divide(sums, counts))
-    np.testing.assert_allclose(found.share_correct, np.divide(correct, counts))
+    assert found[:2].tolist() == [counts, correct]
+    expected = np.divide([correct, sums], counts)
+    np.testing.assert_allclose(shares(found), expected)
     gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
-    assert found.calibration_error == pytest.approx(sum(gaps) / sum(counts))
+    assert calibration_error(found) == pytest.approx(sum(gaps) / sum(counts))
 
 
 def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
-    found = Reliability.of(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
-    assert found.counts.tolist() == [1, 0, 0, 2]
-    np.testing.assert_array_equal(found.share_correct, [0, np.nan, np.nan, 0.5])
-    assert found.calibration_error == pytest.approx(2 / 3 * 0.5)
-    assert np.isnan(Reliability.of(np.zeros(0), np.zeros(0, bool)).calibration_error)
+    found = reliability(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
+    assert found[0].tolist() == [1, 0, 0, 2]
+    np.testing.assert_array_equal(shares(found)[0], [0, np.nan, np.nan, 0.5])
+    assert calibration_error(found) == pytest.approx(2 / 3 * 0.5)
+    assert np.isnan(calibration_error(reliability(np.zeros(0), np.zeros(0, bool))))
 
 
 def legend(axes):

@@ -94,7 +94,7 @@ def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(plan
 
 
 def test_unusable_input_is_one_line_and_writes_nothing(planes):
-    for words in (("--methods", "true,nosuch"), ("--methods", "true,true"), ("--methods", "sift")):
+    for words in (("--methods", "true,nosuch"), ("--methods", "sift"), ("--methods", ",")):
         assert_refused(run("bench-maps", "--homographies", "planes", *words))
     assert_refused(run("bench-maps", "--homographies", "."), "no pairs")
     assert os.listdir(planes) == ["planes"]
