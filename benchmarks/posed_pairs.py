@@ -98,10 +98,10 @@ def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pa
     for number in scans:
         find = cache(partial(_view_files, root, number, light))
         for rank in range(len(lines)):
-            line = lines[(rank + _STEP * (number - _FIRST_SCAN)) % len(lines)]
-            files = [find(position) for position in line]
-            if all(path is not None for path in files):
-                listed.append((rank, number, files))
+            position1, position2 = lines[(rank + _STEP * (number - _FIRST_SCAN)) % len(lines)]
+            view1, view2 = find(position1), find(position2)
+            if view1 is not None and view2 is not None:
+                listed.append((rank, number, view1, view2))
     # Evenly: the first ones of each scan. Then scan by scan.
     chosen = sorted(listed, key=lambda entry: entry[:2])[:count]
     if not chosen:
@@ -112,11 +112,11 @@ def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pa
         )
     read = cache(read_projection)
     pairs = []
-    for _, _, files in sorted(chosen, key=lambda entry: (entry[1], entry[0])):
-        names = [image.relative_to(root).as_posix() for image, _ in files]
-        (K1, R1, t1), (K2, R2, t2) = (read(calibration) for _, calibration in files)
+    for _, _, view1, view2 in sorted(chosen, key=lambda entry: (entry[1], entry[0])):
+        name1, name2 = (image.relative_to(root).as_posix() for image, _ in (view1, view2))
+        (K1, R1, t1), (K2, R2, t2) = (read(calibration) for _, calibration in (view1, view2))
         R = R2 @ R1.T
-        pairs.append(Pair(*names, root, Camera(K1), Camera(K2), R, t2 - R @ t1))
+        pairs.append(Pair(name1, name2, root, Camera(K1), Camera(K2), R, t2 - R @ t1))
     return pairs
 
 

@@ -206,7 +206,8 @@ def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
         K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         images.append(replace(image, pixels=resize(np.ascontiguousarray(pixels), image.size)))
         cameras.append(replace(camera, K=K, size=part).resized(image.size))
-    return PosedPair(*images, *cameras, pair.R, pair.t)
+    (image1, image2), (camera1, camera2) = images, cameras
+    return PosedPair(image1, image2, camera1, camera2, pair.R, pair.t)
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
@@ -230,14 +231,12 @@ def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
             views = plane_pair(photos, VIEW_SIZE, draw, RELIEFS[number % len(RELIEFS)])
         else:
             views = room_pairs(photos, 1, shape, draw, options)
-        both = (views.maps.image1, views.source), (views.maps.image2, views.target)
-        images = [Image(image_arrays(pixels[:1])[0]) for pixels, _ in both]
-        cameras = [
-            Camera(of.K[0].double().numpy(), image.size)
-            for (_, of), image in zip(both, images, strict=True)
-        ]
+        both = views.maps.image1, views.maps.image2
+        image1, image2 = (Image(image_arrays(pixels[:1])[0]) for pixels in both)
+        camera1 = Camera(views.source.K[0].double().numpy(), image1.size)
+        camera2 = Camera(views.target.K[0].double().numpy(), image2.size)
         pose = views.target.seen_by(views.source).pose[0].double().numpy()
-        return PosedPair(*images, *cameras, pose[:, :3], pose[:, 3])
+        return PosedPair(image1, image2, camera1, camera2, pose[:, :3], pose[:, 3])
 
     return make
 

@@ -29,7 +29,6 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import solve_pair
-from dgc_pose.system.threads import in_threads
 
 CameraCase = Literal["exact", "auto"]
 _THOROUGH = EstimationOptions(effort="thorough")
@@ -107,13 +106,11 @@ def collect(
             pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
             if not np.array_equal(pooled.points1, matches.points1):
                 matches = pooled  # with those searched again: the pose was in doubt
-        cases = [("exact", matches, cameras)]
+        of_map = found.map_matches
+        results[name] = [record(posed, "exact", matches, cameras, of_map, options)]
         if entry.withheld and not matches.key_points:
-            cases.append(("auto", found.matches, withheld))
-        results[name] = in_threads(
-            lambda case, of_map=found.map_matches: record(posed, *case, of_map, options),
-            cases,
-        )
+            auto = record(posed, "auto", found.matches, withheld, of_map, options)
+            results[name].append(auto)
     focals = []
     if entry.part == "fit" and entry.kind == "list":
         for camera, (of_image, count) in zip(cameras, scores, strict=True):

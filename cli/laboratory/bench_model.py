@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.models import (
     thinned,
     true_model,
 )
-from dgc_pose.benchmarks.report import finite_data, split_names, summary_table
+from dgc_pose.benchmarks.report import Summary, finite_data, split_names, summary_table
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.colmap.options import ReconstructionOptions
@@ -94,7 +94,7 @@ def bench_model(
     model = true_model(path, bench.images)
     locates, choice = bench.locate or bench.other is not None, parse_pair_choice(bench.pairs)
     bench.out.mkdir(parents=True, exist_ok=True)
-    results = []
+    results: list[Summary] = []
     for method in split_names(bench.methods):
         if locates:
             locator = Locator(model, MatcherOptions(method).load(image_cache()), estimation)
