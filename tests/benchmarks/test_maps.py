@@ -1,6 +1,5 @@
 """Maps of planes: pairs found in every layout, true maps, and figures against loops."""
 
-import json
 import math
 
 import cv2
@@ -18,10 +17,7 @@ from dgc_pose.benchmarks.maps import (
     find_homography_pairs,
     level_errors,
     load_pair,
-    maps_table,
     pooled,
-    reliability_lines,
-    report_data,
     score_map,
     true_map,
 )
@@ -230,34 +226,3 @@ def test_a_pair_with_nothing_to_find_has_no_error() -> None:
     assert both.means["aepe"] == seen.means["aepe"]
     np.testing.assert_array_equal(both.pck, pooled([seen]).pck)
     assert np.isnan(pooled([blind]).pck).all()
-
-
-def test_the_report_has_every_figure_of_each_group_and_method() -> None:
-    scores = {
-        method: [
-            score_map(method, group, "", comparison(seed, masked=method == "a"))
-            for seed, group in enumerate(("I", "I", "II"))
-        ]
-        for method in "ab"
-    }
-    found = pooled(scores["a"], "I")
-    header, *lines = (line.split() for line in maps_table(scores).splitlines())
-    assert header[:5] == ["group", "method", "pairs", "AEPE", "AEPE@15"]
-    assert [line[:3] for line in lines] == [
-        [group, m, n] for group, n in (("I", "2"), ("II", "1"), ("all", "3")) for m in "ab"
-    ]
-    assert lines[0][3] == f"{found.means['aepe']:.2f}" == lines[0][8]
-    assert lines[0][10] == f"{100 * found.data['pck3']:.1f}"
-    assert lines[0][12:] == [f"{found.means[n]:.3f}" for n in ("jaccard", "jaccard_found")]
-    assert lines[1][12:] == ["-", "-"]
-    data = json.loads(json.dumps(report_data(scores), allow_nan=False))
-    a, b = data["methods"]
-    assert a["method"] == "a" and [group["group"] for group in a["groups"]] == ["I", "II"]
-    assert a["groups"][0]["aepe15"] == found.means["aepe15"] and a["all"]["pairs"] == 3
-    assert len(data["pck_thresholds_px"]) == len(a["all"]["pck"]) == 200
-    assert sum(a["reliability"]["counts"]) == 3 * 144
-    assert b["reliability"] is None and b["all"]["jaccard"] is None
-    (line,) = reliability_lines(scores)
-    assert line.startswith("a: percent within 3 px by tenths of matchability: ")
-    error = 100 * a["reliability"]["expected_calibration_error"]
-    assert line.endswith(f"; expected calibration error {error:.1f} %")

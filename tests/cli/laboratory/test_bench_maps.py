@@ -83,6 +83,10 @@ def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(plan
     assert [group["group"] for group in half["groups"]] == ["I", "II", "III", "IV", "V"]
     assert half["groups"][0]["aepe"] == pytest.approx(still_aepe(), rel=1e-4)
     assert true["reliability"]["share_correct"][9] == 1
+    assert sum(half["reliability"]["counts"]) == 5 * 240 * 240 and still["reliability"] is None
+    assert len(data["pck_thresholds_px"]) == len(still["all"]["pck"]) == 200
+    (line,) = (own for own in result.stdout.splitlines() if own.startswith("true: "))
+    assert "percent within 3 px by tenths of matchability: " in line
     figures = dis["all"]
     assert figures["aepe"] == figures["aepe240"] < 0.5 * still["all"]["aepe"]
     assert figures["aepe15"] is None and 0.3 < figures["jaccard"] <= 1
