@@ -1,8 +1,8 @@
 """What a method makes of a pair, compared with the truth."""
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,49 +21,18 @@ from dgc_pose.metrics import epipolar_residuals_px, rotation_error_deg, translat
 from dgc_pose.pose import solve_pair
 
 
-@dataclass(frozen=True)
-class PairScore:
-    """What one method made of one pair: a row of results.csv, whose columns are its fields.
+def score(
+    names: tuple[str, str], pair: PosedPair, method: Method, matcher: Matcher
+) -> dict[str, Any]:
+    """What a method makes of a pair, compared with the truth: a row of results.csv by its columns.
 
-    Errors are infinite without a pose; NaN is what a method does not say.
+    Errors are infinite without a pose; NaN is what a method does not say. D_e is the symmetric
+    epipolar distance to the true epipolar lines, in pixels of the images that the methods see: over
+    all cells of the dense map (NaN without one), and over the matches that the pose was estimated
+    from (infinite without any).
 
-    D_e is the symmetric epipolar distance to the true epipolar lines, in pixels of the images that
-    the methods see: over all cells of the dense map (NaN without one), and over the matches that
-    the pose was estimated from (infinite without any).
-    """
-
-    method: str
-    image1: str  # as the list names it
-    image2: str
-    true_rotation_deg: float
-    status: str
-    success: bool
-    num_matches: int
-    num_inliers: int
-    inlier_ratio: float
-    rotation_error_deg: float
-    translation_error_deg: float  # 0 to 180
-    translation_folded_deg: float  # min(e, 180 - e)
-    match_seconds: float  # wall clock of the steps that changed the matches
-    estimate_seconds: float  # wall clock of all estimations
-    rotation_90_deg: float  # what the pose expects of its error; NaN if it has none
-    translation_90_deg: float
-    probability: float  # that R and t are both within 10 degrees
-    focal1_error: float  # ln of the focal length of the pose over the true one; NaN without a pose
-    focal2_error: float
-    focal1_std: float  # what the pose expects of it; 0 if K was exact for it
-    focal2_std: float
-    doubts_camera: bool  # whether by the pose a K may be wrong
-    epipolar_all_px: float  # medians
-    epipolar_confident_px: float
-    epipolar_all_mean_px: float
-    epipolar_confident_mean_px: float
-
-
-def score(names: tuple[str, str], pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
-    """What a method makes of a pair, compared with the truth. names: of the images.
-
-    Raises InputError if it asks for every pixel of a matcher that makes no map.
+    names: of the images, as the list has them. Raises InputError if the method asks for every pixel
+    of a matcher that makes no map.
     """
     assert pair.R is not None and pair.t is not None
     cameras = method.cameras.cameras(pair)
@@ -81,34 +50,35 @@ def score(names: tuple[str, str], pair: PosedPair, method: Method, matcher: Matc
         fitted, true = (pose.camera1, pose.camera2), (pair.camera1, pair.camera2)
         focal_errors = [float(np.log(a.focal / b.focal)) for a, b in zip(fitted, true, strict=True)]
         focal_stds = [camera.focal_std for camera in fitted]
-    return PairScore(
-        method=method.name,
-        image1=names[0],
-        image2=names[1],
-        true_rotation_deg=rotation_error_deg(pair.R, np.eye(3)),
-        status=pose.status,
-        success=pose.success,
-        num_matches=pose.num_matches,
-        num_inliers=pose.num_inliers,
-        inlier_ratio=pose.inlier_ratio,
-        rotation_error_deg=rotation,
-        translation_error_deg=translation,
-        translation_folded_deg=folded(translation),
-        match_seconds=match_seconds,
-        estimate_seconds=pose.seconds["estimate"],
-        rotation_90_deg=_number(pose.rotation_error_90_deg),
-        translation_90_deg=_number(pose.translation_error_90_deg),
-        probability=_number(pose.probability),
-        focal1_error=focal_errors[0],
-        focal2_error=focal_errors[1],
-        focal1_std=focal_stds[0],
-        focal2_std=focal_stds[1],
-        doubts_camera=doubts_camera(pose, cameras),
-        epipolar_all_px=everywhere_px[0],
-        epipolar_confident_px=confident_px[0],
-        epipolar_all_mean_px=everywhere_px[1],
-        epipolar_confident_mean_px=confident_px[1],
-    )
+    return {
+        "method": method.name,
+        "image1": names[0],
+        "image2": names[1],
+        "true_rotation_deg": rotation_error_deg(pair.R, np.eye(3)),
+        "status": pose.status,
+        "success": pose.success,
+        "num_matches": pose.num_matches,
+        "num_inliers": pose.num_inliers,
+        "inlier_ratio": pose.inlier_ratio,
+        "rotation_error_deg": rotation,
+        "translation_error_deg": translation,  # 0 to 180
+        "translation_folded_deg": folded(translation),
+        "match_seconds": match_seconds,  # wall clock of the steps that changed the matches
+        "estimate_seconds": pose.seconds["estimate"],  # wall clock of all estimations
+        "rotation_90_deg": _number(pose.rotation_error_90_deg),  # what the pose expects
+        "translation_90_deg": _number(pose.translation_error_90_deg),
+        "probability": _number(pose.probability),  # that R and t are both within 10 degrees
+        # ln of the focal length of the pose over the true one, and what the pose expects of it
+        "focal1_error": focal_errors[0],
+        "focal2_error": focal_errors[1],
+        "focal1_std": focal_stds[0],  # 0 if K was exact for it
+        "focal2_std": focal_stds[1],
+        "doubts_camera": doubts_camera(pose, cameras),  # whether by the pose a K may be wrong
+        "epipolar_all_px": everywhere_px[0],  # medians
+        "epipolar_confident_px": confident_px[0],
+        "epipolar_all_mean_px": everywhere_px[1],
+        "epipolar_confident_mean_px": confident_px[1],
+    }
 
 
 def _solved(
@@ -174,24 +144,21 @@ def folded(error_deg: float) -> float:
     return min(error_deg, abs(180.0 - error_deg))
 
 
-def pose_auc(errors: ArrayLike, thresholds: Sequence[float] = (5, 10, 20)) -> tuple[float, ...]:
-    """Area under the recall curve of pose errors up to each threshold, percent of the full area.
+def pose_auc(errors: ArrayLike, threshold: float) -> float:
+    """Area under the recall curve of pose errors up to a threshold, percent of the full area.
 
     The curve of the matching literature: straight lines from (0, 0) through the points (e_i, i/N),
     errors in ascending order, and constant from the last error below the threshold on. The area
     under it is exact. Failures are infinite errors and count among the N.
 
-    errors: (N,), N > 0, in the unit of the thresholds, for a pair max(rotation, folded
-    translation), never NaN.
+    errors: (N,), N > 0, in the unit of the threshold, for a pair max(rotation, folded translation),
+    never NaN.
     """
     values = np.sort(np.asarray(errors, dtype=np.float64))
-    areas = []
-    for threshold in thresholds:
-        below = values[: np.searchsorted(values, threshold)]
-        x = np.concatenate(([0.0], below, [threshold]))
-        y = np.minimum(np.arange(len(x)), len(below)) / len(values)
-        areas.append(float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold))
-    return tuple(areas)
+    below = values[: np.searchsorted(values, threshold)]
+    x = np.concatenate(([0.0], below, [threshold]))
+    y = np.minimum(np.arange(len(x)), len(below)) / len(values)
+    return float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold)
 
 
 def _number(value: float | None) -> float:

@@ -188,7 +188,7 @@ def pair_figures(batch: Batch, views: Model) -> dict[str, Any]:
     return {
         "pairs": batch.summary["pairs"],
         "poses": batch.summary["poses"],
-        "pair_auc5": pose_auc(np.array(errors), (5,))[0] if errors else np.nan,
+        "pair_auc5": pose_auc(errors, 5) if errors else np.nan,
     }
 
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.evaluate import PairScore, pose_auc
+from dgc_pose.benchmarks.evaluate import pose_auc
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
@@ -59,17 +59,13 @@ CAMERA_COLUMNS: Columns = {
 }
 _SURE_STD = 0.05  # of ln f: focal lengths of a smaller deviation are sure
 
-Unit = Literal["degrees", "pixels"]
-LIMITS: Mapping[Unit, Sequence[float]] = {  # where an axis may end
-    "degrees": (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0),
-    "pixels": (5.0, 10.0, 20.0, 50.0, 100.0),
-}
-# By field of a record what a panel is called, and its unit
-_PANELS: Mapping[str, tuple[str, Unit]] = {
-    "rotation_error_deg": ("rotation error", "degrees"),
-    "translation_error_deg": ("translation error", "degrees"),
-    "epipolar_all_px": ("median D_e of the map", "pixels"),
-    "epipolar_confident_px": ("median D_e of the pose's matches", "pixels"),
+_DEGREES, _PIXELS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0), (5.0, 10.0, 20.0, 50.0, 100.0)
+# By field of a record what a panel is called, its unit, and where its axis may end
+_PANELS = {
+    "rotation_error_deg": ("rotation error", "°", _DEGREES),
+    "translation_error_deg": ("translation error", "°", _DEGREES),
+    "epipolar_all_px": ("median D_e of the map", " px", _PIXELS),
+    "epipolar_confident_px": ("median D_e of the pose's matches", " px", _PIXELS),
 }
 
 
@@ -100,16 +96,16 @@ def calibration_error(counts: np.ndarray) -> float:
     return float(np.abs(counts[2] - counts[1]).sum() / total) if total else np.nan
 
 
-def columns(scores: Iterable[PairScore]) -> dict[str, dict[str, np.ndarray]]:
+def columns(scores: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
     """The numbers of the records as arrays (N,), by method, in the order in which they come, and by
     field."""
-    methods: dict[str, list[PairScore]] = {}
+    methods: dict[str, list[Mapping[str, Any]]] = {}
     for score in scores:
-        methods.setdefault(score.method, []).append(score)
+        methods.setdefault(score["method"], []).append(score)
     return {
         method: {
-            name: np.array([getattr(row, name) for row in rows], dtype=np.float64)
-            for name, value in vars(rows[0]).items()
+            name: np.array([row[name] for row in rows], dtype=np.float64)
+            for name, value in rows[0].items()
             if isinstance(value, int | float)
         }
         for method, rows in methods.items()
@@ -147,7 +143,7 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         "median_translation_deg": float(np.median(translation)),
         "median_translation_folded_deg": float(np.median(folded)),
         # Percent; of max(rotation, folded translation), a failure as infinite
-        **{f"auc{limit}": pose_auc(worse, (limit,))[0] for limit in (5, 10, 20)},
+        **{f"auc{limit}": pose_auc(worse, limit) for limit in (5, 10, 20)},
         "seconds_per_pair": float(np.mean(match + estimate)),  # without reading the images
         # Medians over the pairs of the pairs' median D_e, pixels of the images that the methods saw
         "median_epipolar_px": float(np.median(column["epipolar_all_px"])),
@@ -227,53 +223,42 @@ def split_names(text: str) -> list[str]:
 
 
 def plot_errors(methods: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
-    """The paper's histograms (section 4.4): rotation error, translation error from 0 to 180
-    degrees, and a pair's median D_e over the map and over the matches of the pose.
+    """The paper's cumulative histograms (section 4.4): rotation error, translation error from 0 to
+    180 degrees, and a pair's median D_e over the map and over the matches of the pose.
 
     methods: by method, by field of a record, its values (N,); infinite ones count as pairs, and a
-    method with NaN is left out of a panel.
+    method with NaN is left out of a panel. The median is in the legend, and `NAME/all` has the
+    colour of `NAME`, and is dashed. An axis ends at the least of its limits that is not below nine
+    tenths of the finite errors of all methods, or at the last one.
     """
     figure = new_figure(12.0, 9.0)
-    for axes, (field, (quantity, unit)) in zip(
-        figure.subplots(2, 2).ravel(), _PANELS.items(), strict=True
-    ):
+    panels = zip(figure.subplots(2, 2).ravel(), _PANELS.items(), strict=True)
+    for axes, (field, (quantity, unit, limits)) in panels:
         errors = {name: values[field] for name, values in methods.items()}
-        known = {name: values for name, values in errors.items() if not np.isnan(values).any()}
-        if known:
-            draw_cumulative(axes, known, quantity=quantity, unit=unit)
-        else:
+        errors = {name: values for name, values in errors.items() if not np.isnan(values).any()}
+        if not errors:
             axes.set_axis_off()
             axes.text(0.5, 0.5, "no method has a map", ha="center", va="center")
+            continue
+        finite = np.concatenate([values[np.isfinite(values)] for values in errors.values()])
+        most = np.quantile(finite, 0.9) if len(finite) else 0.0
+        limit = next((limit for limit in limits if limit >= most), limits[-1])
+        bases = list(dict.fromkeys(method.removesuffix("/all") for method in errors))
+        for method, values in errors.items():
+            below = np.sort(values[values <= limit])
+            axes.step(
+                np.concatenate([[0.0], below, [limit]]),
+                100 * np.append(np.arange(len(below) + 1), len(below)) / values.size,
+                where="post",
+                label=f"{method}, median {np.median(values):.2f}{unit}",
+                color=f"C{bases.index(method.removesuffix('/all')) % 10}",
+                linestyle="--" if method.endswith("/all") else "-",
+            )
+        words = f"{quantity} ({'degrees' if unit == '°' else 'pixels'})"
+        axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=words, ylabel="pairs (%)")
+        axes.grid(alpha=0.3)
+        axes.legend(loc="lower right", fontsize=9)
     return figure
-
-
-def draw_cumulative(
-    axes: Axes, errors: Mapping[str, np.ndarray], *, quantity: str, unit: Unit
-) -> None:
-    """Draw the cumulative histogram of each method, its median in the legend. `NAME/all` has the
-    colour of `NAME`, and is dashed.
-
-    errors: by method, (N,), N > 0, no NaN; infinite ones count. The axis ends at the least of
-    LIMITS that is not below nine tenths of the finite errors of all methods, or at the last one.
-    """
-    values = np.concatenate(list(errors.values()))
-    finite = values[np.isfinite(values)]
-    most, limits = np.quantile(finite, 0.9) if len(finite) else 0.0, LIMITS[unit]
-    limit = next((limit for limit in limits if limit >= most), limits[-1])
-    bases = list(dict.fromkeys(method.removesuffix("/all") for method in errors))
-    for method, values in errors.items():
-        below = np.sort(values[values <= limit])
-        axes.step(
-            np.concatenate([[0.0], below, [limit]]),
-            100 * np.append(np.arange(len(below) + 1), len(below)) / values.size,
-            where="post",
-            label=f"{method}, median {np.median(values):.2f}{'°' if unit == 'degrees' else ' px'}",
-            color=f"C{bases.index(method.removesuffix('/all')) % 10}",
-            linestyle="--" if method.endswith("/all") else "-",
-        )
-    axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=f"{quantity} ({unit})", ylabel="pairs (%)")
-    axes.grid(alpha=0.3)
-    axes.legend(loc="lower right", fontsize=9)
 
 
 def plot_pck(curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray) -> Figure:

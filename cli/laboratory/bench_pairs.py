@@ -4,14 +4,14 @@ import csv
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import click
 from tqdm import tqdm
 
-from dgc_pose.benchmarks.evaluate import PairScore, score
+from dgc_pose.benchmarks.evaluate import score
 from dgc_pose.benchmarks.methods import EVERYWHERE, CameraTrial, load_matchers, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs
 from dgc_pose.benchmarks.report import (
@@ -152,16 +152,16 @@ def run_bench(
         numbers = range(len(done), len(listed))
         for k in tqdm(numbers, total=len(listed), initial=len(done), unit="pair", disable=None):
             each, pair = zip(methods, matchers, strict=True), pairs.pair(k)
-            add([asdict(score(all_names[k], pair, *method)) for method in each])
-    scores = [PairScore(**row) for of_pair in done for row in of_pair]
+            add([score(all_names[k], pair, *method) for method in each])
+    scores = [row for of_pair in done for row in of_pair]
     figures = columns(scores)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:
         with replaced(out / "results.csv") as file, writing(file):
             with file.open("w", newline="", encoding="utf-8") as table:
-                writer = csv.DictWriter(table, [field.name for field in fields(PairScore)])
+                writer = csv.DictWriter(table, list(scores[0]))
                 writer.writeheader()
-                writer.writerows(map(asdict, scores))
+                writer.writerows(scores)
         write_json(out / "summary.json", {"methods": finite_data(summaries)})
         with replaced(out / "errors.png") as file:
             save_figure(plot_errors(figures), file)

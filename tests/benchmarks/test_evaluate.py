@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import dense_scene
 import numpy as np
@@ -76,6 +77,7 @@ class Backwards(Matcher):
 def test_a_wrong_pose_has_its_error(tmp_path) -> None:
     (method,) = parse_methods(["sift"], estimation=EstimationOptions(runs=2, iterations=200))
     result = score(("1", "2"), posed_pairs(tmp_path, 1).pair(0), method, Backwards())
+    result = SimpleNamespace(**result)
     # The pose found is cam1_from_cam2: its rotation is off by twice the true one.
     assert result.success
     assert result.rotation_error_deg == pytest.approx(2 * result.true_rotation_deg, abs=0.1)
@@ -137,12 +139,11 @@ def test_the_folded_error_ignores_the_sign() -> None:
 
 
 def test_auc_of_cases_done_by_hand() -> None:
-    assert pose_auc([0, 0, 0]) == pytest.approx((100, 100, 100))
-    assert pose_auc([math.inf, 90]) == (0, 0, 0)
-    # One pair at 4 degrees: a triangle up to 4, level after it.
-    assert pose_auc([4], (5, 8)) == pytest.approx((60, 75))
-    # A failure beside it halves everything.
-    assert pose_auc([math.inf, 4], (5, 8)) == pytest.approx((30, 37.5))
+    assert pose_auc([0, 0, 0], 10) == pytest.approx(100)
+    assert pose_auc([math.inf, 90], 20) == 0
+    # One pair at 4 degrees: a triangle up to 4, level after it. A failure beside it halves it.
+    assert [pose_auc([4], limit) for limit in (5, 8)] == pytest.approx([60, 75])
+    assert [pose_auc([math.inf, 4], limit) for limit in (5, 8)] == pytest.approx([30, 37.5])
 
 
 def test_epipolar_figures_are_those_of_the_equation() -> None:

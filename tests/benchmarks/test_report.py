@@ -7,11 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.evaluate import PairScore
 from dgc_pose.benchmarks.report import (
     calibration_error,
     columns,
-    draw_cumulative,
     finite_data,
     plot_errors,
     reliability,
@@ -19,7 +17,7 @@ from dgc_pose.benchmarks.report import (
     summarise,
     summary_table,
 )
-from dgc_pose.viz.figure import new_figure, save_figure
+from dgc_pose.viz.figure import save_figure
 
 
 def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, doubts=False):
@@ -28,7 +26,7 @@ def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, do
     def known(value):
         return value if success else math.nan
 
-    return PairScore(
+    return dict(
         method="m",
         image1="a",
         image2="b",
@@ -146,27 +144,25 @@ def legend(axes):
     return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
-def test_a_curve_a_method_with_its_median():
-    axes = new_figure(4, 3).subplots()
-    errors = {"a": np.array([3.0, np.inf, 1.0, 9.0, 3.0]), "b": np.full(3, np.inf)}
-    draw_cumulative(axes, errors, quantity="rotation error", unit="degrees")
-    assert legend(axes) == ["a, median 3.00°", "b, median inf°"]
-    # At each value the share of errors not above it.
-    assert axes.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
-    assert axes.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]
-    assert axes.lines[1].get_ydata().tolist() == [0, 0]
-
-
-def test_a_panel_a_quantity_without_the_methods_that_have_it_not(tmp_path):
+def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
     """A method may be called as a formula."""
-    errors = np.array([12.0, 170.0, np.inf])
+    errors, lost = np.array([3.0, np.inf, 1.0, 9.0, 3.0]), np.full(5, np.inf)
     fields = ("rotation_error_deg", "translation_error_deg", "epipolar_confident_px")
     methods = {
-        name: {**dict.fromkeys(fields, errors), "epipolar_all_px": of_map}
-        for name, of_map in (("$\\frac{$", errors), ("$\\frac{$/all", errors), ("\udcff", [np.nan]))
+        name: {**dict.fromkeys(fields, own), "epipolar_all_px": of_map}
+        for name, own, of_map in (
+            ("$\\frac{$", errors, errors),
+            ("$\\frac{$/all", lost, lost),
+            ("\udcff", errors, np.array([np.nan])),
+        )
     }
     figure = plot_errors(methods)
-    *_, everywhere, confident = figure.axes
+    rotation, _, everywhere, confident = figure.axes
+    assert legend(rotation)[:2] == ["$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°"]
+    # At each value the share of errors not above it.
+    assert rotation.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
+    assert rotation.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]
+    assert rotation.lines[1].get_ydata().tolist() == [0, 0]
     assert (len(everywhere.lines), len(confident.lines)) == (2, 3)
     save_figure(figure, tmp_path / "a.png")
     assert (tmp_path / "a.png").exists()
