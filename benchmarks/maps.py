@@ -71,10 +71,10 @@ _COLUMNS = [
 ]
 
 
-# Of a level: the Euclidean distances (S, S) float64 of its map from the truth, pixels of 240x240,
-# infinite where the truth is not known, and where it is (S, S) bool
+# The distances (S, S) float64 of a level's map from the truth, pixels of 240x240, infinite where
+# that is not known, and where it is known, (S, S) bool
 Level = tuple[np.ndarray, np.ndarray]
-# Of a pair the levels, coarse to fine, up to 240 cells a side, of a network from 15 on; and the
+# A pair's levels, coarse to fine, up to 240 cells a side, of a network from 15 on; and the
 # matchability (240, 240) float32 in [0, 1], None without a mask
 Comparison = tuple[Sequence[Level], np.ndarray | None]
 MapMethod = Callable[[MapPairs], Comparison]  # of one pair

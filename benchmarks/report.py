@@ -127,7 +127,7 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         probability = np.full(len(rotation), np.nan)
     probable = np.isfinite(probability)
     calibration = reliability(probability[probable], right[probable])
-    # Of the focal lengths of all claimed poses, two a pair
+    # The focal lengths of all claimed poses, two a pair
     error, std = (
         np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
         for name in ("error", "std")
@@ -157,7 +157,7 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         "told_percent": _share(doubted | ~claimed),
         # Expected calibration error, over the pairs that have a probability
         "probability_error_percent": 100 * calibration_error(calibration),
-        # Of the right poses that expect an error: whether that of R, of t, is within
+        # Right poses that expect an error: whether that of R, of t, is within
         "rotation_within_percent": _share((rotation <= column["rotation_90_deg"])[expected]),
         "translation_within_percent": _share(
             (translation <= column["translation_90_deg"])[expected]

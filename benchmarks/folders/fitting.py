@@ -44,16 +44,14 @@ _LANDS_PX = 8.0  # of an inlier from where the truth has it
 _RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the latter over the depth, of a t that counts
 # Folder of images, their cameras by name, and whether a pair that has a pose is right
 Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
-
-
-# Of the pairs that have a pose the values (n, 3) of `gathered`, and whether they are right, (n,);
+# For the pairs that have a pose the values (n, 3) of `gathered`, and whether they are right, (n,);
 # their triples (M, 3), and whether these agree, (M,)
 Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _photos = cache(load_held_back)
 
 
 def folder_names(data: Path, count: int) -> list[str]:
-    """Of so many rendered folders of each kind, and of as many posed scenes."""
+    """The names of so many rendered folders of each kind, and of as many posed scenes."""
     rendered = [f"{kind}_{seed}" for kind, seed in product(KINDS, range(count))]
     scenes = sorted(path.parent.name for path in data.glob("posed/*/images"))
     return rendered + thinned(scenes, len(rendered))

@@ -70,7 +70,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
     odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
-    # Of the least negative log-likelihood
+    # With the least negative log-likelihood
     strength = min(odds, key=lambda c: np.logaddexp(0, np.where(right, -odds[c], odds[c])).mean())
     slope, offset = _platt(odds[strength], right)
     weights, intercept = _logistic(X, right, signs, strength)

@@ -63,7 +63,8 @@ class Record:
     evidence: Evidence | None  # None without a model
     poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, the best first
     cameras: CameraCase = "exact"
-    # Of ln f of the less certain camera, per cent; NaN if it was not fitted, and without a pose.
+    # The error of ln f of the less certain camera, per cent; NaN if it was not fitted, and without
+    # a pose.
     focal_error_percent: float = math.nan
     # Whether the true K say what an error of a focal length is: not if they are of no photograph,
     # and not if they differ a little between images of one camera, since they are estimates then.
