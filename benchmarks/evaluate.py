@@ -1,116 +1,88 @@
-"""The loop of every pose benchmark: match the pairs of a data set, estimate, compare."""
+"""What a method makes of a pair, compared with the truth."""
 
-import hashlib
-import json
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from dgc_pose.benchmarks.methods import Method
-from dgc_pose.benchmarks.metrics import folded, median_and_mean
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair, Truth
-from dgc_pose.benchmarks.store import PairScore
+from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.camera_model import OF_STATED, is_contradicted
 from dgc_pose.estimation.status import STATUSES
-from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
+from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap, Matcher, select_matches
-from dgc_pose.metrics import ideal_pixels, rotation_error_deg, translation_error_deg
+from dgc_pose.metrics import epipolar_residuals_px, rotation_error_deg, translation_error_deg
 from dgc_pose.pose import solve_pair
 
 
-def evaluate(
-    pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], first: int = 0
-) -> Iterator[list[PairScore]]:
-    """For each pair from number `first` on, in order, a record a method.
-
-    matchers: of each method.
-
-    Raises what reading a pair raises.
-    """
-    for pair in pairs.read(first):
-        yield [score(pair, *each) for each in zip(methods, matchers, strict=True)]
-
-
-def settings(
-    pairs: ListedPairs, methods: Sequence[Method], matchers: Sequence[Matcher], device: str
+def score(
+    names: tuple[str, str], pair: PosedPair, method: Method, matcher: Matcher
 ) -> dict[str, Any]:
-    """All that the records depend on, for `open_run`."""
-    ids = json.dumps([dict(pair_ids) for pair_ids in pairs.ids])
-    return {
-        "pairs": hashlib.sha256(ids.encode()).hexdigest()[:16],
-        "methods": [asdict(method) for method in methods],
-        "weights": {
-            method.matcher.weights: matcher.fingerprint
-            for method, matcher in zip(methods, matchers, strict=True)
-            if matcher.fingerprint is not None
-        },
-        "device": device,
-    }
+    """What a method makes of a pair, compared with the truth: a row of results.csv by its columns.
 
+    Errors are infinite without a pose; NaN is what a method does not say. D_e is the symmetric
+    epipolar distance to the true epipolar lines, in pixels of the images that the methods see: over
+    all cells of the dense map (NaN without one), and over the matches that the pose was estimated
+    from (infinite without any).
 
-def score(pair: PosedPair, method: Method, matcher: Matcher) -> PairScore:
-    """What a method makes of a pair, compared with the truth.
-
-    Raises InputError if it asks for every pixel of a matcher that makes no map.
+    names: of the images, as the list has them. Raises InputError if the method asks for every pixel
+    of a matcher that makes no map.
     """
-    truth = pair.truth
-    assert truth.R is not None and truth.t is not None
+    assert pair.R is not None and pair.t is not None
     cameras = method.cameras.cameras(pair)
     pose, matches, dense, match_seconds = _solved(pair, cameras, method, matcher)
     everywhere_px = (np.nan, np.nan)
     if dense is not None:
-        everywhere_px = epipolar_errors(truth, dense.map, dense.grid)
-    confident_px = epipolar_errors(truth, matches.points1, matches.points2)
+        everywhere_px = epipolar_errors(pair, dense.map, dense.grid)
+    confident_px = epipolar_errors(pair, matches.points1, matches.points2)
     rotation = translation = np.inf
     if pose.success and pose.R is not None and pose.t is not None:  # it counts only as a whole
-        rotation = rotation_error_deg(pose.R, truth.R)
-        translation = translation_error_deg(pose.t, truth.t)
+        rotation = rotation_error_deg(pose.R, pair.R)
+        translation = translation_error_deg(pose.t, pair.t)
     focal_errors, focal_stds = [np.nan, np.nan], [np.nan, np.nan]
     if pose.camera1 is not None and pose.camera2 is not None:
-        fitted, true = (pose.camera1, pose.camera2), (truth.camera1, truth.camera2)
+        fitted, true = (pose.camera1, pose.camera2), (pair.camera1, pair.camera2)
         focal_errors = [float(np.log(a.focal / b.focal)) for a, b in zip(fitted, true, strict=True)]
         focal_stds = [camera.focal_std for camera in fitted]
-    return PairScore(
-        **truth.ids,
-        method=method.name,
-        true_rotation_deg=rotation_error_deg(truth.R, np.eye(3)),
-        status=pose.status,
-        success=pose.success,
-        num_matches=pose.num_matches,
-        num_inliers=pose.num_inliers,
-        inlier_ratio=pose.inlier_ratio,
-        rotation_error_deg=rotation,
-        translation_error_deg=translation,
-        translation_folded_deg=folded(translation),
-        match_seconds=match_seconds,
-        estimate_seconds=pose.seconds["estimate"],
-        rotation_90_deg=_number(pose.rotation_error_90_deg),
-        translation_90_deg=_number(pose.translation_error_90_deg),
-        probability=_number(pose.probability),
-        focal1_error=focal_errors[0],
-        focal2_error=focal_errors[1],
-        focal1_std=focal_stds[0],
-        focal2_std=focal_stds[1],
-        doubts_camera=doubts_camera(pose, cameras),
-        epipolar_all_px=everywhere_px[0],
-        epipolar_confident_px=confident_px[0],
-        epipolar_all_mean_px=everywhere_px[1],
-        epipolar_confident_mean_px=confident_px[1],
-    )
+    return {
+        "method": method.name,
+        "image1": names[0],
+        "image2": names[1],
+        "true_rotation_deg": rotation_error_deg(pair.R, np.eye(3)),
+        "status": pose.status,
+        "success": pose.success,
+        "num_matches": pose.num_matches,
+        "num_inliers": pose.num_inliers,
+        "inlier_ratio": pose.inlier_ratio,
+        "rotation_error_deg": rotation,
+        "translation_error_deg": translation,  # 0 to 180
+        "translation_folded_deg": folded(translation),
+        "match_seconds": match_seconds,  # wall clock of the steps that changed the matches
+        "estimate_seconds": pose.seconds["estimate"],  # wall clock of all estimations
+        "rotation_90_deg": _number(pose.rotation_error_90_deg),  # what the pose expects
+        "translation_90_deg": _number(pose.translation_error_90_deg),
+        "probability": _number(pose.probability),  # that R and t are both within 10 degrees
+        # ln of the focal length of the pose over the true one, and what the pose expects of it
+        "focal1_error": focal_errors[0],
+        "focal2_error": focal_errors[1],
+        "focal1_std": focal_stds[0],  # 0 if K was exact for it
+        "focal2_std": focal_stds[1],
+        "doubts_camera": doubts_camera(pose, cameras),  # whether by the pose a K may be wrong
+        "epipolar_all_px": everywhere_px[0],  # medians
+        "epipolar_confident_px": confident_px[0],
+        "epipolar_all_mean_px": everywhere_px[1],
+        "epipolar_confident_mean_px": confident_px[1],
+    }
 
 
 def _solved(
-    pair: PosedPair,
-    cameras: tuple[Camera, Camera],
-    method: Method,
-    matcher: Matcher,
+    pair: PosedPair, cameras: tuple[Camera, Camera], method: Method, matcher: Matcher
 ) -> tuple[RelativePose, Matches, CorrespondenceMap | None, float]:
     """The pose of a pair, its matches and the dense map, and the seconds of the matching."""
     if not method.everywhere:
@@ -143,13 +115,50 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
     )
 
 
-def epipolar_errors(truth: Truth, points1: np.ndarray, points2: np.ndarray) -> tuple[float, float]:
-    """Median and mean of the distances D_e of matches (..., 2) from the true lines, pixels."""
-    assert truth.R is not None and truth.t is not None
-    E = essential_from_pose(truth.R, truth.t / np.linalg.norm(truth.t))
-    F = fundamental_from_essential(E, truth.camera1.K, truth.camera2.K)
-    ideal1, ideal2 = ideal_pixels(points1, truth.camera1), ideal_pixels(points2, truth.camera2)
-    return median_and_mean(ideal1, ideal2, F)
+def epipolar_errors(
+    pair: PosedPair, points1: np.ndarray, points2: np.ndarray
+) -> tuple[float, float]:
+    """Median and mean of the distances D_e of matches (..., 2) from the true lines, pixels.
+
+    A match that is not finite counts as infinitely far, and so do no matches at all.
+    """
+    assert pair.R is not None and pair.t is not None
+    E = essential_from_pose(pair.R, pair.t / np.linalg.norm(pair.t))
+    first, second = (
+        np.asarray(points, dtype=np.float64).reshape(-1, 2) for points in (points1, points2)
+    )
+    finite = np.isfinite(first).all(1) & np.isfinite(second).all(1)
+    distances = np.full(max(1, len(first)), np.inf)
+    cameras = pair.camera1, pair.camera2
+    distances[: len(first)][finite] = epipolar_residuals_px(
+        first[finite], second[finite], *cameras, E
+    )
+    return float(np.median(distances)), float(distances.mean())
+
+
+def folded(error_deg: float) -> float:
+    """min(e, 180 - e): the translation error of the matching literature, which ignores t's sign.
+
+    error_deg: degrees in [0, 180]; infinite for a failure, and so is the result.
+    """
+    return min(error_deg, abs(180.0 - error_deg))
+
+
+def pose_auc(errors: ArrayLike, threshold: float) -> float:
+    """Area under the recall curve of pose errors up to a threshold, percent of the full area.
+
+    The curve of the matching literature: straight lines from (0, 0) through the points (e_i, i/N),
+    errors in ascending order, and constant from the last error below the threshold on. The area
+    under it is exact. Failures are infinite errors and count among the N.
+
+    errors: (N,), N > 0, in the unit of the threshold, for a pair max(rotation, folded translation),
+    never NaN.
+    """
+    values = np.sort(np.asarray(errors, dtype=np.float64))
+    below = values[: np.searchsorted(values, threshold)]
+    x = np.concatenate(([0.0], below, [threshold]))
+    y = np.minimum(np.arange(len(x)), len(below)) / len(values)
+    return float(100 * np.sum(np.diff(x) * (y[1:] + y[:-1]) / 2) / threshold)
 
 
 def _number(value: float | None) -> float:

@@ -1,44 +1,86 @@
-"""Methods by specification: what matches, and with which options.
+"""Methods by name: what matches, with which options and which cameras.
 
-A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=features:finest=120`. NAME is that
-of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of
-NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
-`MatchingOptions` or `EstimationOptions`, or of the options within them, and is set in each of them
-that has it; `refine` is `MatchingOptions.aligned`, `refine_pose` is `EstimationOptions.refine`.
-`K`, `K_scale` and the like are the fields of `CameraTrial`, as in `dgcm-lite0:K=auto:shared`.
+A method is `NAME[/all][:K=K][:K_scale=F]`, as `dgcm-lite0:K=auto:shared`. NAME is that of a matcher
+(see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of NAME sends
+into image 1, whatever its matchability, and refines nothing. K and K_scale are those of
+`CameraTrial`.
 """
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal
 
-from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
+from dgc_pose.cameras.by_image import checked_camera
+from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import Matcher
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.runtime.load import RuntimeName
-from dgc_pose.system.options import field_types
+from dgc_pose.system.options import check_options, option
 
 EVERYWHERE = "/all"
-# Of fields whose key is another word
-_KEYS = {"aligned": "refine", "refine": "refine_pose"} | {
-    field.name: field.name.capitalize() for field in fields(CameraTrial)
-}
-_SETTING = re.compile(r":(?=[A-Za-z]\w*=)")  # begins with; a path and K=auto:two hold colons, too
+_SETTING = re.compile(r":(K|K_scale)=")  # a path and K=auto:two hold colons, too
 
-Options = TypeVar("Options")
+
+@dataclass(frozen=True)
+class CameraTrial:
+    """The cameras that methods have; errors are those of the list's K, whatever they have.
+
+    Raises InputError, naming the field, on a value out of range, and for a K that is withheld and
+    changed.
+    """
+
+    k: Literal["list", "auto", "auto:shared", "auto:two"] | None = option(
+        None,
+        "Report focal lengths and warnings too; auto withholds the K of LIST, auto:shared says "
+        "that one camera took both images, auto:two that two did.",
+        flag="--K",
+    )
+    k_scale: float = option(
+        1.0, "Multiply the focal lengths of K.", flag="--K-scale", metavar="F", above=0, max=1000
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.k not in (None, "list") and self.k_scale != 1:
+            raise InputError(f"K is {self.k}: a K that is withheld cannot be scaled")
+
+    @property
+    def reports(self) -> bool:
+        """Whether it is a trial at all."""
+        return self != CameraTrial()
+
+    def cameras(self, pair: PosedPair) -> tuple[Camera, Camera]:
+        """What a method gets of a pair, with the warnings that a user would get.
+
+        Raises InputError if a user would be refused the cameras.
+        """
+        if not self.reports:
+            return pair.camera1, pair.camera2
+        if self.k not in (None, "list"):
+            return pair_cameras(self.k, self.k, pair.image1, pair.image2)
+        camera1, camera2 = (
+            checked_camera(camera.with_focal(self.k_scale * camera.focal), image.size, name)
+            for name, camera, image in (
+                ("K1", pair.camera1, pair.image1),
+                ("K2", pair.camera2, pair.image2),
+            )
+        )
+        return camera1, camera2
 
 
 @dataclass(frozen=True)
 class Method:
     """One row of the summary."""
 
-    name: str  # the specification
+    name: str  # as the user wrote it
     matcher: MatcherOptions
     estimation: EstimationOptions
     cameras: CameraTrial
@@ -46,33 +88,46 @@ class Method:
 
 
 def parse_methods(
-    specifications: Sequence[str],
+    names: Sequence[str],
     matcher: MatcherOptions | None = None,
     estimation: EstimationOptions | None = None,
     stored: Sequence[str] = (),
     cameras: CameraTrial | None = None,
 ) -> list[Method]:
-    """The methods that specifications stand for.
+    """The methods that names stand for.
 
     Args:
-        specifications: as described at the top of this file.
-        matcher, estimation: what a specification leaves open; only networks are refined then.
-        stored: names of stored matches, before any other of that name; those that no
-            specification names become methods, last.
-        cameras: for what a specification leaves open of the method's cameras.
+        names: as described at the top of this file.
+        matcher, estimation: of all methods; only networks are refined.
+        stored: names of stored matches, before any other of that name; those that no method
+            names become methods, last.
+        cameras: what a name leaves open of the method's cameras.
 
     Raises InputError for none, and for one that is given twice, has an option out of range, or
     is `/all` of key points.
     """
-    for text in specifications:
-        if specifications.count(text) > 1:
+    matcher, methods = matcher or MatcherOptions(), list[Method]()
+    named = {_SETTING.split(name)[0].removesuffix(EVERYWHERE) for name in names}
+    for text in [*names, *(name for name in stored if name not in named)]:
+        if any(text == method.name for method in methods):
             raise InputError(f"the method {text!r} is named twice")
-    defaults = Method(
-        "", matcher or MatcherOptions(), estimation or EstimationOptions(), cameras or CameraTrial()
-    )
-    methods = [_parse(text, defaults, stored) for text in specifications]
-    named = {method.matcher.weights for method in methods}
-    methods += [_parse(name, defaults, stored) for name in stored if name not in named]
+        name, *words = _SETTING.split(text)
+        weights = name.removesuffix(EVERYWHERE)
+        used, everywhere = replace(matcher, weights=weights), name != weights
+        if weights in stored or everywhere or not used.is_network:
+            used = replace(used, matching=replace(used.matching, aligned="none"))
+        if everywhere and not used.has_map and weights not in stored:
+            raise InputError(
+                f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing"
+            )
+        changes: dict[str, Any] = dict(zip(map(str.lower, words[::2]), words[1::2], strict=True))
+        try:
+            if "k_scale" in changes:
+                changes["k_scale"] = float(changes["k_scale"])
+            trial = replace(cameras or CameraTrial(), **changes)
+        except (InputError, ValueError) as error:
+            raise InputError(f"{text}: {error}") from None
+        methods.append(Method(text, used, estimation or EstimationOptions(), trial, everywhere))
     if not methods:
         raise InputError("no methods named")
     return methods
@@ -104,55 +159,3 @@ def load_matchers(
         engines[options.weights] = matcher.engine
         matchers.append(matcher)
     return matchers
-
-
-def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
-    name, *words = _SETTING.split(text)
-    settings = dict(word.split("=", 1) for word in words)
-    weights = name.removesuffix(EVERYWHERE)
-    matcher = replace(defaults.matcher, weights=weights)
-    everywhere, network = name != weights, matcher.is_network and weights not in stored
-    if everywhere and not matcher.has_map and weights not in stored:
-        raise InputError(f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing")
-    used: set[str] = set()
-    aligned = matcher.matching.aligned if network and not everywhere else "none"
-    try:
-        matching = _changed(replace(matcher.matching, aligned=aligned), settings, used)
-        estimation = _changed(defaults.estimation, settings, used)
-        cameras = _changed(defaults.cameras, settings, used)
-    except InputError as error:
-        raise InputError(f"{text}: {error}") from None
-    for key in settings:
-        if key not in used:
-            raise InputError(f"{text}: no option {key}")
-    if not network and matching.aligned != "none":
-        raise InputError(f"{text}: refine={matching.aligned} needs the features of a network")
-    matcher = replace(matcher, matching=matching)
-    return Method(text, matcher, estimation, cameras, everywhere)
-
-
-def _changed(options: Options, settings: Mapping[str, str], used: set[str]) -> Options:
-    """Options (a dataclass) with each setting put into every field of that name, also of the
-    dataclasses within; those names are added to `used`."""
-    cls: Any = type(options)
-    changes: dict[str, Any] = {}
-    for name, (kind, optional) in field_types(cls).items():
-        value, key = getattr(options, name), _KEYS.get(name, name)
-        if is_dataclass(value):
-            changes[name] = _changed(value, settings, used)
-        elif key in settings:
-            used.add(key)
-            try:
-                changes[name] = _value(settings[key], kind, optional)
-            except (KeyError, ValueError):
-                raise InputError(f"{key} cannot be {settings[key]!r}") from None
-    return replace(options, **changes)  # type: ignore[type-var]
-
-
-def _value(text: str, kind: Any, optional: bool) -> Any:
-    """A number, true or false, a word of a Literal, or none. Raises ValueError or KeyError."""
-    if optional and text == "none":
-        return None
-    if get_origin(kind) is Literal:
-        return {str(word): word for word in get_args(kind)}[text]
-    return {"true": True, "false": False}[text] if kind is bool else kind(text)

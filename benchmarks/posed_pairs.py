@@ -1,73 +1,71 @@
-"""Data sets for the evaluation of poses: pairs of images with cameras and the true pose."""
+"""Pairs of images with cameras and the true pose, for the evaluation of poses; those of DTU."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Literal
 
 import numpy as np
 
 from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
-from dgc_pose.errors import ImageError
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image
 from dgc_pose.images.store import ImageStore
 
-if TYPE_CHECKING:
-    from dgc_pose.training.room_pairs import RoomPairs
-
-Ids = Mapping[str, str]
+Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
+# Two of DTU's positions, from 1, a line: all whose views differ by a rotation of 5 to 40 degrees
+# and share 0.4 of the space at the object, in random order and spread over the rotations. DTU has
+# these 49 positions in each scan, with one calibration.
+_VIEWS = Path(__file__).with_name("dtu_views.txt")
+_FIRST_SCAN, _STEP = 65, 24  # the scan that begins with the first line; by so many lines the next
+_EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
+_BYTES = 2**16  # of a file with a few matrices
 
 
 @dataclass(frozen=True, eq=False)
-class Truth:
-    """What is known of a pair: x2 = R x1 + t."""
+class PosedPair:
+    """Two images with what is known of them: x2 = R x1 + t."""
 
-    ids: Ids  # columns of the pair's rows
+    image1: Image
+    image2: Image
     camera1: Camera  # of the images as the methods see them
     camera2: Camera
     R: np.ndarray | None  # (3, 3); None for images of two scenes
     t: np.ndarray | None  # (3,), any length; None as well for a camera that only rotated
 
 
-@dataclass(frozen=True, eq=False)
-class PosedPair:
-    """Two images, with what is known of them."""
-
-    truth: Truth
-    image1: Image
-    image2: Image
-
-
 class ListedPairs:
     """Pairs of image files. An image that was read recently is not read again."""
 
     def __init__(self, pairs: Sequence[Pair], *, size: tuple[int, int] | None = None) -> None:
-        """size: (width, height) that the images are brought to; None leaves them as stored."""
-        self.pairs = pairs
-        self.ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
-        self._size = size
-        self._images = ImageStore(Path(), size=size)
+        """size: (width, height) that the images are brought to; None leaves them as stored.
 
-    def read(self, first: int = 0) -> Iterator[PosedPair]:
-        """The pairs from number `first` on.
+        Raises ImageError, with the path, if an image is missing: before the work, not within it.
+        """
+        for pair in pairs:
+            for path in (pair.path1, pair.path2):
+                if not path.is_file():
+                    raise ImageError(f"{path}: no such image; it is named in the pair list")
+        self.pairs, self._size, self._images = pairs, size, ImageStore(Path(), size=size)
+
+    def pair(self, number: int) -> PosedPair:
+        """A pair by its number.
 
         Raises ImageError if an image cannot be read, InputError if a camera does not fit its image.
         """
-        return (self.pair(number) for number in range(first, len(self.pairs)))
-
-    def pair(self, number: int) -> PosedPair:
-        """A pair by its number. Raises as `read` does."""
         pair = self.pairs[number]
         image1, camera1, turn1 = self._shown(pair.path1, pair.camera1)
         image2, camera2, turn2 = self._shown(pair.path2, pair.camera2)
         R, t = turn2 @ pair.R @ turn1.T, turn2 @ pair.t
-        truth = Truth(self.ids[number], camera1, camera2, R, t)
-        return PosedPair(truth, image1, image2)
+        return PosedPair(image1, image2, camera1, camera2, R, t)
 
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
         """An upright image and its camera, and the turn (3, 3) to its axes from those of a list,
@@ -84,22 +82,74 @@ class ListedPairs:
         return image, camera, turn
 
 
-def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:
-    """The first pair of a batch."""
-    from dgc_pose.training.map_pairs import image_arrays
+def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pair]:
+    """So many pairs, t in millimetres, evenly of the scans below the root, or all of one scan.
 
-    image1, image2 = (
-        Image(image_arrays(view[:1])[0]) for view in (views.maps.image1, views.maps.image2)
-    )
-    camera1 = Camera(views.source.K[0].double().numpy(), image1.size)
-    camera2 = Camera(views.target.K[0].double().numpy(), image2.size)
-    pose = views.target.seen_by(views.source).pose[0].double().numpy()
-    return PosedPair(Truth(ids, camera1, camera2, pose[:, :3], pose[:, 3]), image1, image2)
+    root: holds `Calibration/cal18/pos_NNN.txt` and `Rectified` or `Cleaned/scanN`; the sample set
+    has them in a folder `MVS Data`. Pairs without an image or a calibration are left out: there may
+    be fewer. Raises InputError, with the path, if there is none, or if a calibration is malformed.
+    """
+    root = root / "MVS Data" if (root / "MVS Data/Calibration").is_dir() else root
+    folders = [path for kind in ("Rectified", "Cleaned") for path in (root / kind).glob("scan*")]
+    matches = (re.fullmatch(r"scan(\d+)", path.name) for path in folders)
+    scans = {int(match[1]) for match in matches if match} if scan is None else {scan}
+    lines = [[int(word) for word in line.split()] for line in _VIEWS.read_text().splitlines()]
+    listed = []
+    for number in scans:
+        find = cache(partial(_view_files, root, number, light))
+        for rank in range(len(lines)):
+            position1, position2 = lines[(rank + _STEP * (number - _FIRST_SCAN)) % len(lines)]
+            view1, view2 = find(position1), find(position2)
+            if view1 is not None and view2 is not None:
+                listed.append((rank, number, view1, view2))
+    # Evenly: the first ones of each scan. Then scan by scan.
+    chosen = sorted(listed, key=lambda entry: entry[:2])[:count]
+    if not chosen:
+        which = "a scan" if scan is None else f"scan{scan}"
+        raise InputError(
+            f"{root}: two views of {which}, of light {light} and with a calibration, are not "
+            f"there, such as {_EXPECTED}"
+        )
+    read = cache(read_projection)
+    pairs = []
+    for _, _, view1, view2 in sorted(chosen, key=lambda entry: (entry[1], entry[0])):
+        name1, name2 = (image.relative_to(root).as_posix() for image, _ in (view1, view2))
+        (K1, R1, t1), (K2, R2, t2) = (read(calibration) for _, calibration in (view1, view2))
+        R = R2 @ R1.T
+        pairs.append(Pair(name1, name2, root, Camera(K1), Camera(K2), R, t2 - R @ t1))
+    return pairs
 
 
-def require_images(pairs: Sequence[Pair]) -> None:
-    """Raise ImageError, with the path, if an image is missing: before the work, not within it."""
-    for pair in pairs:
-        for path in (pair.path1, pair.path2):
-            if not path.is_file():
-                raise ImageError(f"{path}: no such image; it is named in the pair list")
+def _view_files(root: Path, scan: int, light: Light, position: int) -> tuple[Path, Path] | None:
+    """The image of a view and its calibration; None if one is not there."""
+    folder, start = root / "Rectified" / f"scan{scan}", "rect"
+    if not folder.is_dir():
+        folder, start = root / "Cleaned" / f"scan{scan}", "clean"
+    stem = f"{start}_{position:03d}_{light if light == 'max' else f'{light}_r5000'}"
+    calibration = root / f"Calibration/cal18/pos_{position:03d}.txt"
+    for image in (folder / f"{stem}.png", folder / f"{stem}.jpg"):
+        if image.is_file() and calibration.is_file():
+            return image, calibration
+    return None
+
+
+def read_projection(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """K (3, 3), R (3, 3) and t (3,) of cam_from_world, of one `pos_NNN.txt`: the matrix P (3, 4),
+    world (mm) to pixel, of any scale but zero.
+
+    P ~ K [R | t] is split by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1. Raises InputError,
+    with the path, unless the file holds 12 finite numbers that are a camera; OSError if it cannot
+    be read.
+    """
+    with read_as("a calibration", path):
+        P = np.array(read_text(path, "a calibration", _BYTES).split(), np.float64).reshape(3, 4)
+        if not (np.isfinite(P).all() and np.linalg.cond(P[:, :3]) < 1e12):
+            raise ValueError("the left 3x3 of a camera has finite numbers and an inverse")
+    if np.linalg.det(P[:, :3]) < 0:
+        P = -P
+    # RQ is QR of the rows and the columns in reverse order.
+    q, r = np.linalg.qr(P[::-1, :3].T)
+    upper, R = r.T[::-1, ::-1], q.T[::-1]
+    signs = np.sign(np.diag(upper))
+    upper, R = upper * signs, signs[:, None] * R
+    return upper / upper[2, 2], R, np.linalg.solve(upper, P[:, 3])

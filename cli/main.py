@@ -51,10 +51,8 @@ SECTIONS = {
     "Benchmarks": {
         "bench-dtu": "Repeat the paper's experiment on relative pose over DTU.",
         "bench-pairs": "Score methods on pairs with known poses.",
-        "bench-maps": "Score maps on photographs of planes or synthetic pairs.",
-        "bench-reconstruct": "Score reconstructions on known cameras.",
-        "bench-locate": "Score photographs placed in a model.",
-        "dtu-pairs": "Make a pair list from DTU's calibration.",
+        "bench-maps": "Score maps on photographs of planes.",
+        "bench-model": "Score reconstructions and locations on known cameras.",
     },
     "Training": {
         "train": "Train a network on photographs.",

@@ -1,28 +1,17 @@
 """A tiny grey scan of one scene, written as DTU is."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.dtu.dataset import DtuView
 from dgc_pose.cameras.camera import Camera
 
 SIZE = (160, 120)
 # DTU's camera at a tenth of its size.
 K = Camera(np.array([[2892.0, 0, 823], [0, 2883, 619], [0, 0, 1]]), (1600, 1200)).resized(SIZE).K
 DISTANCE = 650.0  # mm from the object that all views look at
-
-
-def arc(degrees: Sequence[float] | np.ndarray) -> Mapping[int, DtuView]:
-    """Views numbered from 1 that look at one point from these angles around it."""
-    views = {}
-    for number, angle in enumerate(np.radians(degrees), start=1):
-        c, s = np.cos(angle), np.sin(angle)
-        R = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
-        views[number] = DtuView(K, R, np.array([0.0, 0.0, DISTANCE]))
-    return views
 
 
 def write_scan(
@@ -33,9 +22,11 @@ def write_scan(
     names: str = "Rectified/scan{scan}/rect_{view:03d}_3_r5000.png",
     size: tuple[int, int] = SIZE,
 ) -> None:
-    """The calibration and the images of views on an arc. names: of the images' files."""
-    for view, camera in arc(degrees).items():
-        matrix = camera.K @ np.column_stack([camera.R, camera.t])
+    """The calibration and the images of views, numbered from 1, that look at one point from these
+    angles around it. names: of the images' files."""
+    for view, angle in enumerate(np.radians(degrees), start=1):
+        c, s = np.cos(angle), np.sin(angle)
+        matrix = K @ [[c, 0.0, -s, 0.0], [0.0, 1.0, 0.0, 0.0], [s, 0.0, c, DISTANCE]]
         calibration = root / f"Calibration/cal18/pos_{view:03d}.txt"
         calibration.parent.mkdir(parents=True, exist_ok=True)
         calibration.write_text("\n".join(" ".join(map(repr, row)) for row in matrix.tolist()))

@@ -1,14 +1,14 @@
 """A data set for the evaluation's loop: the two views of `dense_scene`, over and over."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import dense_scene
 import numpy as np
 
-from dgc_pose.benchmarks.evaluate import evaluate
+from dgc_pose.benchmarks.evaluate import score
 from dgc_pose.benchmarks.methods import Method, parse_methods
 from dgc_pose.benchmarks.posed_pairs import ListedPairs
-from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.estimation import EstimationOptions
@@ -67,9 +67,13 @@ def posed_pairs(folder: Path, count: int, size: tuple[int, int] | None = None) -
     return ListedPairs(pairs, size=size)
 
 
-def scored(
-    pairs: ListedPairs, methods: list[Method] = METHODS, first: int = 0
-) -> list[list[PairScore]]:
+def scored(pairs: ListedPairs, methods: list[Method] = METHODS) -> list[list[SimpleNamespace]]:
     """The records of methods named as `METHODS`, pair by pair."""
     matchers = [Some() if m.matcher.weights == "some" else Net(m.matcher.matching) for m in methods]
-    return list(evaluate(pairs, methods, matchers, first))
+    return [
+        [
+            SimpleNamespace(**score((listed.name1, listed.name2), pairs.pair(number), *each))
+            for each in zip(methods, matchers, strict=True)
+        ]
+        for number, listed in enumerate(pairs.pairs)
+    ]

@@ -14,7 +14,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import roc_auc_score
 
 from dgc_pose.batch.beliefs import by_itself, gathered, shows_repeats, solutions
@@ -25,9 +24,10 @@ from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.rows import LEAST_BELIEF, MatchedPair
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import Source
-from dgc_pose.benchmarks.files import decimals
 from dgc_pose.benchmarks.folders.rendered import KINDS, View, rendered_folder
-from dgc_pose.benchmarks.locations import thinned
+from dgc_pose.benchmarks.models import thinned
+from dgc_pose.benchmarks.probability.fitting import regression
+from dgc_pose.benchmarks.report import decimals
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
@@ -44,16 +44,14 @@ _LANDS_PX = 8.0  # of an inlier from where the truth has it
 _RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the latter over the depth, of a t that counts
 # Folder of images, their cameras by name, and whether a pair that has a pose is right
 Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
-
-
-# Of the pairs that have a pose the values (n, 3) of `gathered`, and whether they are right, (n,);
+# For the pairs that have a pose the values (n, 3) of `gathered`, and whether they are right, (n,);
 # their triples (M, 3), and whether these agree, (M,)
 Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _photos = cache(load_held_back)
 
 
 def folder_names(data: Path, count: int) -> list[str]:
-    """Of so many rendered folders of each kind, and of as many posed scenes."""
+    """The names of so many rendered folders of each kind, and of as many posed scenes."""
     rendered = [f"{kind}_{seed}" for kind, seed in product(KINDS, range(count))]
     scenes = sorted(path.parent.name for path in data.glob("posed/*/images"))
     return rendered + thinned(scenes, len(rendered))
@@ -153,5 +151,5 @@ def _weights(folders: Sequence[Pairs]) -> tuple[np.ndarray, float]:
     values, right = (np.concatenate([of[k] for of in folders]) for k in range(2))
     values = np.nan_to_num(values)
     deviation = values.std(0).clip(1e-6)
-    fitted = LogisticRegression().fit(values / deviation, right)
+    fitted = regression(1.0).fit(values / deviation, right)
     return fitted.coef_[0] / deviation, float(fitted.intercept_[0])

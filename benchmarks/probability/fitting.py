@@ -6,15 +6,14 @@ each scene gets from weights fitted on the other scenes. The expected error is a
 on right poses of scenes whose reference is exact.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy import optimize
 from sklearn.linear_model import LogisticRegression, QuantileRegressor
 
-from dgc_pose.benchmarks.metrics import folded
-from dgc_pose.benchmarks.probability.collection import StoredPair
+from dgc_pose.benchmarks.evaluate import folded
 from dgc_pose.benchmarks.probability.records import Record
 from dgc_pose.cameras.lines import LOG_FOCALS, calibrated
 from dgc_pose.cameras.prior import auto_camera
@@ -71,7 +70,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
     odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
-    # Of the least negative log-likelihood
+    # With the least negative log-likelihood
     strength = min(odds, key=lambda c: np.logaddexp(0, np.where(right, -odds[c], odds[c])).mean())
     slope, offset = _platt(odds[strength], right)
     weights, intercept = _logistic(X, right, signs, strength)
@@ -137,18 +136,15 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
     return _error_model(samples, "focal")
 
 
-def fit_lines(pairs: Iterable[StoredPair]) -> dict[str, float]:
+def fit_lines(pieces: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     """`SHARPNESS` and `CHANCE` of `cameras.lines`, with which the true focal lengths of the images
-    of the part `fit` are most probable after the lines; and how much more than before, the mean of
-    the logarithms."""
+    of `collect` are most probable after the lines; and how much more than before, the mean of the
+    logarithms."""
     images = {}
-    for pair in pairs:
-        for camera, scores in zip(
-            (pair.truth.camera1, pair.truth.camera2), pair.scores, strict=True
-        ):
-            if pair.entry.part == "fit" and pair.entry.kind == "list" and camera.size:
-                true = np.log(camera.focal / max(camera.size))
-                images[pair.scene, round(float(true), 6), scores[0].tobytes()] = (true, *scores)
+    for piece in pieces:
+        for true, scores, count in piece["focals"]:
+            key = piece["scene"], round(true, 6), tuple(scores)
+            images[key] = (true, np.array(scores), count)
     belief = auto_camera(Header("", (640, 480))).belief
     assert belief is not None
     prior = np.zeros(len(LOG_FOCALS))
@@ -173,7 +169,7 @@ def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:
     and whether they are right (n,) or of two places. Certain of too few."""
     if min(right.sum(), (~right).sum()) < _MIN_POSES:
         return {"slope": 0.0, "intercept": _CERTAIN}
-    fitted = _regression(1e6).fit(around[:, None], right)
+    fitted = regression(1e6).fit(around[:, None], right)
     slope, intercept = float(fitted.coef_[0, 0]), float(fitted.intercept_[0])
     return {"slope": round(max(slope, 0.0), 6), "intercept": round(intercept, 6)}
 
@@ -185,7 +181,7 @@ def _logistic(
     used = np.arange(X.shape[1])
     while True:
         mean, deviation = X[:, used].mean(0), np.maximum(X[:, used].std(0), 1e-6)
-        fitted = _regression(strength).fit((X[:, used] - mean) / deviation, right)
+        fitted = regression(strength).fit((X[:, used] - mean) / deviation, right)
         signed = fitted.coef_[0] * signs[used]
         if (signed >= 0).all() or len(used) == 1:
             weights = np.zeros(X.shape[1])
@@ -216,7 +212,7 @@ def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
     target = np.where(right, high, low)
     X, y = np.repeat(odds, 2)[:, None], np.tile([True, False], len(odds))
     weight = np.column_stack([target, 1 - target]).ravel()
-    fitted = _regression(1e6).fit(X, y, sample_weight=weight)
+    fitted = regression(1e6).fit(X, y, sample_weight=weight)
     return max(float(fitted.coef_[0, 0]), _LEAST_SLOPE), float(fitted.intercept_[0])
 
 
@@ -256,5 +252,6 @@ def _quantile(X: np.ndarray, y: np.ndarray, quantile: float) -> Any:
     return regressor.fit(X, y)
 
 
-def _regression(strength: float) -> Any:
+def regression(strength: float) -> Any:
+    """Logistic. strength: inverse regularisation."""
     return LogisticRegression(C=strength, max_iter=5000)

@@ -1,4 +1,23 @@
-"""The pairs of a plan's entries, each made when it is matched."""
+"""What a fit is made of: entries, each with its part, listed in a JSON file, and their pairs.
+
+    {"name": "hololens", "part": "fit", "kind": "list", "path": "rgbd/hololens"}
+
+Paths are relative to the data folder. A scene plays one part alone, so that pairs of one place are
+never on both sides. Kinds:
+
+- `list`: the pairs of `lists/NAME.txt.gz` beside the plan, in SuperGlue's format; `path` is the
+  folder that their images are relative to.
+- `pasted`: the same, of which image 2 keeps a part and has other surroundings: two places that have
+  it alike, and no pose in common.
+- `zoomed`: the same as `list`, of which both images are zoomed in, as by a longer lens; of every
+  fourth pair image 2 alone is, as by a zoom that no file states.
+- `unrelated`: two photographs of different places; the names of such a list alone.
+- `rendered`: `path` is a folder of photographs as textures.
+- `planes`: the same, of planes with a relief, whose homographies have two poses.
+- `textureless`: drawn images without structure, alone and beside photographs of `path`.
+
+Each pair is made when it is matched.
+"""
 
 import gzip
 import math
@@ -11,20 +30,19 @@ from typing import Literal, get_args
 import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.posed_pairs import (
-    ListedPairs,
-    PosedPair,
-    Truth,
-    posed_pair,
-    require_images,
-)
-from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.posed_pairs import ListedPairs, PosedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cameras.prior import auto_camera
+from dgc_pose.errors import InputError, reason
+from dgc_pose.files.json_files import read_json
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image, load_image, resize
+from dgc_pose.system.options import check_options, option
 
+Part = Literal["fit", "report"]
+EntryKind = Literal["list", "pasted", "zoomed", "unrelated", "rendered", "planes", "textureless"]
+DEFAULT_PLAN = Path(__file__).with_name("plan.json")
 BlankKind = Literal["gradient", "noise", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
 Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
@@ -32,10 +50,48 @@ ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
 _LONGER, _ZOOM, _ZOOM_EACH = (1.4, 3.0), (1.1, 1.6), 4  # factors of f; and one pair in so many
 _SCALE, _BORDER, _GAMMA = 1.5, 0.1, 1.8  # the border over the longer side
 _TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # of the axes of an image turned clockwise
-PLANE_SIZE = 640  # pixels a side of a view
-_RENDERED_SIZE = 640
+VIEW_SIZE = 640  # pixels a side of a rendered view
 _PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
 _BLANK_SIZE = (640, 480)
+
+
+@dataclass(frozen=True)
+class PlanEntry:
+    """One line of a plan."""
+
+    name: str  # of the entry's files; the scene too, but for lists of several
+    part: Part = option()
+    kind: EntryKind = option()
+    path: Path = Path()  # within the data folder
+    pairs: int = option(60, min=1)  # of the kinds without a list
+    seed: int = option(0, min=0)
+    scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
+    altered: bool = False  # whether each pair is, in one of ALTERATIONS
+    # Scenes whose true poses are a tracker's, off by a degree or more: they part right from wrong,
+    # but not how accurate a pose is.
+    rough: Sequence[str] = ()
+    # Whether its pairs are estimated without K, too. A plane has no focal length: many of them
+    # would teach little but that.
+    withheld: bool = True
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def read_plan(path: Path) -> list[PlanEntry]:
+    """The entries of a plan.
+
+    Raises InputError, with the path, for a file that is no plan and for a name that is there twice.
+    """
+    data = read_json(path, "a plan")
+    try:
+        entries = [PlanEntry(**{**values, "path": Path(values.get("path", ""))}) for values in data]
+    except (ValueError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: not a plan ({reason(error)})") from None
+    names = {entry.name for entry in entries}
+    if len(names) < len(entries):
+        raise InputError(f"{path}: two entries have one name")
+    return entries
 
 
 @dataclass(frozen=True)
@@ -59,7 +115,6 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     make: Callable[[int], PosedPair]  # of a pair by its number
     if entry.kind in ("list", "pasted", "zoomed"):
         pairs = read_pairs(listed, folder)
-        require_images(pairs)
         of_list = ListedPairs(pairs)
         make = of_list.pair
         if entry.kind != "list":
@@ -86,16 +141,15 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
 
 def altered(pair: PosedPair, way: Alteration) -> PosedPair:
     """The pair, whose poses are known, with image 2 first or changed; and what is true of it."""
-    truth, pixels = pair.truth, pair.image2.pixels
-    assert truth.R is not None and truth.t is not None
-    K, R, t = truth.camera2.K.copy(), truth.R, truth.t
+    pixels = pair.image2.pixels
+    assert pair.R is not None and pair.t is not None
+    K, R, t = pair.camera2.K.copy(), pair.R, pair.t
     height, width = pixels.shape[:2]
     if way == "swapped":
-        truth = replace(truth, camera1=truth.camera2, camera2=truth.camera1, R=R.T, t=-R.T @ t)
-        return PosedPair(truth, pair.image2, pair.image1)
+        return PosedPair(pair.image2, pair.image1, pair.camera2, pair.camera1, R.T, -R.T @ t)
     if way == "enlarged":
         size = (round(_SCALE * width), round(_SCALE * height))
-        K = replace(truth.camera2, size=(width, height)).resized(size).K
+        K = replace(pair.camera2, size=(width, height)).resized(size).K
         pixels = resize(pixels, size)
     elif way == "bordered":
         sides = 4 * (round(_BORDER * max(width, height)),)
@@ -107,8 +161,8 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
     else:
         pixels = (255 * (pixels / 255) ** _GAMMA).round().astype(np.uint8)
     image2 = replace(pair.image2, pixels=pixels)
-    camera2 = replace(truth.camera2, K=K, size=image2.size)
-    return PosedPair(replace(truth, camera2=camera2, R=R, t=t), pair.image1, image2)
+    camera2 = replace(pair.camera2, K=K, size=image2.size)
+    return replace(pair, image2=image2, camera2=camera2, R=R, t=t)
 
 
 def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
@@ -132,7 +186,7 @@ def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
     mask = cv2.GaussianBlur(ellipse, (0, 0), 0.8)[..., None]
     pasted = mask * pixels + (1 - mask) * other[:height, :width]
     image2 = replace(pair.image2, pixels=pasted.round().astype(np.uint8))
-    return PosedPair(replace(pair.truth, R=None, t=None), pair.image1, image2)
+    return replace(pair, image2=image2, R=None, t=None)
 
 
 def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
@@ -143,7 +197,7 @@ def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
         factors = np.array([1.0, rng.uniform(*_ZOOM)])
     images, cameras = [], []
     for image, camera, factor in zip(
-        (pair.image1, pair.image2), (pair.truth.camera1, pair.truth.camera2), factors, strict=True
+        (pair.image1, pair.image2), (pair.camera1, pair.camera2), factors, strict=True
     ):
         width, height = image.size
         part = round(width / factor), round(height / factor)
@@ -152,8 +206,8 @@ def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
         K = camera.K - np.array([[0, 0, left], [0, 0, top], [0, 0, 0]])
         images.append(replace(image, pixels=resize(np.ascontiguousarray(pixels), image.size)))
         cameras.append(replace(camera, K=K, size=part).resized(image.size))
-    truth = replace(pair.truth, camera1=cameras[0], camera2=cameras[1])
-    return PosedPair(truth, images[0], images[1])
+    (image1, image2), (camera1, camera2) = images, cameras
+    return PosedPair(image1, image2, camera1, camera2, pair.R, pair.t)
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
@@ -161,6 +215,7 @@ def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
     of the reliefs come in turn."""
     from dgc_pose.benchmarks.probability.planes import RELIEFS, plane_pair
     from dgc_pose.training.draw import Draw
+    from dgc_pose.training.map_pairs import image_arrays
     from dgc_pose.training.photos import SIDE, load_held_back
     from dgc_pose.training.room_pairs import RoomOptions, room_pairs
 
@@ -168,15 +223,20 @@ def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
     options = RoomOptions(
         orbit_deg=(5.0, 70.0), enough=0.15, tries=6, spans=((1.5, 3.0), (0.9, 1.8))
     )
-    shape = _RENDERED_SIZE, _RENDERED_SIZE
+    shape = VIEW_SIZE, VIEW_SIZE
 
     def make(number: int) -> PosedPair:
         draw = Draw("cpu", entry.kind, entry.seed, number)
         if entry.kind == "planes":
-            views = plane_pair(photos, PLANE_SIZE, draw, RELIEFS[number % len(RELIEFS)])
+            views = plane_pair(photos, VIEW_SIZE, draw, RELIEFS[number % len(RELIEFS)])
         else:
             views = room_pairs(photos, 1, shape, draw, options)
-        return posed_pair(views, {})
+        both = views.maps.image1, views.maps.image2
+        image1, image2 = (Image(image_arrays(pixels[:1])[0]) for pixels in both)
+        camera1 = Camera(views.source.K[0].double().numpy(), image1.size)
+        camera2 = Camera(views.target.K[0].double().numpy(), image2.size)
+        pose = views.target.seen_by(views.source).pose[0].double().numpy()
+        return PosedPair(image1, image2, camera1, camera2, pose[:, :3], pose[:, 3])
 
     return make
 
@@ -186,7 +246,7 @@ def _unrelated(paths: Sequence[Sequence[Path]], number: int) -> PosedPair:
     as known."""
     image1, image2 = (load_image(path) for path in paths[number])
     camera1, camera2 = (Camera(auto_camera(image).K, image.size) for image in (image1, image2))
-    return PosedPair(Truth({}, camera1, camera2, None, None), image1, image2)
+    return PosedPair(image1, image2, camera1, camera2, None, None)
 
 
 def _textureless(photographs: Sequence[Path], seed: int, number: int) -> PosedPair:
@@ -204,7 +264,7 @@ def _textureless(photographs: Sequence[Path], seed: int, number: int) -> PosedPa
     width, height = _BLANK_SIZE
     K = np.array([[width, 0, (width - 1) / 2], [0, width, (height - 1) / 2], [0, 0, 1.0]])
     camera = Camera(K, _BLANK_SIZE)
-    return PosedPair(Truth({}, camera, camera, None, None), Image(first), Image(second))
+    return PosedPair(Image(first), Image(second), camera, camera, None, None)
 
 
 def blank(kind: BlankKind, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:

@@ -1,22 +1,21 @@
-"""From stored matches to evidence and errors: records of each pair, whatever the verdict.
+"""From planned pairs to evidence and errors: records of each pair, whatever the verdict.
 
-A pair is estimated with its K, and with K withheld.
+A pair is matched once by each method, and estimated with its K, and with K withheld. A run of
+`open_run` holds the records of a pair a line, and goes on after any kill.
 """
 
 import math
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.benchmarks.posed_pairs import Truth
-from dgc_pose.benchmarks.probability.collection import StoredPair
-from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.posed_pairs import PosedPair
+from dgc_pose.benchmarks.probability.planned import PlanEntry, PlannedPair
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.lines import calibrated
+from dgc_pose.cameras.lines import calibrated, focal_scores
 from dgc_pose.cameras.prior import auto_camera, by_lines
 from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.candidates import candidates
@@ -26,11 +25,13 @@ from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.relative_pose import gathered, uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.system.threads import in_threads
+from dgc_pose.pose import solve_pair
 
-_CHUNK = 16
 CameraCase = Literal["exact", "auto"]
+_THOROUGH = EstimationOptions(effort="thorough")
 _SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken both images
 # Principal points farther from the middle, over the longer side, are of no photograph: of drawn
 # cameras. They show nothing of what the deviation of a focal length is worth.
@@ -62,7 +63,8 @@ class Record:
     evidence: Evidence | None  # None without a model
     poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, the best first
     cameras: CameraCase = "exact"
-    # Of ln f of the less certain camera, per cent; NaN if it was not fitted, and without a pose.
+    # The error of ln f of the less certain camera, per cent; NaN if it was not fitted, and without
+    # a pose.
     focal_error_percent: float = math.nan
     # Whether the true K say what an error of a focal length is: not if they are of no photograph,
     # and not if they differ a little between images of one camera, since they are estimates then.
@@ -83,62 +85,131 @@ class Record:
         return any(pose.right for pose in self.poses)
 
 
-def records(pairs: Iterable[StoredPair], options: EstimationOptions) -> Iterator[Record]:
-    """The records of each pair, in order."""
-    stored = iter(pairs)
-    while chunk := list(islice(stored, _CHUNK)):
-        work: list[tuple[StoredPair, CameraCase]] = [(pair, "exact") for pair in chunk]
-        work += [(p, "auto") for p in chunk if p.entry.withheld and not p.matches.key_points]
-        yield from in_threads(lambda item: record(item[0], options, item[1]), work)
+def collect(
+    pair: PlannedPair, matchers: Mapping[str, Matcher], options: EstimationOptions
+) -> dict[str, Any]:
+    """The records of a pair by each method, and what the fit of the lines needs, as JSON.
+
+    Raises what making the pair raises.
+    """
+    posed, entry = pair.make(), pair.entry
+    images = posed.image1, posed.image2
+    camera1 = replace(posed.camera1, size=posed.image1.size)
+    camera2 = replace(posed.camera2, size=posed.image2.size)
+    posed, cameras = replace(posed, camera1=camera1, camera2=camera2), (camera1, camera2)
+    scores = [focal_scores(image) for image in images]
+    withheld = _withheld(pair, cameras, scores)
+    results: dict[str, list[Any]] = {}
+    for name, matcher in matchers.items():
+        found = matcher.match(*images)
+        matches = found.matches
+        if matcher.engine is not None:
+            pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
+            if not np.array_equal(pooled.points1, matches.points1):
+                matches = pooled  # with those searched again: the pose was in doubt
+        of_map = found.map_matches
+        results[name] = [record(posed, "exact", matches, cameras, of_map, options)]
+        if entry.withheld and not matches.key_points:
+            auto = record(posed, "auto", found.matches, withheld, of_map, options)
+            results[name].append(auto)
+    focals = []
+    if entry.part == "fit" and entry.kind == "list":
+        for camera, (of_image, count) in zip(cameras, scores, strict=True):
+            assert camera.size is not None
+            true = float(np.log(camera.focal / max(camera.size)))
+            focals.append((true, of_image.tolist(), count))
+    return {
+        "entry": entry.name,
+        "number": pair.number,
+        "scene": pair.scene,
+        "records": results,
+        "focals": focals,
+    }
 
 
-def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "exact") -> Record:
-    """The record of one pair."""
-    truth = pair.truth
-    stated = _cameras(pair, cameras)
-    matches = pair.matches if pair.pooled is None or cameras != "exact" else pair.pooled
+def record(
+    posed: PosedPair,
+    case: CameraCase,
+    matches: Matches,
+    stated: tuple[Camera, Camera],
+    map_matches: Matches | None,
+    options: EstimationOptions,
+) -> dict[str, Any]:
+    """The fields of a `Record` of one pair, but entry and scene, as JSON. stated: the cameras that
+    the estimation gets."""
     problem = TwoViewProblem.of(matches, *stated, options)
-    poses: tuple[PoseRecord, ...] = ()
-    found, evidence, focal_error = None, None, math.nan
+    found, poses, evidence, focal_error = None, list[Any](), None, math.nan
     if len(problem) >= MIN_MATCHES:
-        found = candidates(problem, matches, stated, options, pair.map_matches)
+        found = candidates(problem, matches, stated, options, map_matches)
     if found is not None:
         known = uncertainty(found)
-        evidence, focal_error = gathered(found, known), _focal_error(known.cameras, truth)
-        poses = tuple(_pose_record(choice, truth) for choice in found.hypotheses if choice.likely)
-    facts = cameras, focal_error, _exact(truth)
-    return Record(pair.entry, pair.scene, evidence, poses, *facts)
+        evidence = {
+            name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+            for name, value in vars(gathered(found, known)).items()
+        }
+        focal_error = _focal_error(known.cameras, posed)
+        poses = [_pose_record(choice, posed) for choice in found.hypotheses if choice.likely]
+    return {
+        "evidence": evidence,
+        "poses": poses,
+        "cameras": case,
+        "focal_error_percent": focal_error,
+        "exact_cameras": _exact(posed),
+    }
 
 
-def _pose_record(choice: Hypothesis, truth: Truth) -> PoseRecord:
+def records(
+    pieces: Iterable[Mapping[str, Any]], method: str, entries: Sequence[PlanEntry]
+) -> list[Record]:
+    """The records of a method from what `collect` returned, of these entries."""
+    by_name, rows = {entry.name: entry for entry in entries}, []
+    for piece in pieces:
+        for fields in piece["records"][method]:
+            evidence = fields["evidence"]
+            if evidence is not None:
+                evidence = Evidence(**{**evidence, "rotation": np.array(evidence["rotation"])})
+            poses = tuple(PoseRecord(*pose) for pose in fields["poses"])
+            rows.append(
+                Record(
+                    by_name[piece["entry"]],
+                    piece["scene"],
+                    **{**fields, "evidence": evidence, "poses": poses},
+                )
+            )
+    return rows
+
+
+def _pose_record(choice: Hypothesis, posed: PosedPair) -> list[float | None]:
+    """The fields of a `PoseRecord`."""
     rotation = translation = math.inf
-    if truth.R is not None and truth.t is not None:
-        rotation = rotation_error_deg(choice.R, truth.R)
-        translation = translation_error_deg(choice.t, truth.t)
-    return PoseRecord(choice.likelihood, choice.map_agreement, rotation, translation)
+    if posed.R is not None and posed.t is not None:
+        rotation = rotation_error_deg(choice.R, posed.R)
+        translation = translation_error_deg(choice.t, posed.t)
+    return [choice.likelihood, choice.map_agreement, rotation, translation]
 
 
-def _cameras(pair: StoredPair, case: CameraCase) -> tuple[Camera, Camera]:
-    """The cameras that the estimation gets. Withheld, those of half of the pairs that one camera
-    may have taken are stated to be one."""
-    camera1, camera2 = pair.truth.camera1, pair.truth.camera2
-    if case == "exact":
-        return camera1, camera2
+def _withheld(
+    pair: PlannedPair, true: tuple[Camera, Camera], scores: Sequence[tuple[np.ndarray, int]]
+) -> tuple[Camera, Camera]:
+    """The cameras of images whose K is withheld: half of the pairs that one camera may have taken
+    are stated to be of one."""
+    camera1, camera2 = true
     assert camera1.size is not None and camera2.size is not None
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
     # The same half whatever else is estimated
     alike = alike or pair.entry.kind == "zoomed"  # as their sizes say
-    identity = "both" if alike and zlib.crc32(f"2 {pair.name}".encode()) % 2 == 0 else None
+    name = f"{pair.entry.name} {pair.number:04d}"
+    identity = "both" if alike and zlib.crc32(f"2 {name}".encode()) % 2 == 0 else None
     assumed = [
         replace(auto_camera(Header("", size)), identity=identity)
         for size in (camera1.size, camera2.size)
     ]
-    first, second = by_lines(assumed, [calibrated(*scores) for scores in pair.scores])
+    first, second = by_lines(assumed, [calibrated(*of_image) for of_image in scores])
     return first, second
 
 
-def _focal_error(cameras: tuple[Camera, Camera], truth: Truth) -> float:
-    fitted = zip(cameras, (truth.camera1, truth.camera2), strict=True)
+def _focal_error(cameras: tuple[Camera, Camera], posed: PosedPair) -> float:
+    fitted = zip(cameras, (posed.camera1, posed.camera2), strict=True)
     pairs = [(camera, true) for camera, true in fitted if camera.focal_std]
     if not pairs:
         return math.nan
@@ -146,11 +217,11 @@ def _focal_error(cameras: tuple[Camera, Camera], truth: Truth) -> float:
     return 100 * abs(math.log(camera.focal / true.focal))
 
 
-def _exact(truth: Truth) -> bool:
-    difference = abs(math.log(truth.camera1.focal / truth.camera2.focal))
+def _exact(posed: PosedPair) -> bool:
+    difference = abs(math.log(posed.camera1.focal / posed.camera2.focal))
     if _EQUAL_FOCAL < difference < _SAME_FOCAL:
         return False
-    for camera in (truth.camera1, truth.camera2):
+    for camera in (posed.camera1, posed.camera2):
         size = np.array(camera.size)
         if np.abs(camera.K[:2, 2] - (size - 1) / 2).max() / size.max() >= _USUAL_CENTRE:
             return False

@@ -2,24 +2,22 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from dgc_pose.benchmarks.probability.collection import read_collection, read_engine
 from dgc_pose.benchmarks.probability.fitting import (
     fit_focal_error,
     fit_lines,
     fit_model,
     fit_same_place,
 )
-from dgc_pose.benchmarks.probability.plan import PlanEntry
+from dgc_pose.benchmarks.probability.planned import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
-from dgc_pose.benchmarks.reliability import Reliability, draw_reliability
+from dgc_pose.benchmarks.report import calibration_error, draw_reliability, reliability
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import (
@@ -37,7 +35,6 @@ from dgc_pose.estimation.verdict import judge
 from dgc_pose.files.tables import aligned
 from dgc_pose.viz.figure import new_figure
 
-_DEFAULTS = EstimationOptions()
 _KINDS: dict[MatchKind, str] = {
     "network": "matches of a network, with its dense map",
     "matches": "the same matches without the map",
@@ -94,7 +91,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
 
 def report_text(poses: Sequence[Judged]) -> str:
     """The claims on scenes that have no part in the fit, and what they are worth."""
-    error = 100 * reliability(poses).calibration_error
+    error = 100 * calibration_error(_calibration(poses))
     exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
     R = [p.record.best.rotation_error_deg <= p.rotation_90_deg for p in exact]
     t = [p.record.best.translation_error_deg <= p.translation_90_deg for p in exact]
@@ -124,38 +121,41 @@ def claims_table(poses: Sequence[Judged]) -> str:
     return aligned(rows)
 
 
-def reliability(poses: Sequence[Judged]) -> Reliability:
-    """Of the probability of the poses that have evidence."""
+def _calibration(poses: Sequence[Judged]) -> np.ndarray:
+    """`reliability` of the probability of the poses that have evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
     right = np.array([pose.right for pose in known], bool)
-    return Reliability.of(np.array([pose.probability for pose in known]), right)
+    return reliability(np.array([pose.probability for pose in known]), right)
 
 
 def fit_all(
-    out: Path,
-    methods: Sequence[str],
+    pieces: Sequence[Mapping[str, Any]],
+    engines: Mapping[str, Any],
     entries: Sequence[PlanEntry],
-    options: EstimationOptions = _DEFAULTS,
 ) -> tuple[str, str, Figure]:
     """Fit a model for each kind of matches that the methods make.
 
-    options: of the estimation, as users have them. Returns `probability.json`, the report, and its
-    figure. Raises InputError if nothing is stored, or too little.
+    pieces: of `collect`; engines: name and fingerprint of what each method matched with. Returns
+    `probability.json`, the report, and its figure. Raises InputError if there is too little.
     """
-    engines: dict[str, Any] = {}
+    order = {entry.name: number for number, entry in enumerate(entries)}
+    pieces = sorted(
+        (piece for piece in pieces if piece["entry"] in order),
+        key=lambda piece: (order[piece["entry"]], piece["number"]),
+    )
+    used: dict[str, Any] = {}
     by_kind: dict[MatchKind, list[Record]] = {}
-    for method in methods:
-        engine = read_engine(out, method)
-        kinds = _by_kind(list(records(read_collection(out, method, entries), options)))
+    for method, engine in engines.items():
+        kinds = _by_kind(records(pieces, method, entries))
         if kinds.keys() - by_kind.keys():  # of several networks the first
-            engines[method] = engine
+            used[method] = engine
         by_kind = {**kinds, **by_kind}
     if not by_kind:
-        raise InputError(f"{out}: no pose was found in any stored pair")
-    of_images = fit_lines(read_collection(out, methods[0], entries))
+        raise InputError("no pose was found in any pair")
+    of_images = fit_lines(pieces)
     focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
-    data = {"format": FORMAT, "engine": engines, "focal_error": focal_error}
+    data = {"format": FORMAT, "engine": used, "focal_error": focal_error}
     certain = fit_same_place(np.zeros(0), np.zeros(0, bool))
     alone = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
     claims = [judged(row, alone["network"]) for row in by_kind.get("network", [])]
@@ -179,7 +179,7 @@ def fit_all(
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
     figure = new_figure(5.5, 5)
     axes = figure.subplots()
-    curves = {str(kind): reliability(rows) for kind, rows in reported.items()}
+    curves = {str(kind): _calibration(rows) for kind, rows in reported.items()}
     draw_reliability(axes, curves, right="within 10 degrees")
     axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
     return text, "\n\n\n".join([*parts, f"lines of the images: {of_images}"]), figure

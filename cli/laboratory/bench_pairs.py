@@ -1,44 +1,48 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
+import csv
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import click
 from tqdm import tqdm
 
-from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.evaluate import evaluate, settings
-from dgc_pose.benchmarks.files import finite_data, split_names
-from dgc_pose.benchmarks.methods import EVERYWHERE, load_matchers, parse_methods
-from dgc_pose.benchmarks.posed_pairs import ListedPairs, require_images
-from dgc_pose.benchmarks.store import RESULTS, SETTINGS, open_run
-from dgc_pose.benchmarks.stored_matches import pair_files
-from dgc_pose.benchmarks.summary import (
+from dgc_pose.benchmarks.evaluate import score
+from dgc_pose.benchmarks.methods import EVERYWHERE, CameraTrial, load_matchers, parse_methods
+from dgc_pose.benchmarks.posed_pairs import ListedPairs
+from dgc_pose.benchmarks.report import (
     CAMERA_COLUMNS,
     CAMERA_HEADING,
     columns,
+    finite_data,
     heading,
+    plot_errors,
+    split_names,
     summarise,
     summary_table,
 )
+from dgc_pose.benchmarks.store import open_run
+from dgc_pose.benchmarks.stored_matches import pair_files
 from dgc_pose.cameras.pair_list import Pair, read_pairs
 from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import NamedPath, OutputFolder, overwrites
+from dgc_pose.cli.guard import NamedPath, OutputFolder
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import replaced
+from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.system.options import option
+from dgc_pose.viz import save_figure
 
-_SUMMARY, _ERRORS = "summary.json", "errors.png"
 PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)
 EVERY_MATCH = 2**31  # more than any map has cells
-FILES = (SETTINGS, RESULTS, _SUMMARY, _ERRORS)  # of a run
+FILES = ("run.jsonl", "results.csv", "summary.json", "errors.png")  # of a run
 Protocol = Literal["native", "paper"]
 PROTOCOL_HELP = (
     "paper: images squared to 256x256, every match, the best of --runs RANSAC runs (the paper's: 5 "
@@ -58,10 +62,9 @@ class PairBenchOptions:
     protocol: Protocol = option("native", PROTOCOL_HELP)
     methods: str = option(
         f"{DEFAULT_WEIGHTS},sift",
-        "Comma-separated names or paths of weights or other matchers (sift, dis), each with "
-        "options of its own, such as NAME:refine=none:runs=1; "
+        "Comma-separated names or paths of weights or other matchers (sift, dis); "
         f"NAME{EVERYWHERE} takes all pixels that NAME maps into image 1, whatever their "
-        "matchability.",
+        "matchability; NAME:K=auto and NAME:K_scale=0.8 are given other cameras.",
     )
     matches: tuple[str, ...] = option(
         (),
@@ -72,7 +75,8 @@ class PairBenchOptions:
     )
     out: Path | None = option(
         None,
-        "Write results.csv (each pair as soon as it is done), summary.json and errors.png there.",
+        "Write run.jsonl (each pair as soon as it is done), and results.csv, summary.json and "
+        "errors.png there.",
         metavar="DIR",
         type=OutputFolder(*FILES, path_type=Path),
     )
@@ -127,27 +131,39 @@ def run_bench(
     folders = _folders(options.matches)
     names = split_names(options.methods)
     methods = parse_methods(names, matcher, estimation, [*folders], cameras)
-    require_images(listed)
-    stored = {name: pair_files(path, listed) for name, path in folders.items()}
     pairs = ListedPairs(listed, size=PAPER_SIZE if paper else None)
+    stored = {name: pair_files(path, listed) for name, path in folders.items()}
     matchers = load_matchers(methods, device=options.device, runtime=options.runtime, stored=stored)
-    known = settings(pairs, methods, matchers, device_type(options.device))
-    known["protocol"] = options.protocol
-    resume = {"resume": options.resume, "overwrite": overwrites()}
-    with open_run(out, len(methods), known, **resume) as (records, add):
-        if done := len(records) // len(methods):
-            click.echo(f"{done} of {len(listed)} pairs are done already")
-        rows = evaluate(pairs, methods, matchers, done)
-        for scores in tqdm(rows, total=len(listed), initial=done, unit="pair", disable=None):
-            add(scores)
-    figures = columns(records)
+    all_names = [(pair.name1, pair.name2) for pair in listed]
+    settings = {
+        "pairs": hashlib.sha256(json.dumps(all_names).encode()).hexdigest()[:16],
+        "methods": [asdict(method) for method in methods],
+        "weights": {
+            method.matcher.weights: matcher.fingerprint
+            for method, matcher in zip(methods, matchers, strict=True)
+            if matcher.fingerprint is not None
+        },
+        "device": device_type(options.device),
+        "protocol": options.protocol,
+    }
+    with open_run(out and out / FILES[0], settings, resume=options.resume) as (done, add):
+        if done:
+            click.echo(f"{len(done)} of {len(listed)} pairs are done already")
+        numbers = range(len(done), len(listed))
+        for k in tqdm(numbers, total=len(listed), initial=len(done), unit="pair", disable=None):
+            each, pair = zip(methods, matchers, strict=True), pairs.pair(k)
+            add([score(all_names[k], pair, *method) for method in each])
+    scores = [row for of_pair in done for row in of_pair]
+    figures = columns(scores)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:
-        from dgc_pose.benchmarks.curves import plot_errors
-        from dgc_pose.viz import save_figure
-
-        write_json(out / _SUMMARY, {"methods": finite_data(summaries)})
-        with replaced(out / _ERRORS) as file:
+        with replaced(out / "results.csv") as file, writing(file):
+            with file.open("w", newline="", encoding="utf-8") as table:
+                writer = csv.DictWriter(table, list(scores[0]))
+                writer.writeheader()
+                writer.writerows(scores)
+        write_json(out / "summary.json", {"methods": finite_data(summaries)})
+        with replaced(out / "errors.png") as file:
             save_figure(plot_errors(figures), file)
     click.echo(f"{heading(estimation)}\n{summary_table(summaries)}")
     if any(method.cameras.reports for method in methods):

@@ -1,21 +1,25 @@
 """`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 from tqdm import tqdm
 
-from dgc_pose.benchmarks.files import split_names
-from dgc_pose.benchmarks.probability.plan import DEFAULT_PLAN, PlanEntry, read_plan
+from dgc_pose.benchmarks.probability.planned import DEFAULT_PLAN, PlanEntry, planned, read_plan
+from dgc_pose.benchmarks.report import split_names
+from dgc_pose.benchmarks.store import open_run, read_run
 from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.errors import InputError, require
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.options import option
+
+_RECORDS = "records.jsonl"
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class FitChoice:
 
     data: Path = option(help="Folder of the data that the plan names.")
     out: Path = option(
-        help="Folder of the stored matches and of the results.", type=OutputFolder(path_type=Path)
+        help="Folder of the records and of the results.", type=OutputFolder(path_type=Path)
     )
     plan: Path | None = option(
         None,
@@ -36,7 +40,7 @@ class FitChoice:
         f"{DEFAULT_WEIGHTS},sift",
         "Comma-separated networks and sift; of the networks the first is fitted.",
     )
-    collected: bool = option(False, "Match no further pairs: fit on those that are stored.")
+    collected: bool = option(False, "Match no further pairs: fit on the records that are there.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
 
 
@@ -45,23 +49,22 @@ class FitChoice:
 def fit_probability(choice: FitChoice) -> None:
     """Fit the probability that a pose is right: collect, fit, report.
 
-    Matches of the plan's pairs are stored in --out, and the same command goes on after any kill.
-    Then the models are fitted and calibrated on some scenes and reported on others. Writes
-    probability.json, which the package reads, report.txt and reliability.png into --out. Needs
-    scikit-learn (the extra "fit").
+    Records of the plan's pairs, with the evidence for each pose and its error, are written to
+    records.jsonl in --out, and the same command goes on after any kill. Then the models are fitted
+    and calibrated on some scenes and reported on others. Writes probability.json, which the package
+    reads, report.txt and reliability.png into --out. Needs scikit-learn (the extra "fit").
     """
     plan = choice.plan or DEFAULT_PLAN
     entries = read_plan(plan)
     require({"fit-probability": "fit"})  # before the work
-    methods = split_names(choice.methods)
-    if not methods:
-        raise InputError("no methods named")
-    if not choice.collected:
-        _collect(choice, plan.parent / "lists", methods, entries)
+    if choice.collected:
+        settings, pieces = read_run(choice.out / _RECORDS)
+    else:
+        settings, pieces = _collected(choice, plan.parent / "lists", entries)
     from dgc_pose.benchmarks.probability.report import fit_all
     from dgc_pose.viz import save_figure
 
-    models, report, figure = fit_all(choice.out, methods, entries)
+    models, report, figure = fit_all(pieces, settings["engines"], entries)
     paths = [
         str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
     ]
@@ -73,19 +76,28 @@ def fit_probability(choice: FitChoice) -> None:
     click.echo(report)
 
 
-def _collect(
-    choice: FitChoice, lists: Path, methods: Sequence[str], entries: Sequence[PlanEntry]
-) -> None:
-    """Match what is not stored yet."""
-    from dgc_pose.benchmarks.probability.collection import collect, require_engine
-    from dgc_pose.benchmarks.probability.planned import planned
+def _collected(
+    choice: FitChoice, lists: Path, entries: list[PlanEntry]
+) -> tuple[dict[str, Any], list[Any]]:
+    """The settings of the run and the records of all pairs, with those that were not there."""
+    from dgc_pose.benchmarks.probability.records import collect
     from dgc_pose.matchers import load_matcher
 
-    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
+    methods = split_names(choice.methods)
+    if not methods:
+        raise InputError("no methods named")
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
-    for name, matcher in matchers.items():
-        require_engine(choice.out, name, matcher)
-    # One pair of each scene in turn: a collection that is killed has some of each.
-    pairs.sort(key=lambda pair: pair.number)
-    for pair in tqdm(pairs, unit="pair", disable=None):
-        collect(pair, matchers, choice.out)
+    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
+    engines = {
+        name: {"name": matcher.name, "fingerprint": matcher.fingerprint}
+        for name, matcher in matchers.items()
+    }
+    settings = {"engines": engines}
+    with open_run(choice.out / _RECORDS, settings, resume=True) as (pieces, add):
+        done = {(piece["entry"], piece["number"]) for piece in pieces}
+        # One pair of each scene in turn: a collection that is killed has some of each.
+        pairs.sort(key=lambda pair: pair.number)
+        for pair in tqdm(pairs, unit="pair", disable=None):
+            if (pair.entry.name, pair.number) not in done:
+                add(collect(pair, matchers, EstimationOptions()))
+    return settings, pieces

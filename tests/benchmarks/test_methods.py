@@ -1,18 +1,18 @@
-"""Methods by specification, and what each takes of a map."""
+"""Methods by name, and what each is told of the cameras."""
 
-import cv2
+import dense_scene
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.camera_trial import CameraTrial
-from dgc_pose.benchmarks.methods import load_matchers, parse_methods
+from dgc_pose.benchmarks.methods import CameraTrial, load_matchers, parse_methods
+from dgc_pose.benchmarks.posed_pairs import PosedPair
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import auto_cameras
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import Image
-from dgc_pose.matching import MatchingOptions
 
-BLOTS = np.random.default_rng(0).integers(0, 255, (40, 40, 3), np.uint8)
-IMAGE = Image(cv2.resize(BLOTS, (200, 200)))
+IMAGE = Image(np.zeros((240, 320, 3), np.uint8))
+CAMERA = Camera(dense_scene.K)
 
 
 def test_names_stand_for_methods() -> None:
@@ -34,10 +34,9 @@ def test_names_stand_for_methods() -> None:
         ([], [], "no methods"),
         (["dis", "sift", "dis"], [], "'dis' is named twice"),
         (["sift/all"], [], "key points alone"),
-        (["dis:magic=1"], [], "dis:magic=1: no option magic"),
-        (["dis:runs=many"], [], "runs cannot be 'many'"),
-        (["sift:refine=map"], [], "refine=map needs the features of a network"),
-        (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
+        (["net:K=auto:three"], [], "net:K=auto:three: k must be"),
+        (["net:K_scale=much"], [], "could not convert"),
+        (["net:K=auto:K_scale=2"], [], "cannot be scaled"),
     ],
 )
 def test_names_that_stand_for_none(names, stored, reason) -> None:
@@ -45,41 +44,40 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
         parse_methods(names, stored=stored)
 
 
-def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
-    (method,) = parse_methods(["net:refine=features:max_matches=300:runs=2"])
-    assert method.matcher.matching == MatchingOptions(max_matches=300, aligned="features")
-    assert method.estimation == EstimationOptions(runs=2)
-    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60"])
-    assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
-    assert other.matcher.matching == MatchingOptions(finest=60)
-    (none,) = parse_methods(["net:threshold_px=none"], None, EstimationOptions(threshold_px=1.0))
-    assert none.estimation.threshold_px is None
-
-
-def test_networks_alone_are_refined_unless_asked_for() -> None:
+def test_networks_alone_are_refined() -> None:
     """A path may hold colons and equals signs."""
-    names = ["net", "net:refine=none", "C:/runs=2/net.pth/all:runs=2", "dis", "sift", "raft"]
+    names = ["net", "C:/runs=2/net.pth/all:K=auto", "dis", "sift", "raft"]
     methods = parse_methods(names, stored=["raft"])
     sources = [method.matcher.matching.aligned for method in methods]
-    assert sources == ["auto", "none", "none", "none", "none", "none"]
-    assert (methods[2].matcher.weights, methods[2].everywhere) == ("C:/runs=2/net.pth", True)
-    assert methods[2].estimation.runs == 2
+    assert sources == ["auto", "none", "none", "none", "none"]
+    assert (methods[1].matcher.weights, methods[1].everywhere) == ("C:/runs=2/net.pth", True)
 
 
 def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
-    names = ["a:K=auto:shared", "C:/net:K=auto:two:runs=2", "sift:K_scale=0.8:K=none", "dis"]
+    names = ["a:K=auto:shared", "C:/net:K=auto:two", "sift:K_scale=0.8", "dis"]
     methods = parse_methods(names, cameras=CameraTrial(k="list"))
     assert [(method.matcher.weights, method.cameras) for method in methods] == [
         ("a", CameraTrial(k="auto:shared")),
         ("C:/net", CameraTrial(k="auto:two")),
-        ("sift", CameraTrial(k_scale=0.8)),
+        ("sift", CameraTrial(k="list", k_scale=0.8)),
         ("dis", CameraTrial(k="list")),
     ]
-    assert methods[1].estimation.runs == 2
+
+
+@pytest.mark.parametrize(
+    ("k", "sharing"), [("auto", "files"), ("auto:shared", "shared"), ("auto:two", "two")]
+)
+def test_a_K_that_is_withheld_is_that_of_the_images(k, sharing) -> None:
+    pair = PosedPair(IMAGE, IMAGE, CAMERA, CAMERA, dense_scene.R, dense_scene.T)
+    told = CameraTrial(k=k).cameras(pair)
+    for camera, expected in zip(told, auto_cameras(IMAGE, IMAGE, sharing), strict=True):
+        assert np.array_equal(camera.K, expected.K)
+        assert (camera.focal_std, camera.identity) == (expected.focal_std, expected.identity)
+    assert (told[0].identity == told[1].identity) == (k != "auto:two")
 
 
 def test_a_network_is_read_once_for_all_methods() -> None:
-    names = ["dgcm-lite0", "mine", "dgcm-lite0:finest=60", "dis/all"]
+    names = ["dgcm-lite0", "mine", "dgcm-lite0:K=auto", "dis/all"]
     methods = parse_methods(names, stored=["mine"])
     network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": {}})
     assert other.engine is network.engine is not None and other is not network

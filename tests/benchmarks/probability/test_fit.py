@@ -1,9 +1,7 @@
 """From stored matches to models and report, on synthetic scenes."""
 
 import dataclasses
-import gzip
 import json
-from pathlib import Path
 
 import dense_scene
 import numpy as np
@@ -12,20 +10,11 @@ from boxes import box_picture
 from command_line import assert_refused, run
 from results import GOOD_EVIDENCE
 from scenes import pinhole, two_view_scene
-from textures import write_photos
 
-from dgc_pose.benchmarks.posed_pairs import PosedPair, Truth
-from dgc_pose.benchmarks.probability.collection import (
-    StoredPair,
-    collect,
-    read_collection,
-    require_engine,
-    store_path,
-)
+from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.probability.fitting import fit_lines, fit_model, fit_same_place
-from dgc_pose.benchmarks.probability.plan import Part, PlanEntry
-from dgc_pose.benchmarks.probability.planned import PlannedPair, planned
-from dgc_pose.benchmarks.probability.records import PoseRecord, Record, record
+from dgc_pose.benchmarks.probability.planned import Part, PlanEntry, PlannedPair
+from dgc_pose.benchmarks.probability.records import PoseRecord, Record, collect, records
 from dgc_pose.benchmarks.probability.report import fit_all, judged, report_text
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.lines import LOG_FOCALS, focal_scores
@@ -34,7 +23,6 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import FEATURES, parse_models
 from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
-from dgc_pose.matching.key_points import SiftMatcher
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")
@@ -50,11 +38,9 @@ class _Scenes(Matcher):
     name = "scenes"
 
     def __init__(self) -> None:
-        self.calls = 0
         self.matches = two_view_scene("random", count=60).matches
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
-        self.calls += 1
         return MatchResult(self.matches, None)
 
 
@@ -67,107 +53,75 @@ def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[PlanEntry, list[Pl
         scene = two_view_scene(kind, seed=number, count=150, outliers=0.2 + 0.004 * number)
         matcher.matches = dataclasses.replace(scene.matches, key_points=True)
         t = scene.t if kind == "general" else np.array([0.0, 0, 1])
-        return PosedPair(Truth({}, *scene.cameras, scene.R, t), BLANK, BLANK)
+        return PosedPair(BLANK, BLANK, *scene.cameras, scene.R, t)
 
     own = [PlannedPair(source, k, f"{part} {k % 3}", lambda k=k: make(k)) for k in range(count)]
     return source, own
 
 
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory):
-    out = tmp_path_factory.mktemp("collected")
-    matcher, sources = _Scenes(), []
-    require_engine(out, "sift", matcher)
-    for part in PARTS:
-        source, pairs = _pairs(matcher, part, 88 if part == "fit" else 24)
-        for pair in pairs:
-            collect(pair, {"sift": matcher}, out)
-        sources.append(source)
-    return out, sources
-
-
-def test_a_collection_goes_on_where_it_stopped(stored):
-    out, _ = stored
-    matcher = _Scenes()
-    source, pairs = _pairs(matcher, "fit", 88)
-    gone = store_path(out, "sift", source, 7)
-    before = gone.read_bytes()
-    gone.unlink()
-    for pair in pairs:
-        collect(pair, {"sift": matcher}, out)
-    assert matcher.calls == 1 and gone.read_bytes() == before
-    with pytest.raises(InputError, match="other weights"):
-        require_engine(out, "sift", SiftMatcher())
-
-
-def test_what_is_stored_comes_back(stored):
-    out, sources = stored
-    scene = two_view_scene("general", seed=3, count=150, outliers=0.2 + 0.004 * 3)
-    pair = [one for one in read_collection(out, "sift", sources) if one.name == "fit 0003"][0]
-    np.testing.assert_allclose(pair.matches.points1, scene.points1, atol=1e-3)
-    assert pair.matches.key_points and pair.map_matches is None and pair.scene == "fit 0"
-    np.testing.assert_allclose(pair.truth.R, scene.R)
-    assert pair.truth.camera1.size == (8, 8)
-    for scores, segments in pair.scores:
-        assert segments == 0 and not scores.any()  # of a blank
-
-
-def test_what_lines_state_is_stored_as_scores(tmp_path):
-    images = [Image(box_picture(focal)) for focal in (0.8, 1.2)]
-    cameras = [pinhole(focal * 960, (960, 720)) for focal in (0.8, 1.2)]
-    scene = two_view_scene("general", count=40)
-    matcher, source = _Scenes(), PlanEntry("boxes", "fit", "list")
-    matcher.matches = dataclasses.replace(scene.matches, key_points=True)
-    made = PosedPair(Truth({}, *cameras, scene.R, scene.t), *images)
-    require_engine(tmp_path, "sift", matcher)
-    collect(PlannedPair(source, 0, "boxes", lambda: made), {"sift": matcher}, tmp_path)
-    (pair,) = read_collection(tmp_path, "sift", [source])
-    for image, (scores, segments) in zip(images, pair.scores, strict=True):
-        expected, count = focal_scores(image)
-        np.testing.assert_allclose(scores, expected, atol=1e-6)
-        assert segments == count > 50
-    assert fit_lines([pair])["gain"] > 0.5
-
-
-def test_a_map_is_stored_as_a_sample(tmp_path):
-    matcher = dense_scene.MapMatcher(dense_scene.true_map())
-    camera = Camera(dense_scene.K, dense_scene.SIZE)
-    images = [Image(pixels) for pixels in dense_scene.pictures()]
-    source = PlanEntry("one", "fit", "list")
-    truth = Truth({}, camera, camera, dense_scene.R, dense_scene.T)
-    made = PlannedPair(source, 0, "one", lambda: PosedPair(truth, *images))
-    require_engine(tmp_path, "net", matcher)
-    collect(made, {"net": matcher}, tmp_path)
-    (pair,) = read_collection(tmp_path, "net", [source])
-    assert pair.map_matches is not None and 100 < len(pair.map_matches) <= 1600
-    found = record(pair, OPTIONS)
-    assert found.best.right and found.evidence is not None
-    assert found.evidence.map_agreement > 0.9 > 0.5 > found.evidence.map_chance
-    assert found.evidence.map_matchability == pytest.approx(pair.map_matches.confidence.mean())
+def _stored(pieces: list[dict]) -> list[dict]:
+    """As they come back from the disk."""
+    return json.loads(json.dumps(pieces))
 
 
 @pytest.mark.slow
-def test_models_and_report_come_of_stored_matches_alone(stored):
-    out, sources = stored
-    text, report, figure = fit_all(out, ["sift"], sources, OPTIONS)
+def test_models_and_report_come_of_records_alone():
+    matcher, sources, pieces = _Scenes(), [], []
+    for part in PARTS:
+        source, pairs = _pairs(matcher, part, 88 if part == "fit" else 24)
+        pieces += [collect(pair, {"sift": matcher}, OPTIONS) for pair in pairs]
+        sources.append(source)
+    engines = {"sift": {"name": "scenes", "fingerprint": None}}
+    text, report, figure = fit_all(_stored(pieces), engines, sources)
     models = parse_models(text).by_kind
     assert set(models) == {"key_points"}
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
     assert "calibration error" in report and "key points" in report
     assert "lines of the images: {'sharpness': " in report
-    assert json.loads(text)["engine"]["sift"]["name"] == "scenes"
+    assert json.loads(text)["engine"] == engines
     assert len(figure.axes[0].lines) > 1
-    rows = [record(pair, OPTIONS) for pair in read_collection(out, "sift", sources)]
-    known = [row for row in rows if row.evidence is not None]
+    known = [row for row in records(pieces, "sift", sources) if row.evidence is not None]
     likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
-    right = [row.best.right for row in known]
-    assert np.mean(np.equal(likely, right)) > 0.95
+    assert np.mean(np.equal(likely, [row.best.right for row in known])) > 0.95
+
+
+def test_records_have_the_pose_its_evidence_and_the_lines(tmp_path):
+    images = [Image(box_picture(focal)) for focal in (0.8, 1.2)]
+    cameras = [pinhole(focal * 960, (960, 720)) for focal in (0.8, 1.2)]
+    scene = two_view_scene("general", count=40)
+    matcher, source = _Scenes(), PlanEntry("boxes", "fit", "list")
+    matcher.matches = scene.matches
+    made = PosedPair(*images, *cameras, scene.R, scene.t)
+    pair = PlannedPair(source, 3, "place", lambda: made)
+    (piece,) = _stored([collect(pair, {"sift": matcher}, OPTIONS)])
+    exact, auto = records([piece], "sift", [source])
+    assert (exact.entry, exact.scene, exact.cameras) == (source, "place", "exact")
+    assert auto.cameras == "auto" and auto.evidence.rotation.shape == (3, 3)
+    for image, (_, scores, segments) in zip(images, piece["focals"], strict=True):
+        expected, count = focal_scores(image)
+        np.testing.assert_allclose(scores, expected)
+        assert segments == count > 50
+    assert fit_lines([piece])["gain"] > 0.5
+
+
+def test_a_map_is_evidence():
+    matcher = dense_scene.MapMatcher(dense_scene.true_map())
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    images = [Image(pixels) for pixels in dense_scene.pictures()]
+    source = PlanEntry("one", "report", "list", withheld=False)
+    posed = PosedPair(*images, camera, camera, dense_scene.R, dense_scene.T)
+    pair = PlannedPair(source, 0, "one", lambda: posed)
+    piece = collect(pair, {"net": matcher}, OPTIONS)
+    assert piece["focals"] == []
+    (found,) = records(_stored([piece]), "net", [source])
+    assert found.best.right and found.evidence is not None
+    assert found.evidence.map_agreement > 0.9 > 0.5 > found.evidence.map_chance
 
 
 def test_the_command_refuses_what_it_cannot_fit(tmp_path):
     words = ("fit-probability", "--data", tmp_path, "--out", tmp_path)
-    assert_refused(run(*words, "--collected"), "nothing is collected for dgcm-lite0")
+    assert_refused(run(*words, "--collected"), "records.jsonl")
     assert_refused(run(*words, "--methods", "sift"), "no such image; it is named in the pair list")
 
 
@@ -232,21 +186,6 @@ def test_too_few_wrong_poses_cannot_be_fitted_on():
         fit_model(data, "network")
 
 
-@pytest.mark.parametrize("kind", ["unrelated", "textureless", "planes"])
-def test_pairs_are_made_for_a_seed(tmp_path, monkeypatch, kind):
-    monkeypatch.setattr("dgc_pose.benchmarks.probability.planned.PLANE_SIZE", 160)
-    names = [path.name for path in write_photos(tmp_path / "a", 60)]
-    with gzip.open(tmp_path / "unrelated.txt.gz", "wt") as stream:
-        stream.writelines(f"{names[k]} {names[k + 1]}\n" for k in range(8))
-    source = PlanEntry(kind, "report", kind, Path("a"), pairs=8, seed=3)
-    first, again = ([one.make() for one in planned(source, tmp_path, tmp_path)] for _ in "12")
-    assert len({pair.image1.pixels.tobytes() + pair.image2.pixels.tobytes() for pair in first}) == 8
-    for one, other in zip(first, again, strict=True):
-        assert np.array_equal(one.image2.pixels, other.image2.pixels)
-        assert (one.truth.R is None) == (kind != "planes")
-        assert one.truth.camera1.size == one.image1.size
-
-
 def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():
     rng = np.random.default_rng(0)
     around = rng.uniform(0, 1, 20_000)
@@ -258,33 +197,23 @@ def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():
     assert fit_same_place(around[:9], right[:9]) == {"slope": 0.0, "intercept": 30.0}
 
 
-@pytest.mark.parametrize(("sharpness", "chance"), [(2.5, 0.05), (4.0, 0.2)])
-def test_the_fit_of_the_lines_finds_how_sure_they_are(sharpness, chance):
+def test_the_fit_of_the_lines_finds_how_sure_they_are():
     """Of focal lengths that are drawn from the posterior that such numbers have."""
-    rng, entry = np.random.default_rng(0), PlanEntry("s", "fit", "list")
+    rng, sharpness, chance = np.random.default_rng(0), 2.5, 0.05
     usual = np.exp(-(((LOG_FOCALS - np.log(0.9)) / 0.35) ** 2) / 2) / 0.35
     tail = np.exp(-(((LOG_FOCALS - np.log(2.0)) / 0.7) ** 2) / 2) / 0.7
     prior = 0.85 * usual + 0.15 * tail
-    matches, pairs = two_view_scene("general", count=20).matches, []
-    for number in range(1000):
-        cameras, scores = [], []
+    pieces = []
+    for _ in range(1000):
+        focals = []
         for _ in range(2):
             peak, count = rng.normal(0, 0.5), int(rng.integers(20, 160))
             own = 0.3 + 0.6 * np.exp(-(((LOG_FOCALS - peak) / 0.3) ** 2))
             odds = np.exp(sharpness * np.sqrt(count) * (own - own.max()))
             odds = ((1 - chance) * odds / odds.mean() + chance) * prior
             true = rng.choice(LOG_FOCALS, p=odds / odds.sum())
-            cameras.append(pinhole(float(640 * np.exp(true)), (640, 480)))
-            scores.append((own, count))
-        truth = Truth({}, *cameras, np.eye(3), np.array([0, 0, 1.0]))
-        pairs.append(StoredPair(entry, str(number), "s", truth, matches, None, None, tuple(scores)))
-    found = fit_lines(pairs)
+            focals.append((float(true), own.tolist(), count))
+        pieces.append({"scene": "s", "focals": focals})
+    found = fit_lines(pieces)
     assert (found["sharpness"], found["chance"]) == (sharpness, chance)
     assert found["gain"] > 0.5
-    # Those of other parts and kinds do not count.
-    other = [
-        dataclasses.replace(pair, entry=PlanEntry("s", part, kind))
-        for pair, part, kind in zip(pairs, ("report", "fit"), ("list", "pasted"), strict=False)
-    ]
-    assert fit_lines([*pairs[2:], *other]) == fit_lines(pairs[2:])
-    assert fit_lines(other)["gain"] == 0

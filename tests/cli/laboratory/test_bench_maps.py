@@ -9,9 +9,8 @@ import pytest
 import torch
 from command_line import assert_refused, run
 from map_nets import MapNet
-from textures import procedural_textures
 
-from dgc_pose.benchmarks.homographies import true_map
+from dgc_pose.benchmarks.maps import true_map
 from dgc_pose.errors import WeightsError
 from dgc_pose.geometry.pixels import pixel_grid
 
@@ -37,7 +36,7 @@ def folder(tmp_path, monkeypatch):
             raise WeightsError(f"{weights}: no such weights")
         return nets[weights]
 
-    monkeypatch.setattr("dgc_pose.benchmarks.map_run.load_network", load_network)
+    monkeypatch.setattr("dgc_pose.benchmarks.maps.load_network", load_network)
     return tmp_path
 
 
@@ -45,17 +44,6 @@ def folder(tmp_path, monkeypatch):
 def planes(folder):
     """A sequence of HPatches."""
     scene.write_sequence(folder / "planes" / "v_adam")
-    return folder
-
-
-@pytest.fixture
-def photos(folder):
-    """Photographs, of which some are held back."""
-    os.makedirs("photos")
-    textures = (255 * procedural_textures(4, 64, seed=1)).round().to(torch.uint8)
-    for index in range(40):
-        pixels = textures[index % 4].permute(1, 2, 0).numpy()
-        cv2.imwrite(f"photos/{index:02d}.png", np.roll(pixels, index, 1))
     return folder
 
 
@@ -95,6 +83,10 @@ def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(plan
     assert [group["group"] for group in half["groups"]] == ["I", "II", "III", "IV", "V"]
     assert half["groups"][0]["aepe"] == pytest.approx(still_aepe(), rel=1e-4)
     assert true["reliability"]["share_correct"][9] == 1
+    assert sum(half["reliability"]["counts"]) == 5 * 240 * 240 and still["reliability"] is None
+    assert len(data["pck_thresholds_px"]) == len(still["all"]["pck"]) == 200
+    (line,) = (own for own in result.stdout.splitlines() if own.startswith("true: "))
+    assert "percent within 3 px by tenths of matchability: " in line
     figures = dis["all"]
     assert figures["aepe"] == figures["aepe240"] < 0.5 * still["all"]["aepe"]
     assert figures["aepe15"] is None and 0.3 < figures["jaccard"] <= 1
@@ -105,31 +97,8 @@ def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(plan
     assert cv2.imread("run/new/pck.png").std() > 1
 
 
-def test_synthetic_sets_have_a_line_a_method(photos):
-    sets = ("--sets", "affine, homography", "--pairs", "3")
-    result = bench("--photos", "photos", "--methods", "half,off", *sets, "--out", "run")
-    half, off = json.loads((photos / "run/summary.json").read_text())["methods"]
-    assert [group["group"] for group in half["groups"]] == ["affine", "homography"]
-    assert [group["pairs"] for group in half["groups"]] == [3, 3]
-    assert half["all"]["aepe"] < 100 < off["all"]["aepe"]
-    assert off["reliability"] is None and sum(half["reliability"]["counts"]) == 6 * 240 * 240
-    first = result.stdout.splitlines()[0]
-    assert "photographs that training holds back" in first and "no occluders" in first
-    words = ("--methods", "half", "--sets", "affine", "--pairs", "2", "--changed")
-    more = bench("--photos", "photos", *words)
-    assert "with changes of light" in more.stdout
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (("--homographies", "planes", "--methods", "true,nosuch"), "nosuch"),
-        (("--homographies", "planes", "--photos", "planes"), "one of them"),
-        ((), "give --homographies or --photos"),
-        (("--photos", "planes", "--sets", "affine,tps"), "no set 'tps'"),
-    ],
-)
-def test_unusable_input_is_one_line_and_writes_nothing(planes, arguments, words):
-    methods = () if "--methods" in arguments else ("--methods", "true")
-    assert_refused(run("bench-maps", *arguments, *methods), words)
+def test_unusable_input_is_one_line_and_writes_nothing(planes):
+    for words in (("--methods", "true,nosuch"), ("--methods", "sift"), ("--methods", ",")):
+        assert_refused(run("bench-maps", "--homographies", "planes", *words))
+    assert_refused(run("bench-maps", "--homographies", "."), "no pairs")
     assert os.listdir(planes) == ["planes"]

@@ -1,21 +1,25 @@
-"""True cameras from lists and from DTU, and scores of models against them."""
+"""True cameras from lists and folders, and reconstructions and locations scored against them."""
 
 import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from batch_runs import view_folder
-from command_line import run
-from multi_view import SIZE, K, View
+from command_line import assert_refused, run
+from multi_view import SIZE, K, View, render_views, write_views
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.rows import PairRow, row_of
-from dgc_pose.benchmarks.reconstructions import (
+from dgc_pose.benchmarks.models import (
+    location_report,
     model_figures,
     pair_figures,
+    thinned,
+    true_model,
     views_of_list,
 )
 from dgc_pose.cameras.camera import Camera
@@ -103,32 +107,84 @@ def test_the_pairs_of_a_batch_are_scored(scene: tuple[Path, Path, list[View]]) -
         pose = RelativePose("ok", "", np.ones(9, bool), 9, R, -t if number < 2 else t)
         rows.append(row_of(names, pose, 1.0))
     rows.append(PairRow("view1.png", "view2.png", "bad_input", ""))
-    cameras = {
-        name: replace(camera, K=camera.K * [[f], [f], [1]])
-        for (name, camera), f in zip(sorted(views.cameras.items()), (1, 1, 1.01, 0.97), strict=True)
-    }
-    batch = SimpleNamespace(
-        rows=rows, summary={"pairs": 4, "poses": 3}, plan=SimpleNamespace(final_cameras=cameras)
-    )
-    figures = pair_figures(batch, views)
+    figures = pair_figures(SimpleNamespace(rows=rows, summary={"pairs": 4, "poses": 3}), views)
     assert (figures["pairs"], figures["poses"]) == (4, 3)
-    np.testing.assert_allclose(figures["pooled_focal_percent"], (1 + 3) / 4)
     # Errors 0 (t folded), 1, 2 and infinite: the recall is 1/4 at 0, then 2/4, 3/4, and stays.
     area = 0.25 * 0 + (0.25 + 0.5) / 2 + (0.5 + 0.75) / 2 + 3 * 0.75
     np.testing.assert_allclose(figures["pair_auc5"], 100 * area / 5, atol=0.01)
 
 
-@pytest.mark.parametrize("withheld", [(), ("--K", "auto:shared")])
-def test_the_command(
-    scene: tuple[Path, Path, list[View]], tmp_path: Path, withheld: tuple[str, ...]
+def test_the_command_scores_reconstructions(
+    scene: tuple[Path, Path, list[View]], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1, *withheld)
-    done = run("bench-reconstruct", scene[0], "--truth", scene[1], "--out", out, *options)
+    options = ("--methods", "sift,colmap-sift", "--workers", 1, "--runs", 1)
+    done = run("bench-model", scene[1], "--images", scene[0], "--out", out, *options)
     assert done.exit_code == 0, done.output
     summary = json.loads((out / "summary.json").read_text())["methods"]
     assert [one["method"] for one in summary] == ["sift", "colmap-sift"]
     for one in summary:
         assert one["registered"] == 4 and one["position_percent"] < 2
-        assert one["focal_percent"] < (5 if withheld else 1e-9)
+        assert one["focal_percent"] < 1e-9
     assert "track length" in done.output
+
+
+@pytest.fixture(scope="module")
+def posed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[View]]:
+    """A folder of posed RGB-D images whose depths are unknown."""
+    folder = tmp_path_factory.mktemp("rgbd")
+    views = render_views(5, step=0.5)
+    write_views(folder / "images", views)
+    (folder / "depth").mkdir()
+    for i in range(len(views)):
+        cv2.imwrite(str(folder / f"depth/view{i}.png"), np.zeros((48, 64), np.uint16))
+    np.savetxt(folder / "K.txt", K)
+    square = [np.vstack([np.column_stack([v.R, v.t]), [0, 0, 0, 1]]) for v in views]
+    np.savetxt(folder / "poses.txt", np.stack([np.linalg.inv(s).ravel() for s in square]))
+    return folder, views
+
+
+def test_posed_images_are_a_model(posed: tuple[Path, list[View]]) -> None:
+    folder, views = posed
+    model = true_model(folder, None)
+    for i, view in enumerate(views):
+        np.testing.assert_allclose(model.centre(f"view{i}.png"), view.centre, atol=1e-9)
+        np.testing.assert_allclose(model.poses[f"view{i}.png"][:, :3], view.R, atol=1e-9)
+
+
+def test_a_report_counts_what_is_within_bounds() -> None:
+    names = "status probability database_images seconds pair_seconds rotation_deg position "
+    names += "position_percent rotation_error_90_deg position_error_90"
+    rows = (
+        ("located", 0.99, 3, 2.0, 1.0, 0.1, 0.02, 0.1, 0.2, 0.01),
+        ("located", 0.95, 3, 4.0, 2.0, 30.0, 2.0, 20.0, 1.0, 0.1),
+        ("nowhere", 0.0, 5, 1.0, 1.0, *(5 * [np.nan])),
+    )
+    lines = dict(location_report([dict(zip(names.split(), row, strict=True)) for row in rows]))
+    assert lines["located"] == "2 of 3"
+    assert lines["right: within 5 deg and 5 % of the extent"] == "1 of 3"
+    assert thinned("abcdefg", 3) == ["a", "d", "g"] and thinned(["b", "c"], None) == ["b", "c"]
+    assert lines["within 2 deg and 0.05 of the unit"] == "1 of 3"
+    assert lines["R within its expected error"] == "1 of 2"
+    assert lines["position within its expected error"] == "0 of 2"
+    assert lines["right of those at 0.9 or more"] == "1 of 2"
+    assert lines["right of those at 0.99 or more"] == "1 of 1"
+    assert lines["seconds, median"] == lines["seconds over those of the pairs, median"] == "2"
+
+
+def test_the_command_scores_views(posed: tuple[Path, list[View]], tmp_path: Path) -> None:
+    fast = ("--effort", "fast", "--runs", "2", "--iterations", "200", "--count", "2")
+    result = run("bench-model", posed[0], "--locate", *fast, "--out", tmp_path / "run")
+    assert result.exit_code == 0, result.output
+    (network,) = json.loads((tmp_path / "run/summary.json").read_text())["methods"]
+    assert [score["name"] for score in network["queries"]] == ["view0.png", "view4.png"]
+    assert "located" in result.stdout and "right of those at 0.5 or more" in result.stdout
+    other = tmp_path / "other"
+    other.mkdir()
+    words = ("bench-model", posed[0], "--other", other, "--out", tmp_path / "other_run")
+    assert_refused(run(*words), "--other", "holds no images")
+    noise = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)
+    picture = cv2.resize(noise, (240, 180), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(other / "a.png"), picture)
+    placed = run(*words, *fast)
+    assert "0 of 1 placed above 0.5" in placed.stdout

@@ -1,16 +1,23 @@
+"""Figures of methods: against cases done by hand, and loops over single matches."""
+
 import json
 import math
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.files import finite_data
-from dgc_pose.benchmarks.store import PairScore
-from dgc_pose.benchmarks.summary import (
+from dgc_pose.benchmarks.report import (
+    calibration_error,
     columns,
+    finite_data,
+    plot_errors,
+    reliability,
+    shares,
     summarise,
     summary_table,
 )
+from dgc_pose.viz.figure import save_figure
 
 
 def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, doubts=False):
@@ -19,7 +26,7 @@ def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, do
     def known(value):
         return value if success else math.nan
 
-    return PairScore(
+    return dict(
         method="m",
         image1="a",
         image2="b",
@@ -101,3 +108,61 @@ def test_no_pose_has_no_figures_and_json_has_null_for_them():
     data = json.loads(json.dumps(finite_data(vars(found)), allow_nan=False))
     assert data["median_rotation_deg"] is data["median_focal_error_percent"] is None
     assert data["pairs"] == data["failures"] == 1
+
+
+def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
+    rng = np.random.default_rng(5)
+    confidence = rng.random((20, 30)).astype(np.float32)
+    matches = confidence, rng.random((20, 30)) < confidence**2
+    found, rest = (
+        reliability(*(array[rows] for array in matches), bins=7)
+        for rows in (slice(4), slice(4, None))
+    )
+    found += rest
+    counts, correct, sums = [0] * 7, [0] * 7, [0.0] * 7
+    for value, right in zip(matches[0].ravel().tolist(), matches[1].ravel().tolist(), strict=True):
+        b = next(b for b in range(7) if value * 7 < b + 1)
+        counts[b] += 1
+        correct[b] += right
+        sums[b] += value
+    assert found[:2].tolist() == [counts, correct]
+    expected = np.divide([correct, sums], counts)
+    np.testing.assert_allclose(shares(found), expected)
+    gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
+    assert calibration_error(found) == pytest.approx(sum(gaps) / sum(counts))
+
+
+def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
+    found = reliability(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
+    assert found[0].tolist() == [1, 0, 0, 2]
+    np.testing.assert_array_equal(shares(found)[0], [0, np.nan, np.nan, 0.5])
+    assert calibration_error(found) == pytest.approx(2 / 3 * 0.5)
+    assert np.isnan(calibration_error(reliability(np.zeros(0), np.zeros(0, bool))))
+
+
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
+
+
+def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
+    """A method may be called as a formula."""
+    errors, lost = np.array([3.0, np.inf, 1.0, 9.0, 3.0]), np.full(5, np.inf)
+    fields = ("rotation_error_deg", "translation_error_deg", "epipolar_confident_px")
+    methods = {
+        name: {**dict.fromkeys(fields, own), "epipolar_all_px": of_map}
+        for name, own, of_map in (
+            ("$\\frac{$", errors, errors),
+            ("$\\frac{$/all", lost, lost),
+            ("\udcff", errors, np.array([np.nan])),
+        )
+    }
+    figure = plot_errors(methods)
+    rotation, _, everywhere, confident = figure.axes
+    assert legend(rotation)[:2] == ["$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°"]
+    # At each value the share of errors not above it.
+    assert rotation.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
+    assert rotation.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]
+    assert rotation.lines[1].get_ydata().tolist() == [0, 0]
+    assert (len(everywhere.lines), len(confident.lines)) == (2, 3)
+    save_figure(figure, tmp_path / "a.png")
+    assert (tmp_path / "a.png").exists()

@@ -1,1 +1,0 @@
-"""Pairs and calibration of the DTU multi-view stereo set."""

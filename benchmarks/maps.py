@@ -1,0 +1,396 @@
+"""Dense maps compared with the true ones, on pairs of photographs of planes.
+
+A homography H maps pixels of the first image to the second, x2 ~ H x1. The layouts are HPatches'
+sequences of a changing viewpoint (`v_*`), VGG's affine-covariant sets, and annotated pairs.
+
+AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over pixels. All errors
+are in pixels of the 240x240 images, over the pixels whose true correspondence is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import cv2
+import numpy as np
+import torch
+from torch import nn
+
+from dgc_pose.benchmarks.report import (
+    calibration_error,
+    decimals,
+    finite_data,
+    reliability,
+    shares,
+)
+from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.files.inputs import read_as, read_text
+from dgc_pose.files.tables import aligned
+from dgc_pose.geometry.pixels import pixel_grid
+from dgc_pose.images.image import Image, load_image, resize
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.matcher import Matcher
+from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES, NetworkConfig
+from dgc_pose.network.net import normalise, to_pixels
+from dgc_pose.network.weights import choose_device, load_network
+from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
+
+VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
+SEQUENCES = 59  # of a changing viewpoint in HPatches
+_SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
+_MATRIX_BYTES = 2**16  # of a file with nine numbers
+_FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
+_SIZE = (INPUT_SIZE, INPUT_SIZE)
+PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
+PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
+WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
+RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
+# The mask of dgcm-lite0 is trained on "visible, with an error below" so many pixels.
+FOUND_PX = 4.0
+HEADING = (
+    "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
+    "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each level's map of a network\n"
+    "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
+    "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
+    f"J found: against what is visible and found to within {FOUND_PX:g} px, "
+    "which dgcm-lite's mask is trained for"
+)
+_LEVELS = [f"aepe{cells}" for cells in LEVEL_SIZES[::-1]]  # of the maps of 15 to 240 cells a side
+# Heading, figure, factor and decimals.
+_COLUMNS = [
+    ("pairs", "pairs", 1, 0),
+    ("AEPE", "aepe", 1, 2),
+    *((name.replace("aepe", "AEPE@"), name, 1, 2) for name in _LEVELS),
+    *((f"PCK@{limit:g}", f"pck{limit:g}", 100, 1) for limit in WITHIN),
+    ("Jaccard", "jaccard", 1, 3),
+    ("J found", "jaccard_found", 1, 3),
+]
+
+
+# The distances (S, S) float64 of a level's map from the truth, pixels of 240x240, infinite where
+# that is not known, and where it is known, (S, S) bool
+Level = tuple[np.ndarray, np.ndarray]
+# A pair's levels, coarse to fine, up to 240 cells a side, of a network from 15 on; and the
+# matchability (240, 240) float32 in [0, 1], None without a mask
+Comparison = tuple[Sequence[Level], np.ndarray | None]
+MapMethod = Callable[[MapPairs], Comparison]  # of one pair
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyPair:
+    """Two images of a plane. Image 1 is the source, image 2 the target."""
+
+    name: str
+    group: str  # that its figures are averaged in: a viewpoint of HPatches, or the folder
+    path1: Path
+    path2: Path
+    H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
+
+
+def find_homography_pairs(root: Path) -> list[HomographyPair]:
+    """All pairs of the three layouts in a folder and the folders right below it whose files are
+    there.
+
+    Raises InputError if there is no pair or, with the path, if a matrix is malformed.
+    """
+    folders = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
+    pairs = [pair for folder in folders for pair in _pairs_in(folder)]
+    if not pairs:
+        raise InputError(
+            f"{root}: no pairs; expected HPatches (v_*/1.ppm, v_*/H_1_2), VGG's sets (img1.ppm, "
+            f"H1to2p) or annotated pairs (NAME_A.jpg, NAME_B.jpg, NAME_H.txt)"
+        )
+    return pairs
+
+
+def load_pair(pair: HomographyPair) -> MapPairs:
+    """A batch of the one pair at 240x240 with its true map.
+
+    Raises ImageError for an image that cannot be read.
+    """
+    image1, image2 = load_image(pair.path1), load_image(pair.path2)
+    points, valid = true_map(pair.H, image1.size, image2.size)
+    truth = points.astype(np.float32)
+    squares = (resize(image.pixels, (INPUT_SIZE, INPUT_SIZE)) for image in (image1, image2))
+    source, target = (torch.from_numpy(s).permute(2, 0, 1)[None].float() / 255 for s in squares)
+    parts = (truth, valid, np.ones_like(valid))
+    return MapPairs(source, target, *(torch.from_numpy(part)[None] for part in parts))
+
+
+def true_map(
+    H: np.ndarray, size1: tuple[int, int], size2: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The map of a homography between images that are squared to 240 x 240 pixels.
+
+    H: (3, 3), x2 ~ H x1 in pixels of images of size1 and size2, (width, height). Returns the map
+    (240, 240, 2) float64, for each pixel of the squared target a point of the squared source, and
+    a mask (240, 240) of valid pixels: both coordinates within 0 and 239, which is [-1, 1] in the
+    paper's normalised coordinates. Squaring follows the half-pixel rule.
+    """
+    squared = _squaring(size2) @ H @ np.linalg.inv(_squaring(size1))
+    # The scale of H decides the sign of the depth alone: positive at the source's centre.
+    centre = np.array([(INPUT_SIZE - 1) / 2, (INPUT_SIZE - 1) / 2, 1.0])
+    inverse = np.linalg.inv(squared * np.sign((squared @ centre)[2] or 1.0))
+    source = np.concatenate([pixel_grid(_SIZE), np.ones((*_SIZE, 1))], -1) @ inverse.T
+    ahead = source[..., 2] > 0
+    depth = np.where(ahead, source[..., 2], 1.0)
+    truth = np.where(ahead[..., None], source[..., :2] / depth[..., None], _FAR)
+    valid = ahead & ((truth >= 0) & (truth <= INPUT_SIZE - 1)).all(-1)
+    return np.clip(truth, -_FAR, _FAR), valid
+
+
+def read_matrix(path: Path) -> np.ndarray:
+    """A homography from a text file. Raises InputError, with the path, if it is malformed."""
+    with read_as("a homography", path):
+        words = read_text(path, "a homography", _MATRIX_BYTES).split()
+        H = np.array(words, np.float64).reshape(3, 3)
+        if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
+            raise ValueError("a homography has finite numbers and an inverse")
+    return H
+
+
+def _squaring(size: tuple[int, int]) -> np.ndarray:
+    """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
+    sx, sy = np.divide(INPUT_SIZE, size)
+    return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+
+
+def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
+    """The pairs right in a folder, in each of the layouts."""
+    name, found = folder.resolve().name, []  # name and group of a pair, its images and its matrix
+    for k, viewpoint in enumerate(VIEWPOINTS, start=2):
+        if folder.name.startswith("v_"):
+            found.append((f"{name} 1-{k}", viewpoint, "1", f"{k}", f"H_1_{k}"))
+        found.append((f"{name} 1-{k}", name, "img1", f"img{k}", f"H1to{k}p"))
+    for matrix in sorted(folder.glob("*_H.txt")):
+        stem = matrix.name.removesuffix("_H.txt")
+        found.append((f"{name}/{stem}", name, f"{stem}_A", f"{stem}_B", matrix.name))
+    for pair, group, stem1, stem2, matrix_name in found:
+        path1, path2 = _image(folder / stem1), _image(folder / stem2)
+        matrix = folder / matrix_name
+        if path1 is not None and path2 is not None and matrix.is_file():
+            yield HomographyPair(pair, group, path1, path2, read_matrix(matrix))
+
+
+def _image(stem: Path) -> Path | None:
+    """The image file of that name, whatever its suffix."""
+    paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
+    """What makes the dense maps of methods, by name: bare networks, and matchers without one.
+
+    Raises InputError for no names or a matcher of key points; WeightsError if weights cannot be
+    loaded.
+    """
+    if not names:
+        raise InputError("no methods named")
+    chosen = choose_device(device)
+    methods: dict[str, MapMethod] = {}
+    for name in names:
+        options = MatcherOptions(name)
+        if not options.has_map:
+            words = f"{name}: has key points alone and no dense map"
+            raise InputError(ArgumentName("methods"), words)
+        if options.is_network:
+            methods[name] = partial(compare, load_network(name, chosen))
+        else:
+            methods[name] = partial(compare_matcher, options.load())
+    return methods
+
+
+@torch.no_grad()
+def compare(net: nn.Module, pair: MapPairs) -> Comparison:
+    """The net's forward pass on a 240x240 pair.
+
+    net: a `DGCNet` in evaluation mode, or another module with its `config` that gives a
+    `Prediction`.
+    """
+    align_corners = cast(NetworkConfig, net.config).align_corners
+    device = next(net.parameters()).device
+    images = [
+        normalise(image.to(device)).contiguous(memory_format=torch.channels_last)
+        for image in (pair.image1, pair.image2)
+    ]
+    prediction = net(*images)
+    levels = []
+    for level in prediction.maps:
+        truth, valid = level_truth(pair.map, pair.valid, level.shape[-1])
+        points = to_pixels(level.float().movedim(1, -1), _SIZE, align_corners)
+        levels.append(level_errors(*(values[0].cpu().numpy() for values in (points, truth, valid))))
+    if not prediction.logits:
+        return levels, None
+    return levels, prediction.logits[-1][0, 0].float().sigmoid().cpu().numpy()
+
+
+def compare_matcher(matcher: Matcher, pair: MapPairs) -> Comparison:
+    """The dense map of a matcher that makes one, of a 240x240 pair.
+
+    A map of fewer cells is brought to the pixels: its displacements linearly, beyond the outermost
+    centres as there, and its matchability as that of the nearest cell.
+    """
+    images = (Image(image_arrays(image)[0]) for image in (pair.image1, pair.image2))
+    dense = matcher.match(*images).correspondence_map
+    assert dense is not None
+    shift = cv2.resize(dense.map - dense.grid, _SIZE, interpolation=cv2.INTER_LINEAR)
+    mask = cv2.resize(dense.matchability, _SIZE, interpolation=cv2.INTER_NEAREST)
+    points = (pixel_grid(_SIZE) + shift).astype(np.float32)
+    return [level_errors(points, pair.map[0].numpy(), pair.valid[0].numpy())], mask
+
+
+def level_errors(points: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> Level:
+    """The errors of a map (S, S, 2) float32 against the true one where it is valid (S, S)."""
+    distances = np.full(valid.shape, np.inf)
+    distances[valid] = np.linalg.norm(points[valid].astype(np.float64) - truth[valid], axis=1)
+    return distances, valid
+
+
+@dataclass(frozen=True, eq=False)
+class MapScore:
+    """One method's figures of a pair, or of several together.
+
+    means: mean over the pairs, NaN where nothing is known: `aepe`, pixels, and that of each level
+    of a network, `aepe15` to `aepe240`; `jaccard`, of the mask against the visible pixels, and
+    `jaccard_found`, against those that are visible and found to within FOUND_PX.
+    """
+
+    method: str
+    group: str
+    name: str  # of the pair; "" of several
+    valid: int  # pixels of known correspondence
+    means: Mapping[str, float]
+    near: np.ndarray  # (203,) int, valid pixels within each of PCK_THRESHOLDS and of WITHIN
+    reliability: np.ndarray | None  # of matches within RIGHT_PX; None without a mask
+    pairs: int = 1
+
+    @property
+    def pck(self) -> np.ndarray:
+        """Share (203,) of all valid pixels within each of these; NaN without any."""
+        return self.near / self.valid if self.valid else np.full(self.near.shape, np.nan)
+
+    @property
+    def data(self) -> dict[str, Any]:
+        """The figures by name: a row of the tables and of pairs.csv."""
+        within = zip(WITHIN, self.pck[len(PCK_THRESHOLDS) :].tolist(), strict=True)
+        return {
+            "group": self.group,
+            "pair": self.name,
+            "method": self.method,
+            "pairs": self.pairs,
+            "valid_pixels": self.valid,
+            **self.means,
+            **{f"pck{px:g}": share for px, share in within},
+        }
+
+
+def score_map(method: str, group: str, name: str, comparison: Comparison) -> MapScore:
+    """The figures of one pair."""
+    levels, matchability = comparison
+    distances, valid = levels[-1]
+    means = dict.fromkeys(("aepe", *_LEVELS, "jaccard", "jaccard_found"), float("nan"))
+    for level, (errors, known) in zip(_LEVELS[::-1], levels[::-1], strict=False):
+        means[level] = _mean(errors[known])
+    means["aepe"] = means[_LEVELS[-1]]
+    counts = None
+    if matchability is not None:
+        means["jaccard"] = jaccard(matchability > 0.5, valid)
+        means["jaccard_found"] = jaccard(matchability > 0.5, distances < FOUND_PX)
+        counts = reliability(matchability, distances <= RIGHT_PX)
+    # The "percentage of correct keypoints" (PCK) of each threshold.
+    thresholds = [*PCK_THRESHOLDS, *WITHIN]
+    near = np.searchsorted(np.sort(distances[valid]), thresholds, side="right")
+    return MapScore(method, group, name, int(valid.sum()), means, near, counts)
+
+
+def pooled(scores: Sequence[MapScore], group: str = "all") -> MapScore:
+    """The figures of one method over its pairs of a group."""
+    scores = [pair for pair in scores if group in ("all", pair.group)]
+    parts = [pair.reliability for pair in scores if pair.reliability is not None]
+    # A pair may have valid cells at a fine level and none at a coarse one.
+    known = {
+        name: [pair.means[name] for pair in scores if not np.isnan(pair.means[name])]
+        for name in scores[0].means
+    }
+    return MapScore(
+        method=scores[0].method,
+        group=group,
+        name="",
+        valid=sum(pair.valid for pair in scores),
+        means={name: _mean(values) for name, values in known.items()},
+        near=np.sum([pair.near for pair in scores], axis=0),
+        reliability=np.sum(parts, axis=0) if parts else None,
+        pairs=len(scores),
+    )
+
+
+def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
+    """Intersection over union of two bool masks of the same shape, in [0, 1]; 1 if both are
+    empty."""
+    union = int((prediction | truth).sum())
+    return int((prediction & truth).sum()) / union if union else 1.0
+
+
+def _mean(values: Sequence[float] | np.ndarray) -> float:
+    return float(np.mean(values)) if len(values) else float("nan")
+
+
+Scores = Mapping[str, Sequence[MapScore]]  # by method, each over the same pairs
+
+
+def groups_of(scores: Scores) -> list[str]:
+    """The groups of the pairs, in their first order."""
+    return list(dict.fromkeys(pair.group for pair in next(iter(scores.values()))))
+
+
+def maps_table(scores: Scores) -> str:
+    """A line a group and method, and over all pairs."""
+    lines = [["group", "method", *(column[0] for column in _COLUMNS)]]
+    for group in [*groups_of(scores), "all"]:
+        for method, pairs in scores.items():
+            data = pooled(pairs, group).data
+            cells = (decimals(factor * data[name], n) for _, name, factor, n in _COLUMNS)
+            lines.append([group, method, *cells])
+    return aligned(lines)
+
+
+def reliability_lines(scores: Scores) -> list[str]:
+    """For each method that has a mask, the share of right matches by matchability, on one line."""
+    lines = []
+    for method, pairs in scores.items():
+        if (counts := pooled(pairs).reliability) is not None:
+            words = " ".join(decimals(100 * share, 0) for share in shares(counts)[0])
+            lines.append(
+                f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {words}; "
+                f"expected calibration error {decimals(100 * calibration_error(counts), 1)} %"
+            )
+    return lines
+
+
+def report_data(scores: Scores) -> dict[str, Any]:
+    """All figures, with null for one that is NaN: of each group and of all pairs by each method."""
+    methods = []
+    for method, pairs in scores.items():
+        total = pooled(pairs)
+        calibration = None
+        if (counts := total.reliability) is not None:
+            calibration = {
+                "right_within_px": RIGHT_PX,
+                "counts": counts[0].tolist(),
+                "share_correct": shares(counts)[0].tolist(),
+                "mean_confidence": shares(counts)[1].tolist(),
+                "expected_calibration_error": calibration_error(counts),
+            }
+        methods.append(
+            {
+                "method": method,
+                "all": {**total.data, "pck": total.pck[: len(PCK_THRESHOLDS)].tolist()},
+                "groups": [pooled(pairs, group).data for group in groups_of(scores)],
+                "reliability": calibration,
+            }
+        )
+    return {"pck_thresholds_px": PCK_THRESHOLDS.tolist(), "methods": finite_data(methods)}

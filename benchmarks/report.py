@@ -1,0 +1,296 @@
+"""The figures of each method over all pairs: as data, as a table, and as curves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dgc_pose.benchmarks.evaluate import pose_auc
+from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.probability import RIGHT_DEG
+from dgc_pose.estimation.problem import THRESHOLD_FACTOR
+from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.files.tables import aligned
+from dgc_pose.viz.figure import new_figure
+
+# One method over all pairs: the figures of `summarise` by name, which are the keys of summary.json.
+Summary = Mapping[str, Any]
+Columns = Mapping[str, tuple[str, int]]  # by heading a figure of a summary, and its decimals
+COLUMNS: Columns = {
+    "pairs": ("pairs", 0),
+    "failures": ("failures", 0),
+    "R med": ("median_rotation_deg", 2),
+    "t med": ("median_translation_deg", 2),
+    "t folded": ("median_translation_folded_deg", 2),
+    **{f"AUC@{limit}": (f"auc{limit}", 1) for limit in (5, 10, 20)},
+    "s/pair": ("seconds_per_pair", 2),
+    "D_e all": ("median_epipolar_px", 2),
+    "D_e conf": ("median_epipolar_confident_px", 2),
+    "matches": ("matches_per_pair", 0),
+    "pose s": ("pose_seconds_per_pair", 3),
+}
+CAMERA_HEADING = (
+    "poses claimed, and wrong ones among them (over 10 degrees in R or t); doubted: the pose says "
+    "that a K may be wrong;\n"
+    "told: doubted, or no pose; p off: calibration error of the probability, points; in 90 %: "
+    "share of right poses whose\n"
+    "error is within the expected one; f: focal lengths of claimed poses, median error and share "
+    "within two deviations,\n"
+    "of all and of those with a deviation below 5 %; shares and errors in percent"
+)
+CAMERA_COLUMNS: Columns = {
+    "claimed": ("claimed", 0),
+    "wrong": ("wrong", 0),
+    "doubted": ("doubted", 0),
+    "told": ("told_percent", 1),
+    "p off": ("probability_error_percent", 1),
+    "R in 90 %": ("rotation_within_percent", 0),
+    "t in 90 %": ("translation_within_percent", 0),
+    "f error": ("median_focal_error_percent", 2),
+    "in 2 std": ("focal_within_percent", 0),
+    "std < 5 %": ("sure_percent", 0),
+    "their f error": ("sure_median_focal_error_percent", 2),
+    "their in 2 std": ("sure_focal_within_percent", 0),
+}
+_SURE_STD = 0.05  # of ln f: focal lengths of a smaller deviation are sure
+
+_DEGREES, _PIXELS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0), (5.0, 10.0, 20.0, 50.0, 100.0)
+# By field of a record what a panel is called, its unit, and where its axis may end
+_PANELS = {
+    "rotation_error_deg": ("rotation error", "°", _DEGREES),
+    "translation_error_deg": ("translation error", "°", _DEGREES),
+    "epipolar_all_px": ("median D_e of the map", " px", _PIXELS),
+    "epipolar_confident_px": ("median D_e of the pose's matches", " px", _PIXELS),
+}
+
+
+def reliability(confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> np.ndarray:
+    """Counts (3, B) over equal bins of confidence in [0, 1]: of the matches, of the correct ones,
+    and the sum of their confidences (Guo et al., 2017). Those of several parts can be added.
+
+    confidence: of any shape, in [0, 1]; correct: bool of the same shape. Bin b has the confidences
+    in [b / B, (b + 1) / B), the last one also 1.
+    """
+    values = confidence.astype(np.float64).ravel()
+    index = np.minimum((values * bins).astype(np.intp), bins - 1)
+    weights = np.ones(len(values)), correct.ravel(), values
+    return np.stack([np.bincount(index, of, minlength=bins) for of in weights])
+
+
+def shares(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Share (B,) of correct matches in each bin of `reliability`, and the mean confidence; NaN if
+    the bin is empty."""
+    with np.errstate(invalid="ignore"):
+        return counts[1] / counts[0], counts[2] / counts[0]
+
+
+def calibration_error(counts: np.ndarray) -> float:
+    """Expected calibration error in [0, 1] of `reliability`: |mean confidence - share correct| of
+    the bins, weighted by their counts. NaN without matches."""
+    total = counts[0].sum()
+    return float(np.abs(counts[2] - counts[1]).sum() / total) if total else np.nan
+
+
+def columns(scores: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
+    """The numbers of the records as arrays (N,), by method, in the order in which they come, and by
+    field."""
+    methods: dict[str, list[Mapping[str, Any]]] = {}
+    for score in scores:
+        methods.setdefault(score["method"], []).append(score)
+    return {
+        method: {
+            name: np.array([row[name] for row in rows], dtype=np.float64)
+            for name, value in rows[0].items()
+            if isinstance(value, int | float)
+        }
+        for method, rows in methods.items()
+    }
+
+
+def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
+    """The figures of one method from the `columns` of its records; NaN for a share of nothing, and
+    for what the method does not say."""
+    rotation, translation = column["rotation_error_deg"], column["translation_error_deg"]
+    folded = column["translation_folded_deg"]
+    worse = np.maximum(rotation, folded)
+    match, estimate = column["match_seconds"], column["estimate_seconds"]
+    claimed, doubted = (column[name] > 0 for name in ("success", "doubts_camera"))
+    right = claimed & (np.maximum(rotation, translation) <= RIGHT_DEG)
+    expected = right & np.isfinite(column["rotation_90_deg"])
+    probability = column["probability"]
+    if not np.isfinite(probability[claimed]).any():  # that of a pair without a pose is 0
+        probability = np.full(len(rotation), np.nan)
+    probable = np.isfinite(probability)
+    calibration = reliability(probability[probable], right[probable])
+    # The focal lengths of all claimed poses, two a pair
+    error, std = (
+        np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
+        for name in ("error", "std")
+    )
+    fitted, sure = std > 0, (std > 0) & (std < _SURE_STD)
+    within = np.abs(error) <= 2 * std
+    return {
+        "method": method,
+        "pairs": len(rotation),
+        "failures": int((~claimed).sum()),  # pairs without a pose
+        # Over all pairs, a failure as infinite
+        "median_rotation_deg": float(np.median(rotation)),
+        "median_translation_deg": float(np.median(translation)),
+        "median_translation_folded_deg": float(np.median(folded)),
+        # Percent; of max(rotation, folded translation), a failure as infinite
+        **{f"auc{limit}": pose_auc(worse, limit) for limit in (5, 10, 20)},
+        "seconds_per_pair": float(np.mean(match + estimate)),  # without reading the images
+        # Medians over the pairs of the pairs' median D_e, pixels of the images that the methods saw
+        "median_epipolar_px": float(np.median(column["epipolar_all_px"])),
+        "median_epipolar_confident_px": float(np.median(column["epipolar_confident_px"])),
+        "matches_per_pair": float(np.mean(column["num_matches"])),
+        "match_seconds_per_pair": float(np.mean(match)),
+        "pose_seconds_per_pair": float(np.mean(estimate)),
+        "claimed": int(claimed.sum()),  # poses
+        "wrong": int((claimed & ~right).sum()),  # over 10 degrees off in R or t (0 to 180)
+        "doubted": int(doubted.sum()),  # of all pairs: by the pose a K may be wrong
+        "told_percent": _share(doubted | ~claimed),
+        # Expected calibration error, over the pairs that have a probability
+        "probability_error_percent": 100 * calibration_error(calibration),
+        # Right poses that expect an error: whether that of R, of t, is within
+        "rotation_within_percent": _share((rotation <= column["rotation_90_deg"])[expected]),
+        "translation_within_percent": _share(
+            (translation <= column["translation_90_deg"])[expected]
+        ),
+        "median_focal_error_percent": _median_percent(error),
+        "focal_within_percent": _share(within[fitted]),  # within two deviations
+        "sure_percent": _share(sure),
+        "sure_median_focal_error_percent": _median_percent(error[sure]),
+        "sure_focal_within_percent": _share(within[sure]),
+    }
+
+
+def _share(true: np.ndarray) -> float:
+    return 100 * int(true.sum()) / len(true) if len(true) else np.nan
+
+
+def _median_percent(log_errors: np.ndarray) -> float:
+    return 100 * float(np.median(np.abs(np.expm1(log_errors)))) if len(log_errors) else np.nan
+
+
+def summary_table(summaries: Sequence[Summary], columns: Columns = COLUMNS) -> str:
+    """A line a method; angles in degrees, AUC in percent, "-" for infinity and NaN."""
+    rows = [
+        [summary["method"], *(decimals(summary[name], digits) for name, digits in columns.values())]
+        for summary in summaries
+    ]
+    return aligned([["method", *columns], *rows])
+
+
+def heading(options: EstimationOptions) -> str:
+    """What the table's columns mean, and the estimator that all methods went through."""
+    threshold = f"{THRESHOLD_FACTOR:g} x the matcher's error"
+    if options.threshold_px is not None:
+        threshold = f"{options.threshold_px:g} px"
+    return (
+        f"estimator poselib, {options.runs} runs of {options.iterations} iterations, "
+        f"threshold {threshold}, seed {options.seed}\n"
+        "medians in degrees over all pairs, a failure counted as infinite; t: 0 to 180, "
+        "t folded: min(e, 180 - e)\n"
+        "AUC in percent, of max(R, t folded); s/pair: matching and estimating; pose s: estimating\n"
+        "D_e: median symmetric epipolar distance of a pair in pixels of the images seen, its "
+        "median over pairs,\nover the map and over the pose's matches"
+    )
+
+
+def decimals(value: float, digits: int) -> str:
+    """The value with so many decimals; "-" for NaN and infinity."""
+    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
+
+
+def finite_data(data: Any) -> Any:
+    """Data for `json_text`: None in place of every NaN and infinity, however deep."""
+    if isinstance(data, Mapping):
+        return {key: finite_data(value) for key, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [finite_data(value) for value in data]
+    return finite_or_none(data) if isinstance(data, float) else data
+
+
+def split_names(text: str) -> list[str]:
+    """The names in a comma-separated list, without blanks around them; empty ones are dropped."""
+    return [name for name in (part.strip() for part in text.split(",")) if name]
+
+
+def plot_errors(methods: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
+    """The paper's cumulative histograms (section 4.4): rotation error, translation error from 0 to
+    180 degrees, and a pair's median D_e over the map and over the matches of the pose.
+
+    methods: by method, by field of a record, its values (N,); infinite ones count as pairs, and a
+    method with NaN is left out of a panel. The median is in the legend, and `NAME/all` has the
+    colour of `NAME`, and is dashed. An axis ends at the least of its limits that is not below nine
+    tenths of the finite errors of all methods, or at the last one.
+    """
+    figure = new_figure(12.0, 9.0)
+    panels = zip(figure.subplots(2, 2).ravel(), _PANELS.items(), strict=True)
+    for axes, (field, (quantity, unit, limits)) in panels:
+        errors = {name: values[field] for name, values in methods.items()}
+        errors = {name: values for name, values in errors.items() if not np.isnan(values).any()}
+        if not errors:
+            axes.set_axis_off()
+            axes.text(0.5, 0.5, "no method has a map", ha="center", va="center")
+            continue
+        finite = np.concatenate([values[np.isfinite(values)] for values in errors.values()])
+        most = np.quantile(finite, 0.9) if len(finite) else 0.0
+        limit = next((limit for limit in limits if limit >= most), limits[-1])
+        bases = list(dict.fromkeys(method.removesuffix("/all") for method in errors))
+        for method, values in errors.items():
+            below = np.sort(values[values <= limit])
+            axes.step(
+                np.concatenate([[0.0], below, [limit]]),
+                100 * np.append(np.arange(len(below) + 1), len(below)) / values.size,
+                where="post",
+                label=f"{method}, median {np.median(values):.2f}{unit}",
+                color=f"C{bases.index(method.removesuffix('/all')) % 10}",
+                linestyle="--" if method.endswith("/all") else "-",
+            )
+        words = f"{quantity} ({'degrees' if unit == '°' else 'pixels'})"
+        axes.set(xlim=(0, limit), ylim=(0, 100), xlabel=words, ylabel="pairs (%)")
+        axes.grid(alpha=0.3)
+        axes.legend(loc="lower right", fontsize=9)
+    return figure
+
+
+def plot_pck(curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray) -> Figure:
+    """PCK: the share of pixels whose error is at most a share alpha of the image's side.
+
+    A panel a group, in it a curve a method. curves: by group, by method, the shares (K,) in [0, 1]
+    at `alphas` (K,); NaN for a group without pixels.
+    """
+    figure = new_figure(4.0 * len(curves), 4.4)
+    panels = np.ravel(figure.subplots(1, len(curves), sharey=True, squeeze=False))
+    for axes, (group, by_method) in zip(panels, curves.items(), strict=True):
+        for method, shares in by_method.items():
+            axes.plot(alphas, 100 * shares, label=method)
+        axes.set(xlim=(alphas[0], alphas[-1]), ylim=(0, 100), xlabel="alpha")
+        axes.set_title(group, fontsize=10)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("pixels within alpha x side (%)")
+    panels[-1].legend(loc="lower right", fontsize=9)
+    return figure
+
+
+def draw_reliability(axes: Axes, methods: Mapping[str, np.ndarray], *, right: str) -> None:
+    """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
+
+    methods: by name, of `reliability`; right: which matches are right, for the label.
+    """
+    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
+    for method, counts in methods.items():
+        share, confidence = shares(counts[:, counts[0] > 0])
+        label = f"{method}, calibration error {100 * calibration_error(counts):.1f} %"
+        axes.plot(confidence, share, marker="o", ms=4, label=label)
+    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
+    axes.grid(alpha=0.3)
+    if methods:
+        axes.legend(loc="lower right", fontsize=9)
