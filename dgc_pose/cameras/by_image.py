@@ -267,8 +267,7 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
             )
             if is_turned:
                 raise InputError(f"{problem}: K is of the image turned by 90 degrees")
-            if name.startswith("--"):
-                problem += ": --K-size states the size that K is of"
+            problem += ": state the size that K is of"
             if scale > _MAX_POSSIBLE_SCALE:
                 raise InputError(problem)
             return replace(camera, warnings=(*camera.warnings, problem))

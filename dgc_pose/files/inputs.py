@@ -31,7 +31,7 @@ def read_bytes(
     with open_regular(path, error) as stream, writing(path):
         size = os.fstat(stream.fileno()).st_size
         if size > limit:
-            raise error(f"{path} is too large: {size} bytes, at most {limit} are read")
+            raise error(Path(path), f"is too large: {size} bytes, at most {limit} are read")
         return stream.read(size)
 
 
@@ -50,7 +50,7 @@ def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> Bi
         raise error(f"{str(path)!r} is no name of a file") from None
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "a device")
-        raise error(f"{path} is {kind}, and only regular files are read")
+        raise error(Path(path), f"is {kind}, and only regular files are read")
     return open(path, "rb")
 
 
@@ -58,7 +58,7 @@ def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) ->
     """Raise `error`, with the path, unless this is a regular file that is not empty: for libraries
     that open files themselves. OSError, with the path, if it cannot be read."""
     if not read_start(path, 1, error):
-        raise error(f"{path} is empty")
+        raise error(Path(path), "is empty")
 
 
 @contextmanager
@@ -74,11 +74,12 @@ def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError)
     except DgcPoseError:
         raise
     except MemoryError:
-        raise error(f"{path} needs more memory than there is") from None
+        raise error(Path(path), "needs more memory than there is") from None
     except Exception as failure:
         if isinstance(failure, OSError) and failure.filename is not None:
             raise
-        raise error(f"{path} is not {what} that can be read ({reason(failure)})") from failure
+        why = f"is not {what} that can be read ({reason(failure)})"
+        raise error(Path(path), why) from failure
 
 
 def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -> str:
@@ -90,4 +91,4 @@ def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -
     with suppress(UnicodeDecodeError):
         if b"\0" not in read_start(path, _START_BYTES):
             return read_bytes(path, limit).decode("utf-8-sig")
-    raise InputError(f"{path}: {what} is text, and this is not")
+    raise InputError(Path(path), f"is not text, and {what} is")

@@ -53,5 +53,5 @@ def _read(path: Path) -> np.ndarray:
         return read_pixels(path)
     arrays = read_arrays(path) if path.suffix.lower() == ".npz" else {"": read_array(path)}
     if len(arrays) != 1:
-        raise InputError(f"{path} holds {len(arrays)} arrays, and a depth map is one")
+        raise InputError(path, f"holds {len(arrays)} arrays, and a depth map is one")
     return next(iter(arrays.values()))

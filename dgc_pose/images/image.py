@@ -143,7 +143,7 @@ def _read_file(path: Path) -> Image:
             array = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
-        image = _of_array(turned(array, header.exif.orientation), str(path))
+        image = _of_array(turned(array, header.exif.orientation), path)
         kept = "exif", "pixel_aspect", "projection"
         return replace(image, **{field: getattr(header, field) for field in kept})
 
@@ -165,9 +165,9 @@ def _decoded(path: Path) -> tuple[np.ndarray, Header]:
     except cv2.error as error:
         if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
             raise MemoryError from None
-        raise ImageError(f"{path} cannot be decoded: {error.err}") from None
+        raise ImageError(path, f"cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
-        raise ImageError(f"{path} cannot be decoded: OpenCV does not read this {header.format}")
+        raise ImageError(path, f"cannot be decoded: OpenCV does not read this {header.format}")
     return array, header
 
 
@@ -175,20 +175,20 @@ def _header(stream: BinaryIO, path: Path, *, verify: bool = False) -> Header:
     try:
         header = read_header(stream, verify=verify)
     except UnreadableFormatError as error:
-        raise ImageError(f"{path} is {error}") from None
+        raise ImageError(path, f"is {error}") from None
     except Exception as error:  # of any type, by the format's reader
-        raise ImageError(f"{path} is corrupt: {reason(error)}") from error
+        raise ImageError(path, f"is corrupt: {reason(error)}") from error
     text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
     if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
         raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
     width, height = header.size
     if width * height > int(text):
         raise ImageSizeError(
-            f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
+            path, f"is too large: {width} x {height}, at most {int(text)} pixels are read"
         )
     if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
         raise ImageError(
-            f"{path} is a TIFF with orientation tag {header.exif.orientation}: save it upright"
+            path, f"is a TIFF with orientation tag {header.exif.orientation}: save it upright"
         )
     return header
 
@@ -219,30 +219,30 @@ def _image_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
+        raise ImageError(path, f"cannot be read: {error.strerror or error}") from error
     except MemoryError:
-        raise ImageError(f"{path} needs more memory than there is") from None
+        raise ImageError(path, "needs more memory than there is") from None
     except InputError as error:
-        raise ImageError(str(error)) from error
+        raise ImageError(*error.args) from error
 
 
-def _of_array(array: np.ndarray, name: str) -> Image:
+def _of_array(array: np.ndarray, name: str | Path) -> Image:
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
         raise InputError(
-            f"{name} must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
+            name, f"must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
         )
     colours, used = array[:, :, :3], None
     if array.shape[2] == 4 and not (array[:, :, 3] != 0).all():
         used = array[:, :, 3] != 0
         if not used.any():
-            raise InputError(f"{name} has alpha 0 everywhere, which leaves no pixel of it")
+            raise InputError(name, "has alpha 0 everywhere, which leaves no pixel of it")
         colours = filled(colours, used)
     colours = _to_8_bit(colours, name)
     if colours.shape[2] == 1:
         colours = np.repeat(colours, 3, axis=2)
-    return Image(np.ascontiguousarray(colours), name, mask=used)
+    return Image(np.ascontiguousarray(colours), str(name), mask=used)
 
 
 def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -252,12 +252,12 @@ def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
     return pixels
 
 
-def _to_8_bit(array: np.ndarray, name: str) -> np.ndarray:
+def _to_8_bit(array: np.ndarray, name: str | Path) -> np.ndarray:
     if array.dtype == np.uint8:
         return array
     low, high = float(array.min()), float(array.max())
     if not np.isfinite(high - low):
-        raise InputError(f"{name} has values that are not finite")
+        raise InputError(name, "has values that are not finite")
     if array.dtype.kind in "bf" and low >= 0 and high <= 1:
         low, high = 0.0, 1.0
     else:

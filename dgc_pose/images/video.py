@@ -30,7 +30,7 @@ def frames_folder(path: Path, number: int, folder: Path) -> Path:
     video, again = cv2.VideoCapture(str(path)), cv2.VideoCapture(str(path))
     count = sum(1 for _ in iter(lambda: video.read()[0], False))  # that of the header may be wrong
     if count == 0:
-        raise InputError(f"{path}: no frame of this video can be read")
+        raise InputError(path, "is a video, and no frame of it can be read")
     number = min(number, count)
     folder.parent.mkdir(parents=True, exist_ok=True)
     with replaced_folder(folder) as new:

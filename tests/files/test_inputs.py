@@ -35,4 +35,4 @@ def test_a_file_that_is_no_text_is_told_as_such(tmp_path: Path, content: bytes, 
         stream.truncate(size)
     with pytest.raises(InputError) as caught:
         read_text(path, "a list of pairs")
-    assert str(caught.value) == f"{path}: a list of pairs is text, and this is not"
+    assert str(caught.value) == f"{path} is not text, and a list of pairs is"

@@ -64,7 +64,7 @@ def test_frames_are_taken_once_and_anew_of_another_video(tmp_path: Path) -> None
 def test_a_video_without_a_frame(tmp_path: Path, name: str, start: bytes) -> None:
     """Nothing is written. In a process of its own FFmpeg prints nothing beside our line."""
     (tmp_path / name).write_bytes(start + bytes(100))
-    message = f"{tmp_path / name}: no frame of this video can be read"
+    message = f"{tmp_path / name} is a video, and no frame of it can be read"
     with pytest.raises(InputError) as caught:
         frames_folder(tmp_path / name, 40, tmp_path / "frames")
     assert str(caught.value) == message

@@ -70,7 +70,7 @@ def read_model(folder: Path) -> Calibration:
     for name in ("cameras.bin", "cameras.txt"):
         if (folder / name).is_file():
             return read_cameras(folder / name)
-    raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
+    raise InputError(folder, "holds no cameras.txt and no cameras.bin")
 
 
 def read_cameras(path: Path) -> Calibration:
@@ -84,7 +84,7 @@ def read_cameras(path: Path) -> Calibration:
         data = read_bytes(path, TEXT_BYTES)
         cameras = _text_cameras(data) if is_text else _binary_cameras(data)
     if not cameras:
-        raise InputError(f"{path}: no cameras in this file")
+        raise InputError(path, "has no cameras")
     cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
     parts = {str(key): camera for key, camera in cameras.items()}
     images = path.with_name("images.txt" if is_text else "images.bin")

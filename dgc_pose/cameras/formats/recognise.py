@@ -60,7 +60,7 @@ def read_file(path: Path) -> Calibration:
         with read_as("a file of cameras", path):
             return replace(_read_file(path), where=str(path))
     except InputError as error:
-        if str(error).startswith(str(path)):
+        if error.path is not None:
             raise
         raise InputError(f"{path}: {error}") from error
 
@@ -75,7 +75,7 @@ def _read_file(path: Path) -> Calibration:
         return colmap.read_cameras(path)
     text = read_text(path, "a file of cameras")
     if not text.strip():
-        raise InputError(f"{path} is empty")
+        raise InputError(path, "is empty")
     if ending == ".toml":
         return _of_mapping(toml_data(text, path), path)
     if "<opencv_storage>" in text:
