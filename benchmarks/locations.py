@@ -11,7 +11,7 @@ import numpy as np
 
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.reconstructions import views_of_list
-from dgc_pose.images.image import image_size
+from dgc_pose.images.decoding import image_size
 from dgc_pose.localization.locate import Locator
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model

@@ -66,7 +66,7 @@ class BatchChoice(KChoice):
     def open(self, source: str, out: Path) -> Source:
         """The source of the batch in `out`, which frames of a video are kept beside."""
         from dgc_pose.batch.source import open_source
-        from dgc_pose.images.video import frames_folder
+        from dgc_pose.images.folder import frames_folder
 
         out = Path(os.path.abspath(out))  # which has a name, also of "."
         frames = out.with_name(f"{out.name}_{self.frames}_frames_of_{Path(source).name}")

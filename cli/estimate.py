@@ -17,7 +17,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked
 from dgc_pose.matchers import MatcherOptions
 
 NO_POSE = 3  # exit code if there is no pose

@@ -22,7 +22,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.images.image import image_header
+from dgc_pose.images.decoding import image_header
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option

@@ -20,7 +20,7 @@ from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
 from dgc_pose.cli.process import Stopped, command_process, say
-from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason, shortened
+from dgc_pose.errors import DgcPoseError, missing_package, reason, shortened
 
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
@@ -136,8 +136,6 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
             return "interrupted", 128 + signal.SIGINT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
-        case ImageSizeError():
-            return f"{error} (--max-pixels sets that number)", UNUSABLE_INPUT
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
         case BrokenPipeError() | Stopped(number=signal.SIGPIPE):

@@ -10,7 +10,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import staged
 from dgc_pose.images.image import load_image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked
 from dgc_pose.matchers import MatcherOptions
 
 

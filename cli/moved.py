@@ -89,9 +89,8 @@ def moved(
 
 def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
     """The pictures of a file, folder or video by name. `folder` gets the frames of a video."""
-    from dgc_pose.images.folder import search_images
-    from dgc_pose.images.image import image_header
-    from dgc_pose.images.video import frames_folder
+    from dgc_pose.images.decoding import image_header
+    from dgc_pose.images.folder import frames_folder, search_images
 
     path = frames_folder(Path(source), frames, folder)
     if not path.is_dir():

@@ -35,10 +35,6 @@ class ImageError(DgcPoseError):
     """An image file that is missing, empty, corrupt or too large; the message holds the path."""
 
 
-class ImageSizeError(ImageError):
-    """An image of more pixels than are read; the message holds the path and both numbers."""
-
-
 class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
 

@@ -18,7 +18,7 @@ from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image, flipped, load_image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult

@@ -10,7 +10,8 @@ import cv2
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import require_room, save_text
-from dgc_pose.images.image import image_header, read_pixels, size_in_file
+from dgc_pose.images.decoding import image_header, read_pixels
+from dgc_pose.images.image import size_in_file
 from dgc_pose.model import Model, write_points
 from dgc_pose.system.colmap_library import pycolmap
 

@@ -21,7 +21,7 @@ from dgc_pose.geometry.pixels import EXCHANGING, Size, exif_turn
 from dgc_pose.images.image import size_in_file
 
 if TYPE_CHECKING:
-    from dgc_pose.images.header import Header
+    from dgc_pose.images.decoding import Header
     from dgc_pose.images.image import Image
 
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr

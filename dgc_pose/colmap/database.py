@@ -19,7 +19,7 @@ from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
-from dgc_pose.images.image import image_header
+from dgc_pose.images.decoding import image_header
 from dgc_pose.images.store import ImageStore
 from dgc_pose.model import HALF_PIXEL, colmap_camera
 from dgc_pose.system.colmap_library import pycolmap

@@ -11,7 +11,7 @@ from dgc_pose.colmap.mapping import MIN_IMAGES, MappingError
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.estimation.markers import marker_side
-from dgc_pose.images.image import image_header, read_pixels
+from dgc_pose.images.decoding import image_header, read_pixels
 from dgc_pose.images.markers import find_markers
 from dgc_pose.model import Model
 from dgc_pose.system.colmap_library import pycolmap

@@ -5,7 +5,6 @@ within `read_as`, which names it.
 """
 
 import os
-import stat
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,49 +15,31 @@ from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.files.outputs import writing
 
 TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
-_START_BYTES = 4096  # that tell a text from another file, which may be far larger than a text
-_KINDS = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+_START_BYTES = 4096  # of a text, which have no zero byte
+
+
+def open_file(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
+    """A regular file to read, links followed.
+
+    Raises `error`, with the path, for a folder, a pipe, which would wait for its writer, a device
+    and no name of a file; OSError, with the path, if it cannot be opened.
+    """
+    with suppress(ValueError):  # a zero byte
+        if os.path.isfile(path) or not os.path.exists(path):
+            return open(path, "rb")
+    raise error(Path(path), "is no regular file")
 
 
 def read_bytes(
     path: str | Path, limit: int = 2**31 - 1, error: type[DgcPoseError] = InputError
 ) -> bytes:
-    """The content of a regular file, links followed.
-
-    Raises `error`, with the path, for a pipe, a device, a folder, and for more than `limit` bytes;
-    OSError, with the path, if it cannot be read.
-    """
-    with open_regular(path, error) as stream, writing(path):
+    """The content of a file. Raises as `open_file` does, and `error` for more than `limit` bytes;
+    OSError, with the path, if it cannot be read."""
+    with open_file(path, error) as stream, writing(path):
         size = os.fstat(stream.fileno()).st_size
         if size > limit:
             raise error(Path(path), f"is too large: {size} bytes, at most {limit} are read")
         return stream.read(size)
-
-
-def read_start(path: str | Path, count: int, error: type[DgcPoseError] = InputError) -> bytes:
-    """The first `count` bytes of a regular file, or all of a smaller one. Raises as
-    `read_bytes` does."""
-    with open_regular(path, error) as stream, writing(path):
-        return stream.read(count)
-
-
-def open_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
-    """A regular file to read piece by piece. Raises as `read_bytes` does."""
-    try:
-        mode = os.stat(path).st_mode  # before it is opened: a pipe would wait for its writer
-    except ValueError:  # a zero byte
-        raise error(f"{str(path)!r} is no name of a file") from None
-    if not stat.S_ISREG(mode):
-        kind = _KINDS.get(stat.S_IFMT(mode), "a device")
-        raise error(Path(path), f"is {kind}, and only regular files are read")
-    return open(path, "rb")
-
-
-def require_regular(path: str | Path, error: type[DgcPoseError] = InputError) -> None:
-    """Raise `error`, with the path, unless this is a regular file that is not empty: for libraries
-    that open files themselves. OSError, with the path, if it cannot be read."""
-    if not read_start(path, 1, error):
-        raise error(Path(path), "is empty")
 
 
 @contextmanager
@@ -88,7 +69,8 @@ def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -
     Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
     almost any other file has, or is no regular file; OSError if it cannot be read.
     """
+    data = read_bytes(path, limit)
     with suppress(UnicodeDecodeError):
-        if b"\0" not in read_start(path, _START_BYTES):
-            return read_bytes(path, limit).decode("utf-8-sig")
+        if b"\0" not in data[:_START_BYTES]:
+            return data.decode("utf-8-sig")
     raise InputError(Path(path), f"is not text, and {what} is")

@@ -10,9 +10,8 @@ import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.files.outputs import writing
-from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
+from dgc_pose.images.folder import copies_of_others, frames_folder, left_out_line, search_images
 from dgc_pose.images.image import load_image
-from dgc_pose.images.video import frames_folder
 
 _FRAMES = ArgumentName("frames")
 _MOST_FRAMES = 15  # read of each camera

@@ -33,8 +33,8 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced, replaced_folder
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.images.folder import frames_folder
 from dgc_pose.images.image import flipped, load_image
-from dgc_pose.images.video import frames_folder
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.images.image import image_size, load_image, picture_url, resize_by
+from dgc_pose.images.decoding import image_size
+from dgc_pose.images.image import load_image, picture_url, resize_by
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
 

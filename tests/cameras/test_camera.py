@@ -13,7 +13,7 @@ from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Exif
+from dgc_pose.images.decoding import Exif
 from dgc_pose.images.image import Image
 
 K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])

@@ -21,7 +21,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import pose_matrix
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
+from dgc_pose.files.inputs import TEXT_BYTES, open_file, read_as, read_bytes
 from dgc_pose.geometry.pixels import Size
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
@@ -159,7 +159,7 @@ def read_database(path: Path) -> PairList:
 
     Raises InputError, with the path, if it is none that can be read.
     """
-    require_regular(path)
+    open_file(path).close()
     file = path.resolve()
     logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
     names = [log.name for log in logs if log.stat().st_size]  # without these it is not whole

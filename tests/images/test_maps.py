@@ -1,17 +1,19 @@
-"""Masks: what is read, scaled and refused, and which points lie on masked pixels."""
+"""Masks: what is read, scaled and refused. Depth maps: their numbers at a photograph's points."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
 import PIL.Image
+import PIL.ImageOps
 import pytest
 import torch
 
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Exif
+from dgc_pose.geometry.sampling import bilinear_at
+from dgc_pose.images.decoding import Exif
 from dgc_pose.images.image import Image, flipped, load_image, turned
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked, read_depth
 
 USED = np.random.default_rng(0).random((40, 60)) < 0.6
 IMAGE = Image(np.random.default_rng(1).integers(0, 256, (40, 60, 3), np.uint8))
@@ -114,7 +116,7 @@ def test_points_on_masked_pixels() -> None:
     assert not IMAGE.is_masked(points).any()
 
 
-@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("orientation", [1, 4, 6, 7])
 def test_a_mask_is_turned_with_its_pixels(orientation: int) -> None:
     """A mask is of the pixels as stored; a mirror image has both mirrored."""
     stored = np.dstack([USED * np.uint8(255), *np.indices(USED.shape).astype(np.uint8)])
@@ -124,3 +126,49 @@ def test_a_mask_is_turned_with_its_pixels(orientation: int) -> None:
         assert shown.mask is not None and shown.pixels.flags.c_contiguous
         left_out = shown.pixels[~shown.mask]
         assert (shown.pixels[shown.mask][:, 0] == 255).all() and (left_out == left_out[0]).all()
+
+
+def depth_at(inverse: np.ndarray | None, points: np.ndarray) -> np.ndarray:
+    """Depths (N,) at points (N, 2) of the photograph."""
+    assert inverse is not None
+    return 1 / bilinear_at(inverse, *points.T[:, :, None])[:, 0]
+
+
+def plane(width: int, height: int) -> np.ndarray:
+    """Depths (h, w), metres, of a slanted plane: the inverse is linear over the image's sides."""
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    return 1 / (0.3 + 0.1 * x + 0.05 * y)
+
+
+@pytest.mark.parametrize("size", [(80, 60), (403, 302)])
+def test_a_map_of_another_size_has_the_depths_of_the_plane(size: tuple[int, int]) -> None:
+    depth = read_depth(plane(160, 120), "depth1", size, 1)
+    points = np.random.default_rng(0).uniform(0.1, 0.9, (50, 2))
+    expected = 1 / (0.3 + points @ (0.1, 0.05))
+    np.testing.assert_allclose(depth_at(depth, points * size - 0.5), expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("hole", [0, -1, np.nan])
+def test_holes_and_edges_have_no_depth_and_integers_are_millimetres(hole: float) -> None:
+    stored = np.full((60, 80), 2.0)
+    stored[:, 40:] = 3.0
+    stored[10:20, 10:20] = hole
+    depth = read_depth(stored, "depth1", (80, 60), 1)
+    points = np.array([[5.0, 5.0], [15.0, 15.0], [39.6, 30.0], [50.0, 30.0]])
+    np.testing.assert_allclose(depth_at(depth, points), [2, np.nan, np.nan, 3], rtol=1e-6)
+    for kind in (np.uint16, np.int32):
+        depth = read_depth(np.full((60, 80), 1234, kind), "depth1", (80, 60), 1)
+        np.testing.assert_allclose(depth_at(depth, points), 1.234, rtol=1e-6)
+
+
+@pytest.mark.parametrize("orientation", [2, 6, 7])
+def test_a_map_is_turned_as_its_photograph(orientation: int) -> None:
+    stored = plane(80, 60).astype(np.float32)
+    image = PIL.Image.fromarray(stored)
+    image.getexif()[274] = orientation
+    upright = np.asarray(PIL.ImageOps.exif_transpose(image))
+    size = upright.shape[1], upright.shape[0]
+    depth = read_depth(stored, "depth1", size, orientation)
+    np.testing.assert_allclose(
+        depth_at(depth, np.array([[20.0, 11.0]])), upright[11, 20], rtol=1e-4
+    )
