@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import KChoice
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import KChoice, dataclass_options
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions

@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import STDOUT, OutputFolder
-from dgc_pose.cli.options import KChoice, output_file
+from dgc_pose.cli.options import KChoice, dataclass_options, output_file
 from dgc_pose.cli.output import closing_lines, row_lines
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text

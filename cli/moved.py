@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT
-from dgc_pose.cli.options import KChoice, output_file
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import KChoice, dataclass_options, output_file
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ImageError, InputError, printable
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, scratch_folder, staged

@@ -1,8 +1,10 @@
-"""Poses as text, matches as .npz."""
+"""Poses as text, arrays as .npz."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,7 +14,9 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.matches import Matches
+
+if TYPE_CHECKING:
+    from dgc_pose.colmap.tracking import SharedMatches
 
 _SOURCES = {
     "given": "by the given K",
@@ -116,6 +120,8 @@ def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
         np.savez_compressed(stream, **arrays)
 
 
-def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
-    """points1, points2 (N, 2) in pixels of the original images, and confidence (N,)."""
-    return {name: getattr(matches, name) for name in ("points1", "points2", "confidence")}
+def shared_text(shared: SharedMatches) -> str:
+    """What was written into a COLMAP database."""
+    images = sum(len(points) > 0 for points in shared.key_points.values())
+    key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
+    return f"{images} images, {key_points} key points, {len(shared.pairs)} pairs, {matches} matches"

@@ -11,10 +11,9 @@ import click
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import dataclass_options
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions

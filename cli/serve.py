@@ -12,7 +12,7 @@ from contextlib import suppress
 import click
 
 from dgc_pose.cameras.pair_list import bundled_photographs
-from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.matchers import MatcherOptions

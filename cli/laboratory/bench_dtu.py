@@ -9,7 +9,6 @@ import click
 from dgc_pose.benchmarks.camera_trial import CameraTrial
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions
 from dgc_pose.cameras.pair_list import write_pairs
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.laboratory.bench_pairs import (
     FILES,
@@ -19,6 +18,7 @@ from dgc_pose.cli.laboratory.bench_pairs import (
     run_bench,
 )
 from dgc_pose.cli.laboratory.dtu_pairs import DtuChoice, drawn_pairs
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions

@@ -8,8 +8,8 @@ import click
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.files import finite_data
 from dgc_pose.benchmarks.locations import placed, report, thinned, true_model
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json

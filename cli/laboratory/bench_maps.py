@@ -8,8 +8,8 @@ import click
 from tqdm import tqdm
 
 from dgc_pose.benchmarks.files import finite_data, split_names
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing

@@ -24,8 +24,8 @@ from dgc_pose.benchmarks.summary import (
     summary_table,
 )
 from dgc_pose.cameras.pair_list import Pair, read_pairs
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import NamedPath, OutputFolder, overwrites
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json

@@ -16,8 +16,8 @@ from dgc_pose.benchmarks.reconstructions import (
     views_of_list,
 )
 from dgc_pose.benchmarks.summary import summary_table
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions

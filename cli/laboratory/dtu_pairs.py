@@ -8,8 +8,8 @@ import click
 from dgc_pose.benchmarks.dtu.dataset import Light, open_dataset
 from dgc_pose.benchmarks.dtu.view_pairs import ViewPairOptions, draw, find_view_pairs, listed_pair
 from dgc_pose.cameras.pair_list import Pair, write_pairs
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.files.outputs import staged
 from dgc_pose.system.options import option

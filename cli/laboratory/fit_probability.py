@@ -9,8 +9,8 @@ from tqdm import tqdm
 
 from dgc_pose.benchmarks.files import split_names
 from dgc_pose.benchmarks.probability.plan import DEFAULT_PLAN, PlanEntry, read_plan
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.network.config import DEFAULT_WEIGHTS

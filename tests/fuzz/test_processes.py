@@ -34,9 +34,9 @@ def demo(out, size):
             save_text(stage(out), '{"whole": 1}')
     click.echo("done")
 
-module = types.ModuleType("dgc_pose.cli.demo")
+module = types.ModuleType("dgc_pose.cli.estimate")
 module.demo = demo
-sys.modules["dgc_pose.cli.demo"] = module
+sys.modules["dgc_pose.cli.estimate"] = module
 main()
 """
 
