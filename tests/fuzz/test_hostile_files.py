@@ -13,27 +13,14 @@ import pytest
 import torch
 from fuzz.readers import make_batch
 
-from dgc_pose import load_image
 from dgc_pose.batch.result import read_batch
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
-from dgc_pose.files.inputs import read_bytes
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
 from dgc_pose.training.run import save_weights
-
-
-@pytest.mark.parametrize("read", [load_image, read_bytes, load_network])
-@pytest.mark.parametrize("kind", ["fifo", "/dev/zero", "folder"])
-def test_only_regular_files_are_opened(read, kind, tmp_path):
-    os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "folder").mkdir()
-    path = tmp_path / kind  # an absolute one stays as it is
-    with pytest.raises((DgcPoseError, OSError)) as caught:
-        read(path)
-    assert str(path) in str(caught.value)
 
 
 class _Code:
@@ -71,9 +58,7 @@ def _not_finite(path):
 @pytest.mark.parametrize(
     ("write", "words"),
     [
-        (lambda path: torch.save([1, 2], path), ""),
         (lambda path: torch.save({"state_dict": {"a": None}}, path), ""),
-        (lambda path: torch.save({"a": torch.zeros(2, 2).to_sparse()}, path), ""),
         (_not_finite, "not finite"),
         (_packed, "packed"),
     ],
@@ -103,7 +88,6 @@ def test_an_array_that_claims_too_much_takes_no_memory(tmp_path):
 
 
 ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i FROM n"
-TRIGGER = "CREATE TRIGGER t AFTER INSERT ON cameras BEGIN DELETE FROM cameras; END"
 
 
 def _computing(path, script):
@@ -111,12 +95,9 @@ def _computing(path, script):
         database.executescript(script)
 
 
-@pytest.mark.parametrize(
-    "script", [f"DROP TABLE matches; CREATE VIEW matches AS {ENDLESS}", TRIGGER]
-)
-def test_a_database_that_computes_is_refused(tmp_path, script):
+def test_a_database_that_computes_is_refused(tmp_path):
     pycolmap.Database.open(tmp_path / "a.db").close()
-    _computing(tmp_path / "a.db", script)
+    _computing(tmp_path / "a.db", f"DROP TABLE matches; CREATE VIEW matches AS {ENDLESS}")
     with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
         read_database(tmp_path / "a.db")
 
