@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from dgc_pose.files.json_files import finite_or_none
+from dgc_pose.system.texts import finite_or_none
 
 
 def decimals(value: float, digits: int) -> str:

@@ -15,8 +15,8 @@ import numpy as np
 
 from dgc_pose.benchmarks.files import decimals, finite_data
 from dgc_pose.benchmarks.reliability import Reliability
-from dgc_pose.files.tables import aligned
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES
+from dgc_pose.system.texts import aligned
 
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.inputs import read_as, read_bytes
-from dgc_pose.files.json_files import read_json, write_json
-from dgc_pose.files.outputs import only_writer, replaced, writing
+from dgc_pose.system.files import naming_path, only_writer, read_as, read_bytes, replaced
+from dgc_pose.system.texts import read_json, write_json
 
 RESULTS, SETTINGS = "results.csv", "run.json"
 _READERS: Mapping[type, Callable[[str], Any]] = {  # of a cell
@@ -113,7 +112,7 @@ def open_run(
 
 
 def _append(path: Path, rows: Iterable[tuple[Any, ...]]) -> None:
-    with writing(path), path.open("a", newline="", encoding="utf-8") as table:
+    with naming_path(path), path.open("a", newline="", encoding="utf-8") as table:
         csv.writer(table).writerows(rows)
 
 

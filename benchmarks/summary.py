@@ -12,7 +12,7 @@ from dgc_pose.benchmarks.store import PairScore
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
-from dgc_pose.files.tables import aligned
+from dgc_pose.system.texts import aligned
 
 # One method over all pairs: the figures of `summarise` by name, which are the keys of summary.json.
 Summary = Mapping[str, Any]

@@ -157,8 +157,8 @@ def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> No
 def _echo_pairs(rows: Sequence[PairRow]) -> None:
     """Print a table of the first pairs, and how many more there are."""
     from dgc_pose.estimation.status import percent_text
-    from dgc_pose.files.tables import aligned
     from dgc_pose.geometry.rotation import rotation_angle_deg
+    from dgc_pose.system.texts import aligned
 
     lines = ["pair,status,probability,rotation,R within,t within,inliers".split(",")]
     for row in rows[:PAIRS_SHOWN]:

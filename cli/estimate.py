@@ -17,10 +17,10 @@ from dgc_pose.cli.process import say
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
-from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
 from dgc_pose.images.maps import masked
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.files import save_text, staged
 
 NO_POSE = 3  # exit code if there is no pose
 

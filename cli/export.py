@@ -14,8 +14,8 @@ from dgc_pose.cli.output import shared_text
 from dgc_pose.cli.process import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.outputs import replaced_folder, require_no_input
 from dgc_pose.model import read_colmap
+from dgc_pose.system.files import replaced_folder, require_no_input
 
 HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
 

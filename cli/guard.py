@@ -14,7 +14,7 @@ from typing import Any, get_args
 import click
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
-from dgc_pose.files.outputs import output_target, require_no_input
+from dgc_pose.system.files import output_target, require_no_input
 from dgc_pose.system.options import Section
 
 STDOUT = "-"

@@ -14,7 +14,7 @@ import dgc_pose
 from dgc_pose.errors import is_installed
 from dgc_pose.runtime.load import default_runtime
 from dgc_pose.system.onnx_library import onnxruntime
-from dgc_pose.system.threads import usable_cpus
+from dgc_pose.system.parallel import usable_cpus
 from dgc_pose.version import build, version
 
 _LIBRARIES = (

@@ -18,12 +18,12 @@ from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.decoding import image_header
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
+from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import json_text
 
 if TYPE_CHECKING:
     from dgc_pose.localization.location import Location

@@ -13,11 +13,10 @@ from dgc_pose.cli.guard import STDOUT
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
 from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ImageError, InputError, printable
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, scratch_folder, staged
-from dgc_pose.files.tables import aligned
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.files import save_text, scratch_folder, staged
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import aligned, json_text
 
 if TYPE_CHECKING:
     from dgc_pose.motion import CameraMotion

@@ -12,8 +12,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SHARED
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
-from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.system.files import naming_path
 
 if TYPE_CHECKING:
     from dgc_pose.colmap.tracking import SharedMatches
@@ -116,7 +116,7 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays to exactly this path (numpy would append .npz to a bare name)."""
-    with writing(path), path.open("wb") as stream:
+    with naming_path(path), path.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
 
 

@@ -13,7 +13,7 @@ from dgc_pose.cli.output import shared_text
 from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import write_text
+from dgc_pose.system.files import write_text
 
 
 @click.command()

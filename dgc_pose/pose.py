@@ -24,7 +24,7 @@ from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult
 from dgc_pose.schedule import LIKELY, STEPS, may_change
 from dgc_pose.system.options import check_type
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 if TYPE_CHECKING:
     import torch

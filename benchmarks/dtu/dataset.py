@@ -14,8 +14,8 @@ import numpy as np
 from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.images.decoding import image_size
+from dgc_pose.system.files import read_as, read_text
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
 _EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"

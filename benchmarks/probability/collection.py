@@ -20,13 +20,12 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.lines import focal_scores
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.arrays import read_arrays
-from dgc_pose.files.inputs import read_as
-from dgc_pose.files.json_files import read_json, write_json
-from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.pose import solve_pair
+from dgc_pose.system.arrays import read_arrays
+from dgc_pose.system.files import naming_path, read_as, replaced
+from dgc_pose.system.texts import read_json, write_json
 
 _ENGINE = "engine.json"
 _THOROUGH = EstimationOptions(effort="thorough")
@@ -104,7 +103,7 @@ def collect(pair: PlannedPair, matchers: Mapping[str, Matcher], out: Path) -> No
         if result.map_matches is not None:
             arrays |= _arrays("map_", result.map_matches)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replaced(path) as stage, writing(stage), stage.open("wb") as stream:
+        with replaced(path) as stage, naming_path(stage), stage.open("wb") as stream:
             np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
 
 

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Literal
 
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.json_files import read_json
 from dgc_pose.system.options import check_options, option
+from dgc_pose.system.texts import read_json
 
 Part = Literal["fit", "report"]
 EntryKind = Literal["list", "pasted", "zoomed", "unrelated", "rendered", "planes", "textureless"]

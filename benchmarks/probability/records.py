@@ -27,7 +27,7 @@ from dgc_pose.estimation.relative_pose import gathered, uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.decoding import Header
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 _CHUNK = 16
 CameraCase = Literal["exact", "auto"]

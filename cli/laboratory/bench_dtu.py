@@ -20,8 +20,8 @@ from dgc_pose.cli.laboratory.bench_pairs import (
 from dgc_pose.cli.laboratory.dtu_pairs import DtuChoice, drawn_pairs
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.files import replaced
 
 _LIST = "pairs.txt"
 

@@ -12,13 +12,12 @@ from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.tables import aligned
 from dgc_pose.images.folder import search_images
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import aligned, write_json
 
 
 @dataclass(frozen=True)

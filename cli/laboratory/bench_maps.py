@@ -11,11 +11,11 @@ from dgc_pose.benchmarks.files import finite_data, split_names
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, staged, writing
 from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.load import DEVICE_HELP
+from dgc_pose.system.files import naming_path, save_text, staged
 from dgc_pose.system.options import MAX_SEED, option
+from dgc_pose.system.texts import json_text
 
 _FILES = ("summary.json", "pairs.csv", "pck.png")
 
@@ -111,7 +111,7 @@ def bench_maps(bench: MapBenchOptions) -> None:
             save_text(files["summary.json"], json_text({**data.facts, **report_data(scores)}))
             rows = [finite_data(pair.data) for pairs in scores.values() for pair in pairs]
             table = files["pairs.csv"]
-            with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
+            with naming_path(table), table.open("w", newline="", encoding="utf-8") as stream:
                 writer = csv.DictWriter(stream, list(rows[0]))
                 writer.writeheader()
                 writer.writerows(rows)

@@ -28,12 +28,12 @@ from dgc_pose.cli.guard import NamedPath, OutputFolder, overwrites
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
+from dgc_pose.system.files import replaced
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import write_json
 
 _SUMMARY, _ERRORS = "summary.json", "errors.png"
 PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)

@@ -21,9 +21,9 @@ from dgc_pose.cli.options import dataclass_options
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import write_json
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import write_json
 
 _SHARED = ("per_image", "mapper", "refine_intrinsics")  # with reconstruct
 

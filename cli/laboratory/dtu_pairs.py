@@ -11,7 +11,7 @@ from dgc_pose.cameras.pair_list import Pair, write_pairs
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import staged
+from dgc_pose.system.files import staged
 from dgc_pose.system.options import option
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from dgc_pose.batch.result import group_name
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.system.files import save_text, staged
 
 
 def write_hloc(folder: Path, shared: SharedMatches) -> None:

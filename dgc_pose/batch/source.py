@@ -21,7 +21,7 @@ from dgc_pose.images.decoding import Header, image_header
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.image import load_image, size_in_file
 from dgc_pose.images.maps import mask_file, masked
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 STORE = "batch.db"  # in the folder of a batch
 BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction

@@ -12,10 +12,10 @@ from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.estimation.intrinsics_prior import is_of_part
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import only_writer, replaced, replaced_folder
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import only_writer, replaced, replaced_folder
+from dgc_pose.system.texts import write_json
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written

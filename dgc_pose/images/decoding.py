@@ -21,8 +21,8 @@ import PIL.Image
 from PIL.ExifTags import IFD, Base
 
 from dgc_pose.errors import ImageError, InputError, is_installed, reason
-from dgc_pose.files.inputs import open_file, read_as, read_bytes
 from dgc_pose.geometry.pixels import EXCHANGING, Size
+from dgc_pose.system.files import open_file, read_as, read_bytes
 
 # Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
 MAX_PIXELS = 210_000_000

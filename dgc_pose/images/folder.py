@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.files.inputs import open_file
-from dgc_pose.files.outputs import replaced_folder
 from dgc_pose.images.decoding import UnreadableFormatError, image_format
+from dgc_pose.system.files import open_file, replaced_folder
 
 _PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
 _VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.arrays import as_numpy, is_tensor
 from dgc_pose.geometry.pixels import EXCHANGING, Size, within
 from dgc_pose.images.decoding import Exif, Header, decoded, image_errors
+from dgc_pose.system.arrays import as_numpy, is_tensor
 
 if TYPE_CHECKING:
     import torch

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.arrays import as_numpy, read_array, read_arrays
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.decoding import read_pixels
 from dgc_pose.images.image import Image, filled, turned
+from dgc_pose.system.arrays import as_numpy, read_array, read_arrays
 
 _SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a map is scaled
 _WINDOW = 3, 3  # pixels of a depth map

@@ -12,8 +12,8 @@ import numpy as np
 from safetensors import safe_open
 
 from dgc_pose.errors import WeightsError
-from dgc_pose.files.inputs import open_file, read_as
 from dgc_pose.network.config import PRESETS
+from dgc_pose.system.files import open_file, read_as
 
 SUFFIX = ".safetensors"
 _FOLDER = Path(__file__).parents[1] / "weights"

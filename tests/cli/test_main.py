@@ -126,7 +126,7 @@ def test_warnings_are_lines_of_their_own(monkeypatch):
     def info():
         warnings.warn("of a library", stacklevel=1)
         logging.getLogger("matplotlib.font_manager").warning("of a font")
-        logging.getLogger("dgc_pose.files.outputs").warning("left:\n%s", "x")
+        logging.getLogger("dgc_pose.system.files").warning("left:\n%s", "x")
 
     monkeypatch.setattr("dgc_pose.cli.info.info", info)
     assert run("info").stderr == "warning: left: x\n"

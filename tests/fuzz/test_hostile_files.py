@@ -16,10 +16,10 @@ from fuzz.readers import make_batch
 from dgc_pose.batch.result import read_batch
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
-from dgc_pose.files.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import load_network
+from dgc_pose.system.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.training.run import save_weights
 
 

@@ -20,7 +20,7 @@ import sys, types
 import click
 from dgc_pose.cli.guard import OutputFile
 from dgc_pose.cli.main import main
-from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.system.files import save_text, staged
 
 @click.command()
 @click.option("--json", "out", type=OutputFile())

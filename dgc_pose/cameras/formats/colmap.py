@@ -21,8 +21,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import pose_matrix
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, open_file, read_as, read_bytes
 from dgc_pose.geometry.pixels import Size
+from dgc_pose.system.files import TEXT_BYTES, open_file, read_as, read_bytes
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.

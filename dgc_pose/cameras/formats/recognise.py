@@ -36,10 +36,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats import colmap, keyed, rigs
 from dgc_pose.cameras.formats.keyed import numbers, numbers_camera
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.arrays import read_array
-from dgc_pose.files.inputs import read_as, read_text
-from dgc_pose.files.toml_files import toml_data
-from dgc_pose.files.yaml_files import yaml_data
+from dgc_pose.system.arrays import read_array
+from dgc_pose.system.files import read_as, read_text
+from dgc_pose.system.texts import toml_data, yaml_data
 
 # KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
 _PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)

@@ -21,7 +21,7 @@ from dgc_pose import (
     load_matcher,
     solve_pair,
 )
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 
 @pytest.fixture(autouse=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as, read_bytes
+from dgc_pose.system.files import read_as, read_bytes
 
 ARRAY_BYTES = 2**29  # of all arrays of a file together, as they lie in memory
 
