@@ -26,6 +26,7 @@ from dgc_pose.system.files import open_file, read_as, read_bytes
 
 # Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
 MAX_PIXELS = 210_000_000
+_TOO_LARGE = f"is too large: at most {MAX_PIXELS} pixels are read"
 PIL.Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2  # Pillow refuses images of more than twice that
 _MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
 _END_BYTES = 2**17  # of a file's beginning and end, searched for XMP, and a PNG's for EXIF data
@@ -89,7 +90,7 @@ class Header:
     projection: str = ""  # "equirectangular" or "cylindrical", of a panorama by XMP; else ""
 
 
-def image_size(path: str | Path) -> tuple[int, int]:
+def image_size(path: str | Path) -> Size:
     """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
     return image_header(Path(path)).size
 
@@ -152,13 +153,13 @@ def _checked_header(stream: BinaryIO, path: Path, *, verify: bool = False) -> He
     except UnreadableFormatError as error:
         raise ImageError(path, f"is {error}") from None
     except PIL.Image.DecompressionBombError:
-        raise ImageError(path, f"is too large: at most {MAX_PIXELS} pixels are read") from None
+        raise ImageError(path, _TOO_LARGE) from None
+    except PIL.UnidentifiedImageError:
+        raise ImageError(path, "is corrupt: Pillow does not read it") from None
     except Exception as error:  # of any type, by the format's reader
         raise ImageError(path, f"is corrupt: {reason(error)}") from error
-    width, height = header.size
-    if width * height > MAX_PIXELS:
-        size = f"{width} x {height}, at most {MAX_PIXELS} pixels are read"
-        raise ImageError(path, f"is too large: {size}")
+    if math.prod(header.size) > MAX_PIXELS:
+        raise ImageError(path, _TOO_LARGE)
     if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
         turn = header.exif.orientation
         raise ImageError(path, f"is a TIFF with orientation tag {turn}: save it upright")
@@ -168,11 +169,9 @@ def _checked_header(stream: BinaryIO, path: Path, *, verify: bool = False) -> He
 def image_format(stream: BinaryIO) -> str:
     """The format of an image file. Raises UnreadableFormatError if it is not read."""
     start = stream.read(64)
-    if not start:
-        raise UnreadableFormatError("empty")
     name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
     if name is None:
-        raise UnreadableFormatError("not an image of a known format")
+        raise UnreadableFormatError("not an image of a known format" if start else "empty")
     if name == _RAW:
         raise UnreadableFormatError(_RAW_FILE)
     if name == "HEIF" and not is_installed("pillow_heif"):
@@ -201,7 +200,12 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
                 raise UnreadableFormatError(_RAW_FILE)
             size = int(tags[Base.ImageWidth]), int(tags[Base.ImageLength])
         else:
-            image = _opened(name, stream)
+            if name == "HEIF":
+                import pillow_heif
+
+                image = pillow_heif.open_heif(stream)
+            else:
+                image = PIL.Image.open(stream, formats=[name])
             size, info = image.size, image.info
             with suppress(Exception):  # a damaged block raises almost anything
                 tags.load(_png_exif(ends, info) if name == "PNG" else info.get("exif") or b"")
@@ -214,18 +218,6 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
     if exif.orientation in EXCHANGING:
         size, aspect = size[::-1], 1 / aspect
     return Header(name, size, exif, aspect, found[1].decode().lower() if found else "")
-
-
-def _opened(name: str, stream: BinaryIO) -> Any:
-    """An image with its `size` and `info`, of which nothing is decoded."""
-    if name == "HEIF":
-        import pillow_heif
-
-        return pillow_heif.open_heif(stream)
-    try:
-        return PIL.Image.open(stream, formats=[name])
-    except (PIL.UnidentifiedImageError, KeyError):
-        raise ValueError(f"Pillow does not read this {name}") from None
 
 
 def _png_exif(ends: bytes, info: Mapping[Any, Any]) -> bytes:
@@ -258,16 +250,17 @@ def _aspect(width: Any, height: Any) -> float:
 def _exif(tags: PIL.Image.Exif) -> tuple[Exif, float]:
     """The camera, and the aspect of a pixel as stored, of an EXIF block or a TIFF; of a damaged one
     as of an empty one."""
-    try:
+    with suppress(Exception):  # a damaged block raises almost anything
         more = tags.get_ifd(IFD.Exif) | tags.get_ifd(IFD.GPSInfo)
         aspect = _aspect(tags.get(Base.YResolution), tags.get(Base.XResolution))
-        return _camera_tags(tags, more), aspect
-    except Exception:  # a damaged block raises almost anything
-        return Exif(), 1.0
+        return _camera(tags, more), aspect
+    return Exif(), 1.0
 
 
-def _camera_tags(first: Any, more: Mapping[int, Any]) -> Exif:
+def _camera(first: PIL.Image.Exif, more: Mapping[int, Any]) -> Exif:
     zoom, turn = _number(more.get(Base.DigitalZoomRatio)), first.get(Base.Orientation)
+    sides = [_number(more.get(side)) for side in (Base.ExifImageWidth, Base.ExifImageHeight)]
+    width, height = (int(side) if side and 1 <= side < 2**31 else 0 for side in sides)
     return Exif(
         make=_text(first.get(Base.Make)),
         model=_text(first.get(Base.Model)),
@@ -275,7 +268,7 @@ def _camera_tags(first: Any, more: Mapping[int, Any]) -> Exif:
         focal_mm=_number(more.get(Base.FocalLength)),
         focal_35mm=_number(more.get(Base.FocalLengthIn35mmFilm)),
         digital_zoom=zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
-        size=_size(more.get(Base.ExifImageWidth), more.get(Base.ExifImageHeight)),
+        size=(width, height) if width and height else None,
         pixels_per_mm=_pixels_per_mm(more),
         position=_position(more),
         orientation=turn if isinstance(turn, int) and 1 <= turn <= 8 else 1,
@@ -310,11 +303,6 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         return ""
     return " ".join("".join(c if c.isprintable() else " " for c in value).split())[:_MAX_TEXT]
-
-
-def _size(width: Any, height: Any) -> tuple[int, int] | None:
-    sides = [int(side) for side in map(_number, (width, height)) if side and 1 <= side < 2**31]
-    return (sides[0], sides[1]) if len(sides) == 2 else None
 
 
 def _pixels_per_mm(tags: Mapping[int, Any]) -> float | None:

@@ -136,8 +136,8 @@ def _read_file(path: Path) -> Image:
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
         image = _of_array(turned(array, header.exif.orientation), path)
-        kept = "exif", "pixel_aspect", "projection"
-        return replace(image, **{field: getattr(header, field) for field in kept})
+        aspect, projection = header.pixel_aspect, header.projection
+        return replace(image, exif=header.exif, pixel_aspect=aspect, projection=projection)
 
 
 def _of_array(array: np.ndarray, name: str | Path) -> Image:

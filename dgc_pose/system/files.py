@@ -164,7 +164,7 @@ def output_target(path: str | Path) -> Path:
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f"{text!r}: {error}") from None
     if text.endswith(("/", os.sep)) or (target.exists() and not target.is_file()):
-        raise InputError(f"an output must be a file, and {text!r} is something else")
+        raise InputError(f"the output {text!r} is a folder or a device")
     return target
 
 

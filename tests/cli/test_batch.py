@@ -14,7 +14,6 @@ from command_line import assert_refused, run
 from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.matching.key_points import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 
@@ -67,22 +66,6 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     assert done.exit_code == 3, done.output  # the images are the same
     left_out = "1 file left out (first: notes.txt): not an image of a known format"
     assert f"warning: {left_out}\n" in done.stderr
-
-
-def test_failed_pairs_are_told(
-    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*arguments: object) -> None:
-        raise np.linalg.LinAlgError("singular")
-
-    monkeypatch.setattr(SiftMatcher, "_match", fail)
-    options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    done = run("batch", photos, *options)
-    assert done.exit_code == 3 and "0 poses of 3 pairs (failed 3)" in done.stdout
-    assert done.stderr == (
-        "3 pairs failed (first: view0.png view1.png: LinAlgError: singular): "
-        "--resume matches them again\n"
-    )
 
 
 def test_a_batch_ends_with_a_table_and_its_files(

@@ -33,18 +33,13 @@ def raising(monkeypatch):
     return use
 
 
-@pytest.mark.parametrize(
-    ("variables", "expected"),
-    [({}, "10000"), ({"GOMP_SPINCOUNT": "7"}, "7"), ({"OMP_WAIT_POLICY": "active"}, None)],
-)
-def test_threads_wait_as_the_user_says_or_not_for_long(monkeypatch, variables, expected):
-    for name in ("GOMP_SPINCOUNT", "OMP_WAIT_POLICY"):
-        monkeypatch.setenv(name, "")  # so that what is set below is undone
-        monkeypatch.delenv(name)
-    for name, value in variables.items():
-        monkeypatch.setenv(name, value)
-    assert run().exit_code == 0
-    assert os.environ.get("GOMP_SPINCOUNT") == expected
+@pytest.mark.parametrize(("said", "expected"), [(None, "10000"), ("7", "7")])
+def test_threads_wait_as_the_user_says_or_not_for_long(monkeypatch, said, expected):
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    monkeypatch.setenv("GOMP_SPINCOUNT", said or "")  # so that what is set below is undone
+    if said is None:
+        monkeypatch.delenv("GOMP_SPINCOUNT")
+    assert run().exit_code == 0 and os.environ["GOMP_SPINCOUNT"] == expected
 
 
 @pytest.mark.parametrize(
@@ -88,6 +83,7 @@ NOT_EXPECTED = "RuntimeError: can't allocate memory: 9 (--debug shows the trace)
         (WeightsError("w.pth: no such file"), 2, "w.pth: no such file"),
         (OSError(28, "No space left", "out.npz"), 2, "out.npz: No space left"),
         (OSError(28, "No space", "a.db", None, "/tmp/a.db"), 2, "a.db -> /tmp/a.db: No space"),
+        (DgcPoseError("\x1b[31m" + "x" * 5000), 2, f"\ufffd[31m{495 * 'x'} ... {495 * 'x'}"),
         (MemoryError("Unable to allocate 3 GiB"), 2, "not enough memory: Unable to allocate 3 GiB"),
         (RuntimeError("can't allocate memory: 9"), 1, NOT_EXPECTED),
     ],
@@ -113,12 +109,6 @@ def test_a_signal_to_stop_is_one_line_and_the_shells_code(raising, number, line)
     result = raising(Raised)
     assert (result.exit_code, result.stderr) == (128 + number, f"error: {line}\n")
     assert signal.getsignal(number) == before
-
-
-def test_a_message_is_short_and_plain(raising):
-    result = raising(DgcPoseError("\x1b[31m" + "x" * 5000 + "\udcff"))
-    assert result.stderr.count("\n") == 1 and len(result.stderr) < 1100
-    assert "\x1b" not in result.stderr
 
 
 def test_warnings_are_lines_of_their_own(monkeypatch):

@@ -21,15 +21,7 @@ from dgc_pose.cli.options import (
 )
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.images.image import Image
-from dgc_pose.system.options import check_options, option
-
-
-def _pair(text: str) -> tuple[int, int]:
-    try:
-        first, second = map(int, text.split("x"))
-    except ValueError:
-        raise InputError(f"--size must be WxH, not {text}") from None
-    return first, second
+from dgc_pose.system.options import option
 
 
 @dataclass(frozen=True)
@@ -37,27 +29,22 @@ class Inner:
     share: float = option(0.5, "Of the pairs.", min=0, max=1)
     hidden: int = 3
 
-    def __post_init__(self) -> None:
-        check_options(self)
-
 
 @dataclass(frozen=True)
 class Options:
     folder: Path = option(help="Where.")
     kind: Literal["fast", "good"] = option("good", "Which.", flag="--how")
-    level: Literal[60, 240] = option(240, "Cells.")
     limit_px: float | None = option(
         None, "At most.", flag="--limit", metavar="PX", above=0, section="advanced"
     )
     names: tuple[str, ...] = option((), "May be repeated.")
-    size: tuple[int, int] = option((4, 3), "Of views.", parse=_pair, text="4x3")
+    size: tuple[int, int] = option((4, 3), "Of views.", parse=parse_size, text="4x3")
     quick: bool = option(False, "Be quick.")
     safe: bool = option(True, "Be safe.")
     secret: int = option(7, min=0)
     inner: Inner = field(default_factory=Inner)
 
     def __post_init__(self) -> None:
-        check_options(self)
         if "c" in self.names:
             raise InputError(ArgumentName("names"), "has c")
 
@@ -76,15 +63,11 @@ def _invoke(*words: str) -> tuple[Any, Any]:
 
 
 def test_every_kind_of_field_is_read_and_has_its_default() -> None:
-    words = ["--folder", "f", "--how", "fast", "--level", "60", "--limit", "1.5", "--names", "a"]
-    words += ["--names", "b", "--size", "7x8", "--quick", "--no-safe", "--share", "0.25"]
-    result, options = _invoke(*words)
+    words = "--folder f --how fast --limit 1.5 --names a --names b --size 7x8 --quick --no-safe"
+    result, options = _invoke(*words.split(), "--share", "0.25")
     assert result.exit_code == 0, result.output
-    names, inner = ("a", "b"), Inner(0.25)
-    assert options == Options(
-        Path("f"), "fast", 60, 1.5, names, (7, 8), quick=True, safe=False, inner=inner
-    )
-    assert isinstance(options.level, int)
+    expected = Options(Path("f"), "fast", 1.5, ("a", "b"), (7, 8), True, False, inner=Inner(0.25))
+    assert options == expected
     assert _invoke("--folder", "there")[1] == Options(Path("there"))
 
 
@@ -102,7 +85,7 @@ def test_the_help_has_texts_choices_defaults_and_sections() -> None:
     [
         (["--limit", "0"], "--limit must be above 0, not 0.0"),
         (["--limit", "nan"], "--limit must be a number, not nan"),
-        (["--size", "big"], "--size must be WxH, not big"),
+        (["--size", "big"], "--K-size must be WxH in pixels, such as 1600x1200, not 'big'"),
         (["--names", "c"], "--names has c"),
     ],
 )

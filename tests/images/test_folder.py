@@ -65,23 +65,16 @@ def test_what_is_left_out_is_counted_by_its_reason(
     ]
 
 
-@pytest.mark.parametrize("copy", ["x (1).jpg", "a/Copy of x.jpg"])
-def test_of_equal_files_the_one_with_the_plain_name_is_kept(tmp_path: Path, copy: str) -> None:
-    for name in (copy, "x.jpg"):
-        _save(tmp_path / name)
-    assert copies_of_others(tmp_path, [copy, "x.jpg"]) == {copy}
-
-
 def test_equal_bytes_are_copies_under_any_name(tmp_path: Path) -> None:
-    """Files of one size and other bytes are not."""
-    for name in ("images/x.jpg", "b.jpg", "copies/x.jpg"):
+    """The shortest name is kept. Files of one size and other bytes are no copies."""
+    for name in ("images/x.jpg", "b.jpg", "a/Copy of x.jpg"):
         _save(tmp_path / name)
     for name in ("a/y.bmp", "b/y.bmp"):
         _save(tmp_path / name, "BMP")
     data = (tmp_path / "a/y.bmp").read_bytes()
     (tmp_path / "a/y.bmp").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
     names = search_images(tmp_path).names
-    assert copies_of_others(tmp_path, names) == {"copies/x.jpg", "images/x.jpg"}
+    assert copies_of_others(tmp_path, names) == {"a/Copy of x.jpg", "images/x.jpg"}
 
 
 def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
@@ -128,23 +121,19 @@ def _numbers(folder: Path) -> list[int]:
     return [round((load_image(f).pixels.mean() - 40) / 5) for f in sorted(folder.iterdir())]
 
 
-def test_the_sharpest_frame_of_each_part_is_taken(tmp_path: Path) -> None:
-    """The folder may lie in one that is still missing."""
-    write_video(tmp_path / "a.avi", _frames(30, {2, 13, 14, 25}))
-    folder = tmp_path / "new" / "frames"
-    assert frames_folder(tmp_path / "a.avi", 3, folder) == folder
+def test_the_sharpest_frame_of_each_part_is_taken_once(tmp_path: Path) -> None:
+    """And anew of another video. The folder may lie in one that is still missing."""
+    video, folder = tmp_path / "a.avi", tmp_path / "new" / "frames"
+    write_video(video, _frames(30, {2, 13, 14, 25}))
+    assert frames_folder(video, 3, folder) == folder
     assert _numbers(folder) in ([2, 13, 25], [2, 14, 25])
-    assert load_image(sorted(folder.iterdir())[0]).size == SIZE
-
-
-def test_frames_are_taken_once_and_anew_of_another_video(tmp_path: Path) -> None:
-    video, folder = tmp_path / "a.avi", tmp_path / "frames"
-    write_video(video, _frames(8, {1, 5}))
-    before = {file: file.stat() for file in frames_folder(video, 2, folder).iterdir()}
-    assert {file: file.stat() for file in frames_folder(video, 2, folder).iterdir()} == before
+    before = {file: file.stat() for file in folder.iterdir()}
+    assert {file: file.stat() for file in frames_folder(video, 3, folder).iterdir()} == before
     write_video(video, _frames(8, {3, 6}))
     os.utime(video, (1e9, 1e9))
     assert _numbers(frames_folder(video, 2, folder)) == [3, 6]
+    for name in ("folder.mp4", "missing.mp4", "pairs.txt"):
+        assert frames_folder(tmp_path / name, 40, tmp_path / "frames") == tmp_path / name
 
 
 def test_a_video_without_a_frame(tmp_path: Path) -> None:
@@ -159,14 +148,6 @@ def test_a_video_without_a_frame(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (2, "", f"error: {message}\n")
     assert os.listdir(tmp_path) == [name]
-
-
-def test_what_is_no_video_stays(tmp_path: Path) -> None:
-    (tmp_path / "pairs.txt").write_text("a.jpg b.jpg\n")
-    (tmp_path / "folder.mp4").mkdir()
-    for name in ("pairs.txt", "folder.mp4", "missing.mp4"):
-        assert frames_folder(tmp_path / name, 40, tmp_path / "frames") == tmp_path / name
-    assert not (tmp_path / "frames").exists()
 
 
 def test_a_video_is_a_source(tmp_path: Path) -> None:

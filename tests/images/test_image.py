@@ -34,26 +34,16 @@ def test_floats_within_0_and_1_are_multiplied_and_others_stretched(rgb: np.ndarr
     assert load_image(np.full((4, 5), 700, np.uint16)).pixels.max() == 0
 
 
-def thermal(shape: tuple[int, int] = (96, 128)) -> np.ndarray:
-    """Smooth, of 7000 to 8020."""
-    coarse = np.random.default_rng(3).uniform(7000, 8020, (12, 16)).astype(np.float32)
-    return cv2.resize(coarse, shape[::-1])
-
-
-@pytest.mark.parametrize(
-    ("value", "share"),
-    [(65535, 0.0), (30000, 0.004), (0, 0.0), (0, 0.3), (-9999, 0.2), (-3.4e38, 0.5), (1e7, 0.0)],
-)
+@pytest.mark.parametrize(("value", "share"), [(65535, 0.0), (0, 0.3), (-3.4e38, 0.5), (1e7, 0.0)])
 def test_a_few_pixels_far_off_do_not_decide_of_the_range(value: float, share: float) -> None:
-    """Hot pixels, one and some, and a value that stands for no data: the others keep at least a
-    third of the range that they have alone, in their order."""
-    clean = thermal()
-    dirty = clean.astype(np.float64)
-    off = np.zeros(dirty.shape, bool)
-    off[: round(share * len(dirty))] = True
-    if share < 0.01:
-        off.flat[:: round(1 / share) if share else dirty.size] = True
-    dirty[off] = value
+    """A hot pixel, and a value that stands for no data: the others keep at least a third of the
+    range that they have alone, in their order."""
+    coarse = np.random.default_rng(3).uniform(7000, 8020, (12, 16)).astype(np.float32)
+    clean = cv2.resize(coarse, (128, 96))
+    off = np.zeros(clean.shape, bool)
+    off[: round(share * len(clean))] = True
+    off[0, 0] = True
+    dirty = np.where(off, value, clean.astype(np.float64))
     if 0 <= value <= 65535:
         dirty, clean = dirty.astype(np.uint16), clean.astype(np.uint16)
     alone, shown = load_image(clean).pixels[..., 0], load_image(dirty).pixels[..., 0]
@@ -80,23 +70,19 @@ def test_resize_follows_the_half_pixel_rule() -> None:
         assert np.abs(resize(noise, (240, 240)) - averages).max() <= 1
 
 
-@pytest.mark.parametrize("channels", [1, 3, 4])
-def test_channels_may_come_first(rgb: np.ndarray, channels: int) -> None:
+def test_channels_may_come_first(rgb: np.ndarray) -> None:
     """But where the last axis may have them too, as of an image three pixels high, an array has
     them there, and a tensor first."""
-    last = np.dstack([rgb, rgb[:, :, :1] | 1])[:, :, :channels]
-    expected, first = load_image(last), np.moveaxis(last, 2, 0)
+    first = np.moveaxis(rgb, 2, 0)
     tensor = torch.from_numpy(first.copy())
-    for source in (first, last[None], first[None], tensor, tensor[None], tensor.permute(1, 2, 0)):
+    for source in (first, rgb[None], tensor[None], tensor.permute(1, 2, 0), tensor / 255):
         image = load_image(source)
-        np.testing.assert_array_equal(image.pixels, expected.pixels)
+        np.testing.assert_array_equal(image.pixels, rgb)
         assert image.pixels.flags.c_contiguous
-    assert load_image(last[:3]).size == (70, 3)
-    assert load_image(torch.from_numpy(last[:3].copy())).size == (channels, 70)
-    floats = (tensor / 255).requires_grad_()
-    np.testing.assert_array_equal(load_image(floats).pixels, expected.pixels)
-    coarse = load_image(floats.detach().to(torch.bfloat16)).pixels
-    assert np.abs(coarse.astype(int) - expected.pixels).max() <= 1
+    assert load_image(rgb[:3]).size == (70, 3)
+    assert load_image(torch.from_numpy(rgb[:3].copy())).size == (3, 70)
+    coarse = load_image((tensor / 255).requires_grad_().to(torch.bfloat16)).pixels
+    assert np.abs(coarse.astype(int) - rgb).max() <= 1
 
 
 @pytest.mark.parametrize(

@@ -19,11 +19,6 @@ USED = np.random.default_rng(0).random((40, 60)) < 0.6
 IMAGE = Image(np.random.default_rng(1).integers(0, 256, (40, 60, 3), np.uint8))
 
 
-def _file(path: Path, pixels: np.ndarray) -> Path:
-    assert cv2.imwrite(str(path), pixels)
-    return path
-
-
 def _mask(source: object) -> np.ndarray:
     image = masked(IMAGE, source, "mask1")  # type: ignore[arg-type]
     assert image.mask is not None and image.mask.dtype == bool
@@ -34,35 +29,26 @@ def _mask(source: object) -> np.ndarray:
     return used
 
 
-def test_black_alone_is_ignored_in_files_of_every_kind(tmp_path: Path) -> None:
-    """Grey, 16 bit, one bit, of colours of which only one is not 0, and with alpha."""
+def test_black_and_alpha_0_are_ignored(tmp_path: Path) -> None:
+    """In 16 bit, one bit, colours of which only one is not 0, and under alpha of white."""
     blue = np.zeros((40, 60, 3), np.uint8)
     blue[USED, 0] = 1
-    alpha = np.dstack([blue, np.full(USED.shape, 255, np.uint8)])
-    files = {"grey": USED * np.uint8(3), "deep": USED * np.uint16(700), "blue": blue}
-    for name, pixels in {**files, "alpha": alpha}.items():
-        path = _file(tmp_path / f"{name}.png", pixels)
-        for source in (path, str(path)):
-            assert np.array_equal(_mask(source), USED), name
+    white, alpha = np.full((40, 60, 1), 255, np.uint8), USED[..., None] * np.uint8(9)
+    cut_out = np.dstack([white, white, white, alpha])
+    for pixels in (USED * np.uint16(700), blue, cut_out):
+        assert cv2.imwrite(str(tmp_path / "mask.png"), pixels)
+        assert np.array_equal(_mask(tmp_path / "mask.png"), USED)
     PIL.Image.fromarray(USED).save(tmp_path / "bit.png")
-    assert np.array_equal(_mask(tmp_path / "bit.png"), USED)
-    sources = (USED, USED * 0.5, USED.tolist(), torch.from_numpy(USED), np.dstack(3 * [USED]))
-    for source in sources:
+    grey = np.dstack([white, alpha])
+    for source in (
+        str(tmp_path / "bit.png"),
+        USED * 0.5,
+        USED.tolist(),
+        torch.from_numpy(USED),
+        grey,
+    ):
         assert np.array_equal(_mask(source), USED)
     assert masked(IMAGE, None) is IMAGE
-
-
-def test_alpha_0_is_ignored_in_masks(tmp_path: Path) -> None:
-    """White under alpha 0, black under another, grey and colours."""
-    white, alpha = np.full((40, 60, 1), 255, np.uint8), USED[..., None] * np.uint8(9)
-    for channels in ([white, alpha], [white, white, white, alpha]):
-        assert np.array_equal(_mask(np.dstack(channels)), USED)
-        path = tmp_path / "alpha.png"
-        PIL.Image.fromarray(np.dstack(channels)).save(path)
-        assert np.array_equal(_mask(path), USED)
-    black = white * (np.arange(60) < 30)[:, None].astype(np.uint8)
-    both = np.dstack([black, black, black, alpha])
-    assert np.array_equal(_mask(both), USED & (np.arange(60) < 30))
 
 
 def test_a_mask_is_joined_with_that_of_the_image() -> None:
@@ -76,11 +62,8 @@ def test_a_mask_is_joined_with_that_of_the_image() -> None:
 
 
 def test_a_mask_of_another_size_is_scaled() -> None:
-    """Twice as large, three times smaller, and of an aspect ratio within one per cent."""
+    """Of an aspect ratio within one per cent."""
     assert np.array_equal(_mask(USED.repeat(2, 0).repeat(2, 1)), USED)
-    small = USED[::3, ::3][:13, :20]  # 20 x 13 for 60 x 40 is 2.6 per cent off
-    with pytest.raises(InputError, match="mask1 is 20 x 13 and the image 60 x 40"):
-        _mask(small)
     small = USED[::4, ::4]
     assert np.array_equal(_mask(small), small.repeat(4, 0).repeat(4, 1))
     half = np.arange(604)[None] < np.full((400, 1), 302)
@@ -91,9 +74,8 @@ def test_a_mask_of_another_size_is_scaled() -> None:
     ("source", "words"),
     [
         (np.zeros((40, 60)), "mask1 leaves no pixel of the image"),
-        (np.ones((50, 100)), "mask1 is 100 x 50 and the image 60 x 40"),
+        (USED[::3, ::3][:13, :20], "mask1 is 20 x 13 and the image 60 x 40"),  # 2.6 per cent off
         (np.ones(60), r"mask1 must have shape \(H, W\), not \(60,\)"),
-        (np.ones((0, 0)), r"mask1 must have shape \(H, W\), not \(0, 0\)"),
         ([["a"]], "mask1 is not an array of real numbers"),
     ],
 )
@@ -105,14 +87,11 @@ def test_what_is_no_mask_of_the_image_is_refused(source: object, words: str) -> 
 def test_points_on_masked_pixels() -> None:
     """A pixel reaches half a pixel around its centre. Nothing outside the image is masked."""
     image = masked(IMAGE, USED)
-    points = np.random.default_rng(2).uniform(-3, 63, (5000, 2))
-    points[:2] = (np.nan, 3), (np.inf, 1e12)
-    expected = []
-    for x, y in points:
-        inside = np.isfinite([x, y]).all() and -0.5 <= x < 59.5 and -0.5 <= y < 39.5
-        expected.append(bool(inside and not USED[int(y + 0.5), int(x + 0.5)]))
-    assert image.is_masked(points).tolist() == expected and 500 < sum(expected) < 2500
-    assert np.array_equal(image.is_masked(points.reshape(50, 100, 2)).ravel(), expected)
+    points = np.random.default_rng(2).uniform(-3, 63, (50, 20, 2))
+    points[0, :2] = (np.nan, 3), (np.inf, 1e12)
+    inside = ((points >= -0.5) & (points < (59.5, 39.5))).all(-1)
+    x, y = np.where(inside[..., None], np.nan_to_num(points) + 0.5, 0).astype(int).T
+    assert np.array_equal(image.is_masked(points), inside & ~USED[y, x].T) and 100 < inside.sum()
     assert not IMAGE.is_masked(points).any()
 
 

@@ -85,17 +85,8 @@ def _blas_threads() -> set[int]:
 
 def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
-        before = _blas_threads()
-        assert before == {2}
-        assert one_blas_thread()(_blas_threads)() == {1}
-        with pytest.raises(ZeroDivisionError):
-            one_blas_thread()(lambda: 1 // 0)()
-        assert _blas_threads() == before
-        found: list[set[int]] = []
-        other = threading.Thread(target=lambda: found.append(one_blas_thread()(_blas_threads)()))
-        other.start()
-        other.join()
-        assert found == [before] and _blas_threads() == before
+        assert one_blas_thread()(_blas_threads)() == {1} and _blas_threads() == {2}
+        assert in_threads(lambda _: one_blas_thread()(_blas_threads)(), range(2)) == [{2}, {2}]
 
 
 def test_a_pose_and_the_matches_of_a_network_have_products_in_one_thread(
