@@ -28,13 +28,6 @@ if TYPE_CHECKING:
 
 CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
-_SOURCES = {
-    "size": "image's size",
-    "lines": "image's lines",
-    "exif": "EXIF data",
-    "given": "K given",
-}
-
 _FOLDER = OutputFolder(path_type=Path)
 OUT = click.option(
     "--out", type=_FOLDER, required=True, metavar="DIR", help="Folder of the results."
@@ -101,6 +94,7 @@ def report(batch: Batch) -> None:
     """Print the summary of a batch, the images that could not be used, and the first warning."""
     from dgc_pose.batch.beliefs import MOST_PAIRS
     from dgc_pose.batch.rows import FAILED
+    from dgc_pose.cli.output import SOURCES
 
     summary = batch.summary
     for name, reason in summary["bad_images"].items():
@@ -113,10 +107,11 @@ def report(batch: Batch) -> None:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         say(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
-        say(f"of more than {MOST_PAIRS} pairs with a pose none is judged by the others")
+        say(f"more than {MOST_PAIRS} pairs have a pose: look-alike places are not sought")
     if summary["turned_down"]:
         number = sum(entry["pairs"] for entry in summary["turned_down"])
-        say(f"the folder turns down {number} of {counted(summary['judged_together'], 'pair')}:")
+        judged = counted(summary["judged_together"], "pair")
+        say(f"{number} of {judged} are turned down as of look-alike places:")
     for entry in summary["turned_down"][:CAMERAS_SHOWN]:
         groups = [
             f"{counted(len(g), 'image')} ({printable(g[0])}{', ...' * (len(g) > 1)})"
@@ -127,10 +122,9 @@ def report(batch: Batch) -> None:
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]
-        source = f"from {counted(camera['pairs'], 'pair')}"
+        source = f"by {counted(camera['pairs'], 'pair')}"
         if camera["focal_source"] != "matches":
-            unknown = ": no pair determines it" * (std > 0)
-            source = f"from the {_SOURCES[camera['focal_source']]}{unknown}"
+            source = SOURCES[camera["focal_source"]] + ": no pair determines it" * (std > 0)
         why = f" ({camera['first_image']}: {camera['why']})" if camera["why"] else ""
         lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}{why}"))
     echo_each_camera(lines, "cameras.csv")

@@ -36,13 +36,12 @@ Decorator = Callable[[Command], Command]
 def dataclass_options(
     cls: type, argument: str, *, only: Collection[str] | None = None
 ) -> Decorator:
-    """A decorator that adds the options of `cls` and passes an instance as keyword `argument`.
+    """A decorator that adds the options of `cls` and passes an instance, which `check_options`
+    checks, as keyword `argument`.
 
-    only: names of the fields that become options; None: all with a help text. The other fields have
-    their defaults.
-
-    The type decides the option: bool is a switch (--x, or --x/--no-x if it is True by default),
-    Literal a choice, tuple[X, ...] may be given several times. `check_options` checks the instance.
+    only: names of the fields that become options; None: all with a help text. The type decides the
+    option: bool is a switch (--x, or --x/--no-x if it is True by default), Literal a choice,
+    tuple[X, ...] may be given several times.
     """
     chosen = dict(_options(cls, argument, only))
 
@@ -108,20 +107,13 @@ def _parameter_type(kind: Any, info: OptionInfo) -> Any:
     if info.type is not None:
         return info.type
     if info.parse is not None:
-        return _Parsed(info.parse)
+        return click.types.FuncParamType(info.parse)
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
     if kind is Path or (kind is str and _FILE.search(info.metavar or "")):
         # The value of an option such as K|FILE stays text, but may be an input.
         return click.Path() if "|" in (info.metavar or "") else NamedPath(path_type=kind)
     return kind
-
-
-class _Parsed(click.types.FuncParamType):
-    """Parses a text by the option's function, whose InputError reaches the user as it is."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        return self.func(value) if isinstance(value, str) else value
 
 
 def output_file(help: str, metavar: str, **kind: bool) -> Any:
@@ -134,10 +126,10 @@ _detail = partial(option, None, section="advanced")
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """A text WxH. Raises InputError for another one."""
+    """A text WxH. Raises InputError for another one, as all that parses an option."""
     match = re.fullmatch(r"0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})", text.strip())
     if match is None:
-        raise InputError(f"--K-size must be WxH in pixels, such as 1600x1200, not {text!r}")
+        raise InputError(f"must be WxH in pixels, such as 1600x1200, not {text!r}")
     return int(match[1]), int(match[2])
 
 
@@ -148,7 +140,7 @@ def parse_deviations(text: str) -> tuple[float, float]:
         if 0 <= focal <= 1 and 0 <= centre < 1e6:
             return focal, centre
     raise InputError(
-        f"--K-std must be F or F,C, the relative deviation of the focal length, at most 1, and the "
+        f"must be F or F,C, the relative deviation of the focal length, at most 1, and the "
         f"pixels of the principal point, not {text!r}"
     )
 

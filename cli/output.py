@@ -18,7 +18,7 @@ from dgc_pose.system.files import naming_path
 if TYPE_CHECKING:
     from dgc_pose.colmap.tracking import SharedMatches
 
-_SOURCES = {
+SOURCES = {
     "given": "by the given K",
     "exif": "by EXIF data",
     "size": "by the size of the image",
@@ -99,7 +99,7 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
         told.append(prior)
     text = "f = " + ", ".join(
-        f"{one.focal:.1f} +- {one.focal * one.focal_std:.1f} px {_SOURCES[one.focal_source]}"
+        f"{one.focal:.1f} +- {one.focal * one.focal_std:.1f} px {SOURCES[one.focal_source]}"
         for one in told
     )
     if camera.aspect_std:
