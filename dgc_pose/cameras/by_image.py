@@ -267,9 +267,8 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
             )
             if is_turned:
                 raise InputError(f"{problem}: K is of the image turned by 90 degrees")
-            problem += ": state the size that K is of"
             if scale > _MAX_POSSIBLE_SCALE:
-                raise InputError(problem)
+                raise InputError(f"{problem}: state the size that K is of")
             return replace(camera, warnings=(*camera.warnings, problem))
     shares = (centre + 0.5) / size
     if shares.min() <= 0 or shares.max() >= 1:
