@@ -46,7 +46,6 @@ def test_too_few_images(
 
 
 def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
-    """Without a K, and with one; a K of each serves."""
     folder, out = tmp_path / "folder", tmp_path / "out"
     folder.mkdir()
     whole = cv2.imread(str(photos / "view0.png"))
@@ -57,15 +56,6 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     reason = "one K for images of several sizes (240x150 and 240x180)"
     assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()
-    table = tmp_path / "K.csv"
-    table.write_text(
-        f"name,fx,fy,cx,cy,width,height\na.png,{K_text()},240,180\nb.png,{K_text()},240,150\n"
-    )
-    (folder / "notes.txt").write_text("of the day")
-    done = run("batch", folder, *options, "--K", table)
-    assert done.exit_code == 3, done.output  # the images are the same
-    left_out = "1 file left out (first: notes.txt): not an image of a known format"
-    assert f"warning: {left_out}\n" in done.stderr
 
 
 def test_a_batch_ends_with_a_table_and_its_files(
