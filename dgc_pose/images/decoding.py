@@ -203,7 +203,7 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
             if name == "HEIF":
                 import pillow_heif
 
-                image = pillow_heif.open_heif(stream)
+                image: Any = pillow_heif.open_heif(stream)
             else:
                 image = PIL.Image.open(stream, formats=[name])
             size, info = image.size, image.info
