@@ -28,8 +28,6 @@ from dgc_pose.benchmarks.report import (
     shares,
 )
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.inputs import read_as, read_text
-from dgc_pose.files.tables import aligned
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matchers import MatcherOptions
@@ -37,6 +35,8 @@ from dgc_pose.matching.matcher import Matcher
 from dgc_pose.network.config import INPUT_SIZE, LEVEL_SIZES, NetworkConfig
 from dgc_pose.network.net import normalise, to_pixels
 from dgc_pose.network.weights import choose_device, load_network
+from dgc_pose.system.files import read_as, read_text
+from dgc_pose.system.texts import aligned
 from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1

@@ -26,7 +26,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.images.image import image_size
+from dgc_pose.images.decoding import image_size
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg

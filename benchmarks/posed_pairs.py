@@ -15,10 +15,10 @@ from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image
 from dgc_pose.images.store import ImageStore
+from dgc_pose.system.files import read_as, read_text
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
 # Two of DTU's positions, from 1, a line: all whose views differ by a rotation of 5 to 40 degrees

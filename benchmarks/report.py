@@ -14,8 +14,7 @@ from dgc_pose.benchmarks.evaluate import pose_auc
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
-from dgc_pose.files.json_files import finite_or_none
-from dgc_pose.files.tables import aligned
+from dgc_pose.system.texts import aligned, finite_or_none
 from dgc_pose.viz.figure import new_figure
 
 # One method over all pairs: the figures of `summarise` by name, which are the keys of summary.json.

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as, read_bytes
-from dgc_pose.files.outputs import only_writer, write_text, writing
+from dgc_pose.system.files import naming_path, only_writer, read_as, read_bytes, write_text
 
 
 @contextmanager
@@ -17,7 +16,7 @@ def open_run(
 ) -> Iterator[tuple[list[Any], Callable[[Any], None]]]:
     """The work that is done, and a function that puts the next piece on disk and among it.
 
-    Raises InputError if another run is writing there, if the run that is gone on with had other
+    Raises InputError if another run is naming_path there, if the run that is gone on with had other
     settings, or if the file is none of a run.
 
     Args:
@@ -44,7 +43,7 @@ def open_run(
         write_text(path, "".join(json.dumps(line) + "\n" for line in (settings, *done)))
 
         def add(piece: Any) -> None:
-            with writing(path), path.open("a", encoding="utf-8") as stream:
+            with naming_path(path), path.open("a", encoding="utf-8") as stream:
                 stream.write(json.dumps(piece) + "\n")
             done.append(piece)
 

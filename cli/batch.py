@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.cli.options import KChoice
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import KChoice, dataclass_options
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -30,13 +28,6 @@ if TYPE_CHECKING:
 
 CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
-_SOURCES = {
-    "size": "image's size",
-    "lines": "image's lines",
-    "exif": "EXIF data",
-    "given": "K given",
-}
-
 _FOLDER = OutputFolder(path_type=Path)
 OUT = click.option(
     "--out", type=_FOLDER, required=True, metavar="DIR", help="Folder of the results."
@@ -66,7 +57,7 @@ class BatchChoice(KChoice):
     def open(self, source: str, out: Path) -> Source:
         """The source of the batch in `out`, which frames of a video are kept beside."""
         from dgc_pose.batch.source import open_source
-        from dgc_pose.images.video import frames_folder
+        from dgc_pose.images.folder import frames_folder
 
         out = Path(os.path.abspath(out))  # which has a name, also of "."
         frames = out.with_name(f"{out.name}_{self.frames}_frames_of_{Path(source).name}")
@@ -103,6 +94,7 @@ def report(batch: Batch) -> None:
     """Print the summary of a batch, the images that could not be used, and the first warning."""
     from dgc_pose.batch.beliefs import MOST_PAIRS
     from dgc_pose.batch.rows import FAILED
+    from dgc_pose.cli.output import SOURCES
 
     summary = batch.summary
     for name, reason in summary["bad_images"].items():
@@ -115,10 +107,11 @@ def report(batch: Batch) -> None:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
         say(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
-        say(f"of more than {MOST_PAIRS} pairs with a pose none is judged by the others")
+        say(f"more than {MOST_PAIRS} pairs have a pose: look-alike places are not sought")
     if summary["turned_down"]:
         number = sum(entry["pairs"] for entry in summary["turned_down"])
-        say(f"the folder turns down {number} of {counted(summary['judged_together'], 'pair')}:")
+        judged = counted(summary["judged_together"], "pair")
+        say(f"{number} of {judged} are turned down as of look-alike places:")
     for entry in summary["turned_down"][:CAMERAS_SHOWN]:
         groups = [
             f"{counted(len(g), 'image')} ({printable(g[0])}{', ...' * (len(g) > 1)})"
@@ -129,10 +122,9 @@ def report(batch: Batch) -> None:
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]
-        source = f"from {counted(camera['pairs'], 'pair')}"
+        source = f"by {counted(camera['pairs'], 'pair')}"
         if camera["focal_source"] != "matches":
-            unknown = ": no pair determines it" * (std > 0)
-            source = f"from the {_SOURCES[camera['focal_source']]}{unknown}"
+            source = SOURCES[camera["focal_source"]] + ": no pair determines it" * (std > 0)
         why = f" ({camera['first_image']}: {camera['why']})" if camera["why"] else ""
         lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}{why}"))
     echo_each_camera(lines, "cameras.csv")
@@ -159,8 +151,8 @@ def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> No
 def _echo_pairs(rows: Sequence[PairRow]) -> None:
     """Print a table of the first pairs, and how many more there are."""
     from dgc_pose.estimation.status import percent_text
-    from dgc_pose.files.tables import aligned
     from dgc_pose.geometry.rotation import rotation_angle_deg
+    from dgc_pose.system.texts import aligned
 
     lines = ["pair,status,probability,rotation,R within,t within,inliers".split(",")]
     for row in rows[:PAIRS_SHOWN]:

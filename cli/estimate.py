@@ -1,24 +1,26 @@
-"""`dgc-pose estimate`: the relative pose of two photographs."""
+"""`dgc-pose estimate`: the relative pose of two photographs; `dgc-pose demo`: of bundled ones."""
 
 from __future__ import annotations
 
+import shlex
 import time
 from dataclasses import dataclass, replace
 
 import click
 import numpy as np
 
-from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.guard import STDOUT
-from dgc_pose.cli.options import CameraChoice, MaskChoice, output_file
-from dgc_pose.cli.output import matches_arrays, pose_text, write_npz
+from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
+from dgc_pose.cli.guard import STDOUT, OutputFile
+from dgc_pose.cli.options import CameraChoice, MaskChoice, dataclass_options, output_file
+from dgc_pose.cli.output import pose_text, row_lines, write_npz
 from dgc_pose.cli.process import say
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
-from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.images.image import load_image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.files import save_text, staged
 
 NO_POSE = 3  # exit code if there is no pose
 
@@ -28,7 +30,14 @@ class Outputs:
     """The files to write."""
 
     json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
-    matches: str | None = output_file("Write the matches and which are inliers.", "PATH.npz")
+    matches: str | None = output_file(
+        "Write the matches: points1, points2 (N, 2), confidence and inliers (N).", "PATH.npz"
+    )
+    map: str | None = output_file(
+        "Write the dense map: map (H, W, 2), for each cell of a grid over image 2 its point in "
+        "image 1; grid (H, W, 2), the cells' centres in image 2; matchability (H, W).",
+        "PATH.npz",
+    )
     plot: str | None = output_file("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
     ply: str | None = output_file(
         "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
@@ -61,10 +70,10 @@ def estimate(
     Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map,
     --baseline, --distance or --marker states its length. Without --K, --K1 and --fov it is as with
     --K auto. Exits with 3 and the reason if there is no pose, and with all of them if several
-    explain the matches alike.
+    explain the matches alike. All points are in pixels of the upright original images.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
-    with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
+    with staged(json_file, outputs.matches, outputs.map, outputs.plot, outputs.ply) as stage:
         start = time.perf_counter()
         first = masked(load_image(image1), masks.mask1, "mask1")
         second = masked(load_image(image2), masks.mask2, "mask2")
@@ -79,8 +88,15 @@ def estimate(
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
-            arrays = matches_arrays(result.matches) | {"inliers": pose.inliers}
-            write_npz(stage(outputs.matches), arrays)
+            names = ("points1", "points2", "confidence")
+            arrays = {name: getattr(result.matches, name) for name in names}
+            write_npz(stage(outputs.matches), {**arrays, "inliers": pose.inliers})
+        if outputs.map is not None:
+            dense = result.correspondence_map
+            if dense is None:
+                raise InputError(ArgumentName("map"), f"is not made with {matcher.weights}")
+            names = ("map", "grid", "matchability")
+            write_npz(stage(outputs.map), {name: getattr(dense, name) for name in names})
         if outputs.plot is not None:
             from dgc_pose.viz import plot_pose, save_figure
 
@@ -104,3 +120,35 @@ def estimate(
         if not pose.success:
             click.echo(f"no pose: {pose.reason}", err=True)
     return 0 if pose.success else NO_POSE
+
+
+@click.command()
+@click.option(
+    "--plot",
+    type=OutputFile(picture=True),
+    metavar="PATH.png",
+    help="Draw the photographs' matches, epipolar lines, warp.",
+)
+def demo(plot: str | None) -> int:
+    """Estimate the poses of the two pairs that come with the package.
+
+    The first are photographs by a phone, whose K is not known; --plot draws them. The second is
+    rendered: its known pose is printed too. Each command that is printed does the same.
+    """
+    pair = rendered_pair()
+    Ks = [camera.K[(0, 1, 0, 1), (0, 1, 2, 2)].tolist() for camera in (pair.camera1, pair.camera2)]
+    K1, K2 = (",".join(f"{value:.15g}" for value in K) for K in Ks)
+    drawn = [] if plot is None else ["--plot", plot]
+    statuses = []
+    for heading, *words in (
+        ("two photographs by a phone, K not known:", *bundled_photographs(), "--K", "auto", *drawn),
+        ("\na rendered pair:", pair.path1, pair.path2, "--K1", K1, "--K2", K2),
+    ):
+        arguments = [*map(str, words)]
+        click.echo(f"{heading}\n\n{shlex.join(['dgc-pose', 'estimate', *arguments])}\n")
+        with estimate.make_context("estimate", arguments) as context:
+            statuses.append(estimate.invoke(context))
+    click.echo("the known pose:")
+    for name, line in zip("RRRt", row_lines(*pair.R, pair.t / np.linalg.norm(pair.t)), strict=True):
+        click.echo(f"  {name}  {line}")
+    return max(statuses)

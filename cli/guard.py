@@ -1,5 +1,5 @@
-"""What every sub-command gets: --debug, --max-pixels, --overwrite, the check of its outputs, its
-flags in place of the names of arguments in errors, and a help with its options in sections.
+"""What every sub-command gets: --debug, --overwrite, the check of its outputs, its flags in place
+of the names of arguments in errors, and a help with its options in sections.
 
 Outputs are parameters of the types `OutputFile` and `OutputFolder`; inputs are those of other paths
 of click. Before the command runs: an output that exists is replaced with --overwrite alone, an
@@ -8,19 +8,17 @@ input never.
 
 import os
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 import click
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
-from dgc_pose.files.outputs import output_target, require_no_input
+from dgc_pose.system.files import output_target, require_no_input
 from dgc_pose.system.options import Section
 
 STDOUT = "-"
 DEBUG = "--debug"
-MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # see dgc_pose.images.image, which imports OpenCV
 _COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
 
 
@@ -63,14 +61,13 @@ class OutputFolder(NamedPath):
         self.results = results
 
     def check(self, path: str | Path, context: click.Context) -> None:
-        """Raise InputError if the folder has results of a run that is neither resumed nor
-        replaced."""
+        """Raise InputError for results of a run that is neither resumed nor replaced."""
         resume = [value for name, value in context.params.items() if name.endswith("__resume")]
-        there = [name for name in self.results if os.path.lexists(os.path.join(path, name))]
-        if there and not (any(resume) or overwrites()):
+        files = (os.path.join(path, name) for name in self.results)
+        there = next(filter(os.path.lexists, files), None)
+        if there is not None and not (any(resume) or overwrites()):
             hint = "--resume continues that run, " if resume else ""
-            file = os.path.join(path, there[0])
-            raise InputError(f"{file} is there already: {hint}--overwrite replaces it")
+            raise InputError(f"{there} is there already: {hint}--overwrite replaces it")
 
 
 class SectionedOption(click.Option):
@@ -97,9 +94,8 @@ class GuardedCommand(click.Command):
         except DgcPoseError as error:
             flags = {}  # by the field's name, and by the argument's, such as K_size
             for option in self.params:
-                if isinstance(option, click.Option):
-                    flags[option.opts[0].lstrip("-").replace("-", "_")] = option.opts[0]
-                    flags[(option.name or "").rpartition("__")[2]] = option.opts[0]
+                flags[option.opts[0].lstrip("-").replace("-", "_")] = option.opts[0]
+                flags[(option.name or "").rpartition("__")[2]] = option.opts[0]
             error.args = tuple(
                 flags.get(part, part) if isinstance(part, ArgumentName) else part
                 for part in error.args
@@ -117,21 +113,17 @@ class GuardedCommand(click.Command):
 
 def guarded(command: click.Command) -> click.Command:
     """The command with the options that all have, and its outputs checked before it runs."""
-    params, add = list(command.params), partial(SectionedOption, expose_value=False)
-    kinds = [parameter.type for parameter in params]
-    if any(isinstance(kind, OutputFile) or getattr(kind, "results", ()) for kind in kinds):
-        flag = add(["--overwrite"], section="output", is_flag=True)
+    params = list(command.params)
+    if any(isinstance(p.type, OutputFile) or getattr(p.type, "results", ()) for p in params):
+        flag = SectionedOption(["--overwrite"], section="output", expose_value=False, is_flag=True)
         flag.help = "Replace outputs that exist, but never an input."
         flag.callback = lambda context, _, value: context.meta.update({"overwrite": value})
         params.append(flag)
-    most = add(["--max-pixels"], section="advanced", metavar="N", type=click.IntRange(1, 2**30))
-    most.help = "Most pixels of an image that is decoded; default: 210 million."
-    most.callback = _set_max_pixels
-    trace = add([DEBUG], section="advanced", is_flag=True, help="Show the trace of an error.")
-    params += [most, trace]
-    order = get_args(Section)
-    params.sort(key=lambda p: order.index(_section(p)) if isinstance(p, click.Option) else -1)
-    return GuardedCommand(command.name, callback=command.callback, params=params, help=command.help)
+    trace = SectionedOption([DEBUG], section="advanced", expose_value=False, is_flag=True)
+    trace.help = "Show the trace of an error."
+    return GuardedCommand(
+        command.name, callback=command.callback, params=[*params, trace], help=command.help
+    )
 
 
 def overwrites() -> bool:
@@ -142,13 +134,7 @@ def overwrites() -> bool:
 def _section(option: click.Option) -> Section:
     if isinstance(option.type, OutputFile | OutputFolder):
         return "output"
-    return option.section if isinstance(option, SectionedOption) else "options"
-
-
-def _set_max_pixels(context: click.Context, parameter: click.Parameter, value: int | None) -> None:
-    if value is not None:
-        os.environ[MAX_PIXELS_VARIABLE] = str(value)  # reaches worker processes too
-        context.call_on_close(lambda: os.environ.pop(MAX_PIXELS_VARIABLE))
+    return getattr(option, "section", "options")
 
 
 def _inputs(context: click.Context) -> Iterator[Any]:

@@ -10,22 +10,20 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import STDOUT, OutputFolder
-from dgc_pose.cli.options import KChoice, output_file
+from dgc_pose.cli.options import KChoice, dataclass_options, output_file
 from dgc_pose.cli.output import closing_lines, row_lines
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.images.image import image_header
+from dgc_pose.images.decoding import image_header
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
+from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import json_text
 
 if TYPE_CHECKING:
     from dgc_pose.localization.location import Location

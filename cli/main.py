@@ -12,22 +12,19 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from typing import Any, NoReturn
 
 import click
-from click.shell_completion import CompletionItem
 
 from dgc_pose.cli.guard import DEBUG, guarded
 from dgc_pose.cli.process import Stopped, command_process, say
-from dgc_pose.errors import DgcPoseError, ImageSizeError, missing_package, reason, shortened
+from dgc_pose.errors import DgcPoseError, missing_package, reason, shortened
 
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
 LONGEST = 1000  # characters of a message
-# How long a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits for the others.
-# With the default of 300,000 rounds, a machine that has another busy process spends most of its
-# time spinning.
+# Rounds that a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits. With the
+# default of 300,000 a machine that has another busy process spends most of its time spinning.
 SPIN_COUNT = "10000"
 
 # By section of the help and by name, the line in the help. `some-name` is the function `some_name`
@@ -35,7 +32,6 @@ SPIN_COUNT = "10000"
 SECTIONS = {
     "Poses": {
         "estimate": "Estimate the relative pose of two photographs.",
-        "match": "Match two photographs, no K needed.",
         "moved": "Tell whether a fixed camera has moved.",
         "demo": "Estimate the pose of the bundled pair.",
         "serve": "Estimate poses on a page in the browser.",
@@ -63,6 +59,7 @@ SECTIONS = {
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
+FILES = {"demo": "estimate", "export-colmap": "export"}  # of the others the file has the name
 
 
 class LazyGroup(click.Group):
@@ -74,18 +71,10 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in SUBCOMMANDS:
             return None
-        name = cmd_name.replace("-", "_")
+        file = FILES.get(cmd_name, cmd_name).replace("-", "_")
         folder = "dgc_pose.cli.laboratory" if cmd_name in LABORATORY else "dgc_pose.cli"
-        command = getattr(importlib.import_module(f"{folder}.{name}"), name)
-        return guarded(command)
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        near = get_close_matches(args[0], SUBCOMMANDS, n=1)
-        if near and near[0] != args[0]:
-            ctx.fail(f"No such command {args[0]!r}. Did you mean {near[0]!r}?")
-        return super().resolve_command(ctx, args)
+        module = importlib.import_module(f"{folder}.{file}")
+        return guarded(getattr(module, cmd_name.replace("-", "_")))
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         width = max(map(len, SUBCOMMANDS))
@@ -100,12 +89,6 @@ class LazyGroup(click.Group):
             raise Stopped(signal.SIGINT) from None
         except BrokenPipeError:  # click would exit with 1
             raise Stopped(signal.SIGPIPE) from None
-
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """As click's own, which would import every sub-command for its help."""
-        near = [item for item in SUBCOMMANDS.items() if item[0].startswith(incomplete)]
-        commands = [CompletionItem(name, help=text) for name, text in near]
-        return commands + click.Command.shell_complete(self, ctx, incomplete)
 
     def main(self, *args: Any, **kwargs: Any) -> NoReturn:
         kwargs["standalone_mode"] = False
@@ -134,8 +117,6 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
             return "interrupted", 128 + signal.SIGINT
         case click.ClickException():
             return error.format_message(), UNUSABLE_INPUT
-        case ImageSizeError():
-            return f"{error} (--max-pixels sets that number)", UNUSABLE_INPUT
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
         case BrokenPipeError() | Stopped(number=signal.SIGPIPE):

@@ -9,17 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import STDOUT
-from dgc_pose.cli.options import KChoice, output_file
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import KChoice, dataclass_options, output_file
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ImageError, InputError, printable
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, scratch_folder, staged
-from dgc_pose.files.tables import aligned
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.files import save_text, scratch_folder, staged
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import aligned, json_text
 
 if TYPE_CHECKING:
     from dgc_pose.motion import CameraMotion
@@ -89,9 +86,8 @@ def moved(
 
 def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
     """The pictures of a file, folder or video by name. `folder` gets the frames of a video."""
-    from dgc_pose.images.folder import search_images
-    from dgc_pose.images.image import image_header
-    from dgc_pose.images.video import frames_folder
+    from dgc_pose.images.decoding import image_header
+    from dgc_pose.images.folder import frames_folder, search_images
 
     path = frames_folder(Path(source), frames, folder)
     if not path.is_dir():

@@ -1,18 +1,119 @@
-"""Options that several commands share: dataclasses that `dataclass_options` makes options of."""
+"""Command-line options made of the fields of a dataclass, and those that several commands share.
 
+    @click.command()
+    @dataclass_options(EstimationOptions, "estimation")
+    def estimate(estimation: EstimationOptions) -> None: ...
+
+gives the command an option for each field of `EstimationOptions` that was made by
+`dgc_pose.system.options.option` with a help text, and passes it an instance. A field whose type is
+a dataclass contributes the options of that class.
+"""
+
+import functools
 import re
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import click
 
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cli.guard import OutputFile
+from dgc_pose.cli.guard import NamedPath, OutputFile, SectionedOption
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
-from dgc_pose.system.options import option
+from dgc_pose.system.options import OptionInfo, check_options, field_types, option, option_info
+
+_FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
+Command = Callable[..., Any]
+Decorator = Callable[[Command], Command]
+
+
+def dataclass_options(
+    cls: type, argument: str, *, only: Collection[str] | None = None
+) -> Decorator:
+    """A decorator that adds the options of `cls` and passes an instance, which `check_options`
+    checks, as keyword `argument`.
+
+    only: names of the fields that become options; None: all with a help text. The type decides the
+    option: bool is a switch (--x, or --x/--no-x if it is True by default), Literal a choice,
+    tuple[X, ...] may be given several times.
+    """
+    chosen = dict(_options(cls, argument, only))
+
+    def decorate(command: Command) -> Command:
+        @functools.wraps(command)
+        def with_instance(**kwargs: Any) -> Any:
+            values = {name: kwargs.pop(name) for name in chosen}
+            return command(**kwargs, **{argument: _made(cls, values, argument)})
+
+        decorated: Command = with_instance
+        for decorator in reversed(chosen.values()):
+            decorated = decorator(decorated)
+        return decorated
+
+    return decorate
+
+
+def _options(
+    cls: type, path: str, only: Collection[str] | None = None
+) -> Iterator[tuple[str, Decorator]]:
+    """The options by the name of the command's parameter: the path of fields, joined by "__"."""
+    for field in fields(cls):
+        kind, optional = field_types(cls)[field.name]
+        name, info = f"{path}__{field.name}", option_info(field)
+        if only is not None and field.name not in only:
+            continue
+        if info is None or not info.help:
+            if isinstance(kind, type) and is_dataclass(kind) and not optional:
+                yield from _options(kind, name)
+            continue
+        flag = info.flag or "--" + field.name.replace("_", "-")
+        settings: dict[str, Any] = {"required": field.default is MISSING}
+        if field.default is not MISSING:
+            settings["default"] = field.default if info.text is None else info.text
+        if kind is bool:
+            flag += "/--no-" + flag[2:] if field.default else ""
+            settings["is_flag"] = True
+        elif get_origin(kind) is tuple and info.parse is None:
+            settings |= {"multiple": True, "type": _parameter_type(get_args(kind)[0], info)}
+        else:
+            settings["type"] = _parameter_type(kind, info)
+            settings["show_default"] = settings.get("default") is not None
+        settings |= {"help": info.help, "metavar": info.metavar, "section": info.section}
+        yield name, click.option(flag, name, cls=SectionedOption, **settings)
+
+
+def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
+    """An instance with the values of the options, which `_options` named."""
+    arguments: dict[str, Any] = {}
+    for field in fields(cls):
+        name = f"{path}__{field.name}"
+        if name in values:
+            arguments[field.name] = values[name]
+        elif any(other.startswith(name + "__") for other in values):
+            arguments[field.name] = _made(field_types(cls)[field.name][0], values, name)
+    made = cls(**arguments)
+    check_options(made)
+    return made
+
+
+def _parameter_type(kind: Any, info: OptionInfo) -> Any:
+    """The type of a parameter of click."""
+    if info.type is not None:
+        return info.type
+    if info.parse is not None:
+        return click.types.FuncParamType(info.parse)
+    if get_origin(kind) is Literal:
+        return click.Choice(get_args(kind))
+    if kind is Path or (kind is str and _FILE.search(info.metavar or "")):
+        # The value of an option such as K|FILE stays text, but may be an input.
+        return click.Path() if "|" in (info.metavar or "") else NamedPath(path_type=kind)
+    return kind
 
 
 def output_file(help: str, metavar: str, **kind: bool) -> Any:
@@ -25,10 +126,10 @@ _detail = partial(option, None, section="advanced")
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """A text WxH. Raises InputError for another one."""
+    """A text WxH. Raises InputError for another one, as all that parses an option."""
     match = re.fullmatch(r"0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})", text.strip())
     if match is None:
-        raise InputError(f"--K-size must be WxH in pixels, such as 1600x1200, not {text!r}")
+        raise InputError(f"must be WxH in pixels, such as 1600x1200, not {text!r}")
     return int(match[1]), int(match[2])
 
 
@@ -39,7 +140,7 @@ def parse_deviations(text: str) -> tuple[float, float]:
         if 0 <= focal <= 1 and 0 <= centre < 1e6:
             return focal, centre
     raise InputError(
-        f"--K-std must be F or F,C, the relative deviation of the focal length, at most 1, and the "
+        f"must be F or F,C, the relative deviation of the focal length, at most 1, and the "
         f"pixels of the principal point, not {text!r}"
     )
 

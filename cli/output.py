@@ -1,8 +1,10 @@
-"""Poses as text, matches as .npz."""
+"""Poses as text, arrays as .npz."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,11 +12,13 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import SHARED
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
-from dgc_pose.files.outputs import writing
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.matches import Matches
+from dgc_pose.system.files import naming_path
 
-_SOURCES = {
+if TYPE_CHECKING:
+    from dgc_pose.colmap.tracking import SharedMatches
+
+SOURCES = {
     "given": "by the given K",
     "exif": "by EXIF data",
     "size": "by the size of the image",
@@ -95,7 +99,7 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
         told.append(prior)
     text = "f = " + ", ".join(
-        f"{one.focal:.1f} +- {one.focal * one.focal_std:.1f} px {_SOURCES[one.focal_source]}"
+        f"{one.focal:.1f} +- {one.focal * one.focal_std:.1f} px {SOURCES[one.focal_source]}"
         for one in told
     )
     if camera.aspect_std:
@@ -112,10 +116,12 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
     """Write arrays to exactly this path (numpy would append .npz to a bare name)."""
-    with writing(path), path.open("wb") as stream:
+    with naming_path(path), path.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
 
 
-def matches_arrays(matches: Matches) -> dict[str, np.ndarray]:
-    """points1, points2 (N, 2) in pixels of the original images, and confidence (N,)."""
-    return {name: getattr(matches, name) for name in ("points1", "points2", "confidence")}
+def shared_text(shared: SharedMatches) -> str:
+    """What was written into a COLMAP database."""
+    images = sum(len(points) > 0 for points in shared.key_points.values())
+    key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
+    return f"{images} images, {key_points} key points, {len(shared.pairs)} pairs, {matches} matches"

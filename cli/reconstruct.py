@@ -8,13 +8,12 @@ from pathlib import Path
 import click
 
 from dgc_pose.cli.batch import OUT, BatchChoice, echo_each_camera, report, work_through
-from dgc_pose.cli.dataclass_options import dataclass_options
-from dgc_pose.cli.export_colmap import described
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import dataclass_options
+from dgc_pose.cli.output import shared_text
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import write_text
+from dgc_pose.system.files import write_text
 
 
 @click.command()
@@ -62,7 +61,7 @@ def reconstruct(
     turned_down = [row.names for row in batch.rows if row.turned_down]
     write_text(out / PAGE, model_page(models[0], metric.get("unit", ""), turned_down))
     data = reconstruction.write_summary(out, batch, models, shared, metric, seconds)
-    click.echo(f"{out / reconstruction.DATABASE}: {described(shared)}")
+    click.echo(f"{out / reconstruction.DATABASE}: {shared_text(shared)}")
     click.echo(
         f"{out / reconstruction.MODEL}: {data['registered']} of {data['images']} images, "
         f"{data['points']} points, mean track length {data['mean_track_length']:.2f}, "

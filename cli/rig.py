@@ -11,10 +11,9 @@ import click
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.estimate import NO_POSE
-from dgc_pose.cli.process import say
-from dgc_pose.cli.progress import progress_bars
+from dgc_pose.cli.options import dataclass_options
+from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
@@ -72,11 +71,11 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
-    from dgc_pose.files.outputs import require_no_input, write_text
     from dgc_pose.model import load_model
     from dgc_pose.rigs.comparison import compared
     from dgc_pose.rigs.files import FILES, write_rig
     from dgc_pose.rigs.rig import estimate_rig
+    from dgc_pose.system.files import require_no_input, write_text
     from dgc_pose.viz.model_page import model_page
 
     walk = choice.walk

@@ -12,12 +12,12 @@ from contextlib import suppress
 import click
 
 from dgc_pose.cameras.pair_list import bundled_photographs
-from dgc_pose.cli.dataclass_options import dataclass_options
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError, require
-from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.serve.options import ServeOptions
+from dgc_pose.system.files import scratch_folder
 
 HOST = "127.0.0.1"
 

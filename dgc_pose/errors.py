@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from importlib.util import find_spec
+from pathlib import Path
 
 _REASON = 160  # characters of a library's message that an error has
 
@@ -13,8 +14,14 @@ class ArgumentName(str):
 class DgcPoseError(Exception):
     """Base of every error that dgc-pose raises; its message is one line, for people.
 
-    args: the parts of the message, between which it has blanks.
+    args: the parts of the message, between which it has blanks. A part that is a Path is the file
+    that the error is about.
     """
+
+    @property
+    def path(self) -> Path | None:
+        """The file that the error is about; None if the message names no file."""
+        return next((part for part in self.args if isinstance(part, Path)), None)
 
     def __str__(self) -> str:
         return " ".join(map(str, self.args))
@@ -26,10 +33,6 @@ class InputError(DgcPoseError, ValueError):
 
 class ImageError(DgcPoseError):
     """An image file that is missing, empty, corrupt or too large; the message holds the path."""
-
-
-class ImageSizeError(ImageError):
-    """An image of more pixels than are read; the message holds the path and both numbers."""
 
 
 class WeightsError(DgcPoseError):

@@ -21,12 +21,12 @@ from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.inputs import read_as, read_bytes, read_start
-from dgc_pose.files.outputs import replaced_folder, writing
 from dgc_pose.geometry.pixels import exif_turn, turn_points
 from dgc_pose.geometry.rotation import is_rotation
-from dgc_pose.images.image import image_header, size_in_file
+from dgc_pose.images.decoding import image_header
+from dgc_pose.images.image import size_in_file
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import naming_path, read_as, read_bytes, replaced_folder
 
 HALF_PIXEL = 0.5  # that COLMAP's pixels are more
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
@@ -209,7 +209,7 @@ def read_colmap(source: Path) -> pycolmap.Reconstruction:
 def _reconstruction(folder: Path) -> pycolmap.Reconstruction:
     """As of pycolmap, which reads no text that has a byte order mark."""
     texts = [] if any(folder.glob("*.bin")) else [*folder.glob("*.txt")]
-    if all(read_start(text, 3) != codecs.BOM_UTF8 for text in texts):
+    if all(not read_bytes(text).startswith(codecs.BOM_UTF8) for text in texts):
         return pycolmap.Reconstruction(folder)
     with tempfile.TemporaryDirectory() as plain:
         for text in texts:
@@ -289,5 +289,5 @@ def write_points(file: Path, points: np.ndarray, colours: np.ndarray) -> None:
     lines += [f"property float {axis}" for axis in "xyz"]
     lines += [f"property uchar {colour}" for colour in ("red", "green", "blue")]
     rows = np.hstack([points.astype("<f4", order="C").view(np.uint8), colours])
-    with writing(file):
+    with naming_path(file):
         file.write_bytes("\n".join([*lines, "end_header\n"]).encode() + rows.tobytes())

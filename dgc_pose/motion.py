@@ -40,7 +40,7 @@ from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher
 from dgc_pose.system.options import check_type
-from dgc_pose.system.threads import one_blas_thread
+from dgc_pose.system.parallel import one_blas_thread
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource, MatcherSource

@@ -18,13 +18,13 @@ from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image, flipped, load_image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult
 from dgc_pose.schedule import LIKELY, STEPS, may_change
 from dgc_pose.system.options import check_type
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 if TYPE_CHECKING:
     import torch

@@ -13,7 +13,7 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.prior import auto_cameras
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.images.header import Exif, Header
+from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 

@@ -1,16 +1,30 @@
-"""What setup.cfg says of the package, and that importing the package stays cheap."""
+"""What setup.cfg says of the package, a release, and what runs, and is told, without the extras."""
 
+import ast
 import configparser
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
+import tarfile
+import venv
+import zipfile
+from importlib import resources
+from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
+from multi_view import K_text, render_views, write_views
 from packaging.requirements import Requirement
 
 from dgc_pose import errors
+from dgc_pose.version import version
 
 ROOT = Path(__file__).resolve().parents[1]
+TOP_FILES = ("setup.cfg", "setup.py", "pyproject.toml", "MANIFEST.in", "LICENSE", "README.md")
+DOCUMENTS = ("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "constraints.txt")
 # The folders that setup.cfg maps into the import root.
 MAPPED = {
     "dgc_pose": "dgc_pose",
@@ -59,3 +73,180 @@ def run_elsewhere(code: str) -> str:
     """What the code prints in a fresh interpreter whose path lacks the repository's folder."""
     command = [sys.executable, "-I", "-c", code]
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+
+def run(*command: str | Path, cwd: Path | None = None, **environment: str) -> str:
+    """What a command prints; the test fails, with its stderr, if it does."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        list(map(str, command)), cwd=cwd, env=kept | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    return done.stdout.strip()
+
+
+def build(source: Path, kind: str) -> Path:
+    """The sdist or the wheel of a source tree. It is built by setuptools itself, without the
+    environment that pip would download for it."""
+    code = f"from setuptools import build_meta; build_meta.build_{kind}('dist')"
+    run(sys.executable, "-c", code, cwd=source)
+    (built,) = (source / "dist").iterdir()
+    return built
+
+
+@pytest.fixture(scope="module")
+def release(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A wheel, built from the sdist of a copy of the repository, and its commit."""
+    copy, unpacked = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("unpacked")
+    unwanted = shutil.ignore_patterns("__pycache__", "build.txt")
+    for folder in MAPPED:
+        shutil.copytree(ROOT / folder, copy / folder, ignore=unwanted)
+    for name in (*TOP_FILES, *DOCUMENTS):
+        shutil.copy(ROOT / name, copy)
+    (copy / ".gitignore").write_text("build/\ndist/\n*.egg-info/\n__pycache__/\n")
+    git = ("git", "-C", copy, "-c", "user.name=a", "-c", "user.email=a@b.c")
+    for arguments in (("init", "-q"), ("add", "-A"), ("commit", "-q", "-m", "all")):
+        run(*git, *arguments)
+    sdist = build(copy, "sdist")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(unpacked, filter="data")
+    (source,) = unpacked.iterdir()
+    return build(source, "wheel"), run(*git, "rev-parse", "HEAD")
+
+
+@pytest.mark.slow
+def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(release: tuple[Path, str]) -> None:
+    """And nothing beside the package at the top."""
+    wheel_files = set(zipfile.ZipFile(release[0]).namelist())
+    assert {name.split("/")[0] for name in wheel_files if ".dist-info/" not in name} == {"dgc_pose"}
+    expected = {"dgc_pose/py.typed", "dgc_pose/build.txt"}
+    for folder, package in MAPPED.items():
+        target = package.replace(".", "/")
+        for file in (ROOT / folder).rglob("*"):
+            data = "__pycache__" not in file.parts and file.suffix not in (".py", ".pth", ".txt")
+            if file.suffix == ".py" or (file.is_file() and data):
+                expected.add(f"{target}/{file.relative_to(ROOT / folder).as_posix()}")
+            if file.suffix == ".py":
+                ast.parse(file.read_bytes(), str(file), feature_version=(3, 10))  # the oldest
+    assert expected <= wheel_files, sorted(expected - wheel_files)
+    data = "rendered/pair.txt", "photographs/image1.jpg", "photographs/NOTICE"
+    assert {f"dgc_pose/data/{name}" for name in data} <= wheel_files
+
+
+@pytest.mark.slow
+def test_an_installed_wheel_runs(release: tuple[Path, str], tmp_path: Path) -> None:
+    """In an environment that has the dependencies of this one, but not the repository."""
+    venv.create(tmp_path / "env")
+    own = tmp_path / "env" / "bin" / "python"
+    flags = ("-q", "--no-deps", "--no-index", "--no-compile")
+    run(sys.executable, "-m", "pip", "--python", own, "install", *flags, release[0])
+    (packages,) = (tmp_path / "env").glob("lib/python*/site-packages")
+    numpy = find_spec("numpy")
+    assert numpy is not None and numpy.origin is not None
+    (packages / "dependencies.pth").write_text(f"{Path(numpy.origin).parents[1]}\n")
+    code = "import dgc_pose; print(dgc_pose.__file__)"
+    assert Path(run(own, "-c", code, cwd=tmp_path)).is_relative_to(packages)
+    text = run(own.with_name("dgc-pose"), "--version", cwd=tmp_path)
+    shown, build_of = text.removeprefix("dgc-pose ").removesuffix(")").split(" (build ")
+    assert shown == version()
+    assert release[1].startswith(build_of) and len(build_of) >= 7
+    assert "the known pose:" in run(own, "-m", "dgc_pose", "demo", cwd=tmp_path)
+
+
+# Read by each Python process that starts, also by the workers of a command.
+_SITE = """
+import os, sys
+from importlib.machinery import PathFinder
+
+class Finder(PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        hidden = name.split(".")[0] in os.environ["HIDDEN_PACKAGES"].split(",")
+        return None if hidden else super().find_spec(name, path, target)
+
+sys.meta_path[sys.meta_path.index(PathFinder)] = Finder
+"""
+
+
+@pytest.fixture
+def bare(tmp_path: Path) -> dict[str, str]:
+    """The environment of processes that lack the packages of every extra."""
+    site = tmp_path / "site"
+    site.mkdir()
+    (site / "sitecustomize.py").write_text(_SITE)
+    hidden = ",".join(name for modules in errors.EXTRAS.values() for name in modules)
+    return os.environ | {"PYTHONPATH": str(site), "HIDDEN_PACKAGES": hidden}
+
+
+def run_in(environment: dict[str, str], *words: object) -> subprocess.CompletedProcess[str]:
+    """`dgc-pose WORDS` in a process of its own, in the folder /."""
+    command = [sys.executable, "-m", "dgc_pose", *map(str, words)]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, cwd="/")
+
+
+_PAIR = [str(resources.files("dgc_pose") / "data" / "rendered" / f"image{k}.jpg") for k in (1, 2)]
+_K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (
+            ("estimate", *_PAIR, *_K, "--weights", "{}/dgcm.pth"),
+            "dgcm.pth needs torch, which is not installed: pip install '.[torch]'",
+        ),
+        (
+            ("serve",),
+            "serve needs starlette and uvicorn, which are not installed: pip install '.[serve]'",
+        ),
+        (
+            ("estimate", "{}/1.heic", "{}/1.heic", *_K),
+            "{}/1.heic is HEIC, which needs pillow-heif: pip install '.[heic]'",
+        ),
+    ],
+    ids=("torch", "serve", "heic"),
+)
+def test_what_a_command_lacks_is_told_with_the_command_that_installs_it(
+    bare: dict[str, str], tmp_path: Path, words: tuple[str, ...], told: str
+) -> None:
+    (tmp_path / "dgcm.pth").touch()
+    (tmp_path / "1.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(2000))
+    done = run_in(bare, *(word.replace("{}", str(tmp_path)) for word in words))
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("warning: ")]
+    assert (done.returncode, lines) == (2, ["error: " + told.replace("{}", str(tmp_path))])
+
+
+@pytest.mark.slow
+def test_poses_matches_batches_and_models_are_made_without_an_extra(
+    bare: dict[str, str], tmp_path: Path
+) -> None:
+    """And every command has its help."""
+
+    def run(*words: object) -> str:
+        done = run_in(bare, *words)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    code = (
+        "import click; from dgc_pose.cli.main import SUBCOMMANDS, main\n"
+        "for name in SUBCOMMANDS: main.get_command(click.Context(main), name)"
+    )
+    subprocess.run([sys.executable, "-c", code], env=bare, check=True, cwd="/")
+    outputs = ("--json", "-", "--plot", tmp_path / "pose.png", "--map", tmp_path / "map.npz")
+    assert json.loads(run("estimate", *_PAIR, *_K, *outputs))["success"]
+    run("info")
+    photos, batch, model = (tmp_path / name for name in ("photos", "batch", "model"))
+    write_views(photos, render_views(4))
+    K = ("--K", K_text())
+    run("batch", photos, "--pairs", "sequential:1", *K, "--out", batch, "--workers", 2)
+    rows = [json.loads(line) for line in (batch / "pairs.jsonl").read_text().splitlines()]
+    assert [row["status"] for row in rows] == ["ok"] * 3
+    run("reconstruct", photos, *K, "--out", model, "--workers", 1)
+    assert json.loads((model / "summary.json").read_text())["registered"] == 4
+
+
+def test_a_module_that_a_library_lacks_is_no_missing_package() -> None:
+    """torch is installed: a missing submodule does not mean that torch is missing."""
+    assert errors.missing_package(ModuleNotFoundError(name="torch.no_such_part")) is None
+    assert errors.missing_package(ModuleNotFoundError(name="no_such_package")) is None

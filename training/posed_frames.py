@@ -15,12 +15,12 @@ import numpy as np
 from dgc_pose.cameras.calibration import parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import same_shape
 from dgc_pose.geometry.rotation import is_rotation
+from dgc_pose.images.decoding import image_size, read_pixels
 from dgc_pose.images.folder import search_images
-from dgc_pose.images.image import image_size, read_pixels
 from dgc_pose.model import load_model
+from dgc_pose.system.files import read_as, read_text
 
 _NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths that a frame's reach is of
 _MARGIN = 1.25  # beyond these

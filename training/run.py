@@ -16,12 +16,11 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
-from dgc_pose.files.inputs import read_as
-from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, Pyramid
 from dgc_pose.network.stored import COUNTER, check_state
 from dgc_pose.network.weights import load_checkpoint, load_network, read_state
+from dgc_pose.system.files import naming_path, read_as, replaced, write_text
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import TrainingOptions
@@ -179,7 +178,7 @@ class Trainer:
             "average": self.average.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
-        with replaced(self.out / CHECKPOINT) as temporary, writing(temporary):
+        with replaced(self.out / CHECKPOINT) as temporary, naming_path(temporary):
             torch.save(state, temporary)
 
     def _load(self, path: Path, net: DGCNet) -> None:
@@ -310,7 +309,7 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
             fits = "running_" not in key and bool(value.abs().max() < _HALF_MAX)
             state[key] = value.half() if fits else value
     header = {"preset": net.config.name}
-    with replaced(Path(path)) as temporary, writing(temporary):
+    with replaced(Path(path)) as temporary, naming_path(temporary):
         # Not save_file, whose files only their owner may read.
         temporary.write_bytes(save(state, metadata=header))
 

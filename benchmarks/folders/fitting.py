@@ -31,10 +31,10 @@ from dgc_pose.benchmarks.report import decimals
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced_folder
-from dgc_pose.files.tables import aligned
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
+from dgc_pose.system.files import replaced_folder
+from dgc_pose.system.texts import aligned
 from dgc_pose.training.photos import load_held_back
 from dgc_pose.training.posed_frames import PosedFrame, read_scene
 

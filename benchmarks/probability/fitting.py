@@ -28,7 +28,7 @@ from dgc_pose.estimation.probability import (
     choice_shares,
     log_error,
 )
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 
 _STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # inverse regularisation, of standardised features
 _MIN_POSES = 20  # right poses and wrong ones that a fit needs

@@ -35,10 +35,10 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.json_files import read_json
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.system.options import check_options, option
+from dgc_pose.system.texts import read_json
 
 Part = Literal["fit", "report"]
 EntryKind = Literal["list", "pasted", "zoomed", "unrelated", "rendered", "planes", "textureless"]

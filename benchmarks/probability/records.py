@@ -24,7 +24,7 @@ from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.relative_pose import gathered, uncertainty
 from dgc_pose.estimation.verdict import MIN_MATCHES
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg

@@ -32,7 +32,7 @@ from dgc_pose.estimation.probability import (
 )
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.estimation.verdict import judge
-from dgc_pose.files.tables import aligned
+from dgc_pose.system.texts import aligned
 from dgc_pose.viz.figure import new_figure
 
 _KINDS: dict[MatchKind, str] = {

@@ -8,7 +8,6 @@ import click
 from dgc_pose.benchmarks.methods import CameraTrial
 from dgc_pose.benchmarks.posed_pairs import Light, dtu_pairs
 from dgc_pose.cameras.pair_list import write_pairs
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.laboratory.bench_pairs import (
     FILES,
@@ -17,9 +16,10 @@ from dgc_pose.cli.laboratory.bench_pairs import (
     Protocol,
     run_bench,
 )
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.system.files import replaced
 from dgc_pose.system.options import option
 
 _LIST = "pairs.txt"

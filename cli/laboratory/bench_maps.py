@@ -7,13 +7,13 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import save_text, staged, writing
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.network.stored import shipped
 from dgc_pose.runtime.load import DEVICE_HELP
+from dgc_pose.system.files import naming_path, save_text, staged
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import json_text
 
 _FILES = ("summary.json", "pairs.csv", "pck.png")
 
@@ -90,7 +90,7 @@ def bench_maps(bench: MapBenchOptions) -> None:
             save_text(files["summary.json"], json_text(data))
             rows = [finite_data(score.data) for of_method in scores.values() for score in of_method]
             table = files["pairs.csv"]
-            with writing(table), table.open("w", newline="", encoding="utf-8") as stream:
+            with naming_path(table), table.open("w", newline="", encoding="utf-8") as stream:
                 writer = csv.DictWriter(stream, list(rows[0]))
                 writer.writeheader()
                 writer.writerows(rows)

@@ -18,19 +18,18 @@ from dgc_pose.benchmarks.models import (
     true_model,
 )
 from dgc_pose.benchmarks.report import Summary, finite_data, split_names, summary_table
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.tables import aligned
 from dgc_pose.images.folder import search_images
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import aligned, write_json
 
 _SHARED = ("per_image", "mapper", "refine_intrinsics")  # with reconstruct
 

@@ -28,16 +28,16 @@ from dgc_pose.benchmarks.report import (
 from dgc_pose.benchmarks.store import open_run
 from dgc_pose.benchmarks.stored_matches import pair_files
 from dgc_pose.cameras.pair_list import Pair, read_pairs
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import NamedPath, OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import replaced, writing
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
+from dgc_pose.system.files import naming_path, replaced
 from dgc_pose.system.options import option
+from dgc_pose.system.texts import write_json
 from dgc_pose.viz import save_figure
 
 PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)
@@ -157,7 +157,7 @@ def run_bench(
     figures = columns(scores)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:
-        with replaced(out / "results.csv") as file, writing(file):
+        with replaced(out / "results.csv") as file, naming_path(file):
             with file.open("w", newline="", encoding="utf-8") as table:
                 writer = csv.DictWriter(table, list(scores[0]))
                 writer.writeheader()

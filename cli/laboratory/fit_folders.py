@@ -6,8 +6,8 @@ from pathlib import Path
 import click
 from tqdm import tqdm
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import require
 from dgc_pose.system.options import option
 

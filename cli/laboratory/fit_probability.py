@@ -10,13 +10,13 @@ from tqdm import tqdm
 from dgc_pose.benchmarks.probability.planned import DEFAULT_PLAN, PlanEntry, planned, read_plan
 from dgc_pose.benchmarks.report import split_names
 from dgc_pose.benchmarks.store import open_run, read_run
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
+from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import save_text, staged
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 from dgc_pose.runtime.load import DEVICE_HELP
+from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
 
 _RECORDS = "records.jsonl"

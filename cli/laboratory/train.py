@@ -8,9 +8,9 @@ from pathlib import Path
 
 import click
 
-from dgc_pose.cli.dataclass_options import dataclass_options
 from dgc_pose.cli.guard import OutputFolder
-from dgc_pose.files.outputs import only_writer
+from dgc_pose.cli.options import dataclass_options
+from dgc_pose.system.files import only_writer
 from dgc_pose.system.options import option
 from dgc_pose.training.options import TrainingOptions
 

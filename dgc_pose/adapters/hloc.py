@@ -7,10 +7,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from dgc_pose.batch.result import GROUP_BYTES, group_name
+from dgc_pose.batch.result import group_name
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import require_room, save_text, staged
+from dgc_pose.system.files import save_text, staged
 
 
 def write_hloc(folder: Path, shared: SharedMatches) -> None:
@@ -22,10 +22,6 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
         if any(len(name.split()) != 1 for name in names):
             raise InputError(f"hloc's pairs file cannot hold the names {names}: no blanks")
     folder.mkdir(parents=True, exist_ok=True)
-    counts = {name: len(points) for name, points in shared.key_points.items()}
-    size = 12 * sum(counts.values()) + 6 * sum(counts[name0] for name0, _ in shared.pairs)
-    groups = GROUP_BYTES * (len(counts) + len(shared.pairs))
-    require_room(folder / "features.h5", size + groups)  # HDF5 ends the process on a full disk
     paths = [str(folder / name) for name in ("features.h5", "matches.h5", "pairs.txt")]
     with staged(*paths) as stage:
         features, matches, pairs = map(stage, paths)

@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import require_room, save_text
-from dgc_pose.images.image import image_header, read_pixels, size_in_file
+from dgc_pose.images.decoding import image_header, read_pixels
+from dgc_pose.images.image import size_in_file
 from dgc_pose.model import Model, write_points
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import require_room, save_text
+from dgc_pose.system.texts import write_json
 
 _PERSPECTIVE = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
 _FISHEYE = {"SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dgc_pose.system.options import check_options, option
-from dgc_pose.system.threads import usable_cpus
+from dgc_pose.system.parallel import usable_cpus
 
 _GIB = 2**30
 _WORKER_GIB = 0.375

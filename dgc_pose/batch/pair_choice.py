@@ -9,7 +9,7 @@ from typing import Literal, cast
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 Way = Literal["exhaustive", "sequential", "auto"]
 _PAIRS = ArgumentName("pairs")

@@ -19,7 +19,7 @@ from dgc_pose.batch.rows import PairRow
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.intrinsics_prior import SIZE, is_of_part, parameter_stds, with_parameters
 from dgc_pose.estimation.least_squares import EFFICIENT
-from dgc_pose.files.outputs import write_text
+from dgc_pose.system.files import write_text
 
 CAMERAS = "cameras.csv"
 # Of ln f: below, a pooled camera is better than one that a single pair fits.

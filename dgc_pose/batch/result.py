@@ -22,8 +22,8 @@ from dgc_pose.batch.source import STORE
 from dgc_pose.batch.store import BatchStore, open_store
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import STATUSES
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import replaced, require_room, writing
+from dgc_pose.system.files import naming_path, replaced, require_room
+from dgc_pose.system.texts import write_json
 
 PAIRS, MATCHES, SUMMARY = "pairs.jsonl", "matches.h5", "summary.json"
 GROUP_BYTES = 4096  # more than HDF5 takes for a pair beside its arrays
@@ -65,7 +65,11 @@ def write_files(out: Path, store: BatchStore, plan: Plan, summary: Mapping[str, 
     """Write the files of a result, whose pairs are in the store."""
     if plan.uncertain:
         write_cameras(out, plan.final_cameras)
-    with replaced(out / PAIRS) as file, writing(file), file.open("w", encoding="utf-8") as stream:
+    with (
+        replaced(out / PAIRS) as file,
+        naming_path(file),
+        file.open("w", encoding="utf-8") as stream,
+    ):
         stream.writelines(f"{line}\n" for _, line in store.lines("result"))
     with replaced(out / MATCHES) as file:
         room = store.byte_count() + GROUP_BYTES * len(plan.pairs)

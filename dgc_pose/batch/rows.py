@@ -11,8 +11,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.evidence import ModelName
-from dgc_pose.files.inputs import read_as
 from dgc_pose.matches import Matches
+from dgc_pose.system.files import read_as
 
 # Statuses of pairs that have no estimate: an image or camera cannot be used; matching or estimation
 # raised an error that is not about its input, after which --resume matches the pair again.

@@ -43,11 +43,10 @@ from dgc_pose.batch.workers import (
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.inputs import read_bytes
-from dgc_pose.files.outputs import only_writer
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 from dgc_pose.runtime.load import default_runtime, device_type
+from dgc_pose.system.files import only_writer, read_bytes
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")

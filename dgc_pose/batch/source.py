@@ -17,11 +17,11 @@ from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import by_lines
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import Size, exif_turn
+from dgc_pose.images.decoding import Header, image_header
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
-from dgc_pose.images.header import Header
-from dgc_pose.images.image import image_header, load_image, size_in_file
-from dgc_pose.images.mask import mask_file, masked
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.images.image import load_image, size_in_file
+from dgc_pose.images.maps import mask_file, masked
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 STORE = "batch.db"  # in the folder of a batch
 BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction

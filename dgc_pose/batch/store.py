@@ -20,9 +20,9 @@ import numpy as np
 from dgc_pose.batch.plan import Plan, parse_plan, plan_data
 from dgc_pose.batch.rows import MatchedPair, PairRow, parse_row
 from dgc_pose.batch.source import STORE
-from dgc_pose.files.arrays import unpacked
-from dgc_pose.files.inputs import read_as
 from dgc_pose.matches import Matches
+from dgc_pose.system.arrays import unpacked
+from dgc_pose.system.files import read_as
 
 _TABLES = (
     "facts (name TEXT PRIMARY KEY, value TEXT)",

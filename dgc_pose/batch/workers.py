@@ -14,7 +14,7 @@ import numpy as np
 
 from dgc_pose.batch.work import Job, Worker
 from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
-from dgc_pose.system.processes import process_pool
+from dgc_pose.system.parallel import process_pool
 
 Item = TypeVar("Item")
 BLOCK = 32  # pairs handed to a worker at a time, and stored together

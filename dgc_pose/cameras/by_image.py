@@ -21,7 +21,7 @@ from dgc_pose.geometry.pixels import EXCHANGING, Size, exif_turn
 from dgc_pose.images.image import size_in_file
 
 if TYPE_CHECKING:
-    from dgc_pose.images.header import Header
+    from dgc_pose.images.decoding import Header
     from dgc_pose.images.image import Image
 
 _PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
@@ -267,10 +267,8 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
             )
             if is_turned:
                 raise InputError(f"{problem}: K is of the image turned by 90 degrees")
-            if name.startswith("--"):
-                problem += ": --K-size states the size that K is of"
             if scale > _MAX_POSSIBLE_SCALE:
-                raise InputError(problem)
+                raise InputError(f"{problem}: state the size that K is of")
             return replace(camera, warnings=(*camera.warnings, problem))
     shares = (centre + 0.5) / size
     if shares.min() <= 0 or shares.max() >= 1:

@@ -15,9 +15,9 @@ import numpy as np
 from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
 from dgc_pose.cameras.focal_belief import FocalBelief
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.arrays import as_numpy
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.pixels import Size, exif_turn, rescale, turn_points
+from dgc_pose.system.arrays import as_numpy
 from dgc_pose.system.options import check_type
 
 FocalSource = Literal["given", "exif", "size", "lines", "matches"]

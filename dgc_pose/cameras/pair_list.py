@@ -19,9 +19,8 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_text
-from dgc_pose.files.outputs import save_text
 from dgc_pose.geometry.rotation import is_rotation
+from dgc_pose.system.files import TEXT_BYTES, read_as, read_text, save_text
 
 FIELDS = 38
 Names = tuple[str, str]

@@ -22,12 +22,12 @@ from PIL.TiffImagePlugin import IFDRational
 
 from dgc_pose.cameras.camera import Camera, FocalSource
 from dgc_pose.cameras.focal_belief import LOG_FOCALS, FocalBelief, Part
-from dgc_pose.files.outputs import scratch_folder
-from dgc_pose.images.header import Exif
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.images.decoding import Exif
+from dgc_pose.system.files import scratch_folder
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 if TYPE_CHECKING:
-    from dgc_pose.images.header import Header
+    from dgc_pose.images.decoding import Header
     from dgc_pose.images.image import Image
 
 Sharing = Literal["files", "shared", "two"]

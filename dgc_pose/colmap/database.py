@@ -17,12 +17,12 @@ from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, track_corners
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
-from dgc_pose.files.outputs import replaced, require_room
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
-from dgc_pose.images.image import image_header
+from dgc_pose.images.decoding import image_header
 from dgc_pose.images.store import ImageStore
 from dgc_pose.model import HALF_PIXEL, colmap_camera
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import replaced, require_room
 
 # More than a database takes: empty, and for each key point and match, with SQLite's log.
 _EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32

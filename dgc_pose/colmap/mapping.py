@@ -6,8 +6,8 @@ from typing import Any
 
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import DgcPoseError, reason
-from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import scratch_folder
 
 MIN_IMAGES = 3  # of a model
 _SEED = 0

@@ -11,11 +11,11 @@ from dgc_pose.colmap.mapping import MIN_IMAGES, MappingError
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.estimation.markers import marker_side
-from dgc_pose.images.image import image_header, read_pixels
+from dgc_pose.images.decoding import image_header, read_pixels
 from dgc_pose.images.markers import find_markers
 from dgc_pose.model import Model
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 _MAX_ERROR_M = 15.0  # of a GPS position that agrees with the model
 _AS_WELL = 1.5  # times the median residual, up to which another similarity fits as well

@@ -12,14 +12,13 @@ from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.estimation.intrinsics_prior import is_of_part
-from dgc_pose.files.json_files import write_json
-from dgc_pose.files.outputs import only_writer, replaced, replaced_folder, require_room
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import only_writer, replaced, replaced_folder
+from dgc_pose.system.texts import write_json
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
-_KEY_POINT_BYTES, _POINT_BYTES = 40, 120  # more than a model and its point file take for each
 
 
 def reconstruct(
@@ -54,10 +53,6 @@ def reconstruct(
             if cut:
                 adjust(model, cut, centres=True)
         metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options)
-        # pycolmap raises nothing for a disk that is full.
-        points = _POINT_BYTES * sum(model.num_points3D() for model in found)
-        key_points = sum(map(len, shared.key_points.values()))
-        require_room(out / MODEL, _KEY_POINT_BYTES * len(found) * key_points + points)
         with replaced_folder(out / MODEL) as folder:
             for number, model in enumerate(found):
                 (folder / str(number or "")).mkdir(exist_ok=True)

@@ -43,7 +43,7 @@ from dgc_pose.estimation.robust_fit import (
 )
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
 _REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side

@@ -33,7 +33,7 @@ from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.geometry.triangulation import unit_rays
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 _SAMPLED = 500  # matches
 # How many others each stands for at most, beside a K that is stated. What else lenses and shutters

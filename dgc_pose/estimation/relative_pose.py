@@ -26,7 +26,7 @@ from dgc_pose.estimation.verdict import MIN_MATCHES, judge
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import check_type
-from dgc_pose.system.threads import one_blas_thread
+from dgc_pose.system.parallel import one_blas_thread
 
 _DEFAULTS = EstimationOptions()
 

@@ -13,10 +13,10 @@ from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.status import STATUSES, Status, probability_text, short_text
-from dgc_pose.files.inputs import read_as
-from dgc_pose.files.json_files import finite_or_none, json_text
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz
+from dgc_pose.system.files import read_as
+from dgc_pose.system.texts import finite_or_none, json_text
 
 _PLAIN = (  # in `to_dict` as they are, arrays as lists
     *("status", "success", "R", "t", "length", "length_std", "quaternion_wxyz", "E"),

@@ -11,7 +11,7 @@ from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC grows
 # with the matches that it scores; the hypotheses are compared and refined on all matches.

@@ -1,24 +1,22 @@
-"""The images below a folder by their content, and what is left out."""
+"""The images below a folder by their content, what is left out, and the frames of a video."""
 
-import filecmp
 import os
 from collections import defaultdict
-from collections.abc import Collection, Hashable
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from itertools import permutations
+from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from dgc_pose.errors import ImageError
-from dgc_pose.files.inputs import open_regular, read_start
-from dgc_pose.geometry.pixels import same_shape
-from dgc_pose.images.header import UnreadableFormatError, image_format
-from dgc_pose.images.image import image_size, load_image, resize
+from dgc_pose.errors import ImageError, InputError
+from dgc_pose.images.decoding import UnreadableFormatError, image_format
+from dgc_pose.system.files import open_file, replaced_folder
 
 _PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
-_SAME_PICTURE = 0.002  # of thumbnails: the mean square difference over the variance
+_VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
 
 @dataclass(frozen=True)
@@ -69,32 +67,19 @@ def search_images(folder: str | Path) -> FolderImages:
 
 
 def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
-    """The images that have the bytes of another, but the shortest name, of several the first; and
-    of one name, but for its folder and ending, the smaller ones with the same picture."""
-    groups = defaultdict[Hashable, list[str]](list)
+    """The images that have the bytes of another, but that with the shortest name, as "x.jpg" beside
+    "x (1).jpg"; of several the first."""
+    by_size = defaultdict[int, list[str]](list)
     for name in names:
-        groups[Path(name).stem].append(name)
-        groups[os.path.getsize(root / name), hash(read_start(root / name, 2**16))].append(name)
+        by_size[os.path.getsize(root / name)].append(name)
+    by_content = defaultdict[bytes, list[Path]](list)
+    for name in (name for group in by_size.values() if len(group) > 1 for name in group):
+        by_content[sha256((root / name).read_bytes()).digest()].append(Path(name))
     copies = set[str]()
-    for other, name in (pair for group in groups.values() for pair in permutations(group, 2)):
-        if name not in copies and _is_copy(root / name, root / other):
-            copies.add(name)
+    for paths in by_content.values():
+        paths.sort(key=lambda path: (len(path.name), path))
+        copies.update(path.as_posix() for path in paths[1:])
     return copies
-
-
-def _is_copy(path: Path, of: Path) -> bool:
-    if filecmp.cmp(path, of, shallow=False):
-        return (len(path.name), path) > (len(of.name), of)  # as "x (1).jpg" than "x.jpg"
-    try:
-        size, larger = (image_size(file) for file in (path, of))
-        if size[0] >= larger[0] or not same_shape(size, larger):
-            return False
-        small, large = (load_image(file).pixels for file in (path, of))
-    except ImageError:
-        return False
-    images = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (small, resize(large, size)))
-    first, second = (resize(grey, (32, 32)).astype(np.float32) for grey in images)
-    return bool(np.square(first - second).mean() < _SAME_PICTURE * second.var())
 
 
 def left_out_line(kind: str, names: Collection[str], why: str) -> str:
@@ -105,11 +90,10 @@ def left_out_line(kind: str, names: Collection[str], why: str) -> str:
 def _why_not(path: Path, name: str) -> str | None:
     try:
         name.encode()
+        with open_file(path, ImageError) as stream:
+            image_format(stream)
     except UnicodeEncodeError:  # as HDF5 and COLMAP hold names
         return "a name that is not UTF-8"
-    try:
-        with open_regular(path, ImageError) as stream:
-            image_format(stream)
     except OSError as failure:
         return failure.strerror or str(failure)
     except ImageError:
@@ -117,3 +101,38 @@ def _why_not(path: Path, name: str) -> str | None:
     except UnreadableFormatError as error:
         return str(error)
     return None
+
+
+def frames_folder(path: Path, number: int, folder: Path) -> Path:
+    """`folder` with the sharpest frame of each of `number` equal parts of a video, as JPEG; any
+    other path as it is. A folder of this name and of the video's time has them already.
+
+    Raises InputError, with the path, if no frame can be read.
+    """
+    if path.suffix.lower() not in _VIDEOS or not path.is_file():
+        return path
+    time = path.stat().st_mtime
+    if folder.exists() and abs(folder.stat().st_mtime - time) <= 2:  # s, as file systems round it
+        return folder
+    # The number of frames in the header may be wrong, and they do not fit into memory.
+    sharpness = [cv2.Laplacian(pixels, cv2.CV_32F).std() for pixels in _frames(path)]
+    if not sharpness:
+        raise InputError(path, "is a video, and no frame of it can be read")
+    bounds = [len(sharpness) * part // number for part in range(number + 1)]
+    parts = (range(*part) for part in pairwise(bounds))
+    chosen = [max(part, key=sharpness.__getitem__) for part in parts if part]
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with replaced_folder(folder) as new:
+        for frame, pixels in enumerate(_frames(path)):
+            if frame in chosen:
+                file = new / f"{chosen.index(frame):06d}.jpg"
+                file.write_bytes(cv2.imencode(".jpg", pixels)[1].tobytes())
+        os.utime(new, (time, time))
+    return folder
+
+
+def _frames(path: Path) -> Iterator[np.ndarray]:
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # FFmpeg would write to the terminal
+    video = cv2.VideoCapture(str(path))
+    while (frame := video.read())[0]:
+        yield frame[1]

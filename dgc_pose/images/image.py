@@ -3,31 +3,23 @@
 from __future__ import annotations
 
 import base64
-import io
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Literal
+from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
 
-from dgc_pose.errors import ImageError, ImageSizeError, InputError, reason
-from dgc_pose.files.arrays import as_numpy, is_tensor
-from dgc_pose.files.inputs import open_regular, read_as, read_bytes
+from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import EXCHANGING, Size, within
-from dgc_pose.images.header import Exif, Header, UnreadableFormatError, read_header
+from dgc_pose.images.decoding import Exif, Header, decoded, image_errors
+from dgc_pose.system.arrays import as_numpy, is_tensor
 
 if TYPE_CHECKING:
     import torch
 
-# Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
-MAX_PIXELS = 210_000_000
-MAX_PIXELS_VARIABLE = "DGC_POSE_MAX_PIXELS"  # of the environment, for another bound
 _LARGE = 4_000_000  # pixels, above which area means of other factors take tens of ms
-MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,112 +129,34 @@ def load_image(
 
 
 def _read_file(path: Path) -> Image:
-    with _image_errors(path):
-        array, header = _decoded(path)
+    with image_errors(path):
+        array, header = decoded(path)
         if array.dtype == np.uint8 and array.ndim == 3 and array.shape[2] == 3:
             array = cv2.cvtColor(array, cv2.COLOR_BGR2RGB, dst=array)  # in place: it may be large
         elif array.ndim == 3 and array.shape[2] >= 3:
             array = array[:, :, [2, 1, 0, 3][: array.shape[2]]]  # OpenCV stores BGR(A)
-        image = _of_array(turned(array, header.exif.orientation), str(path))
-        kept = "exif", "pixel_aspect", "projection"
-        return replace(image, **{field: getattr(header, field) for field in kept})
+        image = _of_array(turned(array, header.exif.orientation), path)
+        aspect, projection = header.pixel_aspect, header.projection
+        return replace(image, exif=header.exif, pixel_aspect=aspect, projection=projection)
 
 
-def _decoded(path: Path) -> tuple[np.ndarray, Header]:
-    """Pixels as stored, in the order BGR(A); of HEIC 8-bit colours."""
-    data = read_bytes(path, MAX_BYTES, ImageError)
-    header = _header(io.BytesIO(data), path, verify=True)
-    if header.format == "HEIF":
-        import pillow_heif
-
-        with read_as("HEIC", path, ImageError):
-            image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
-            pixels = np.array(image)
-        return cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR) if pixels.ndim == 2 else pixels, header
-    try:
-        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
-        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error as error:
-        if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
-            raise MemoryError from None
-        raise ImageError(f"{path} cannot be decoded: {error.err}") from None
-    if array is None:  # OpenCV gives no reason
-        raise ImageError(f"{path} cannot be decoded: OpenCV does not read this {header.format}")
-    return array, header
-
-
-def _header(stream: BinaryIO, path: Path, *, verify: bool = False) -> Header:
-    try:
-        header = read_header(stream, verify=verify)
-    except UnreadableFormatError as error:
-        raise ImageError(f"{path} is {error}") from None
-    except Exception as error:  # of any type, by the format's reader
-        raise ImageError(f"{path} is corrupt: {reason(error)}") from error
-    text = os.environ.get(MAX_PIXELS_VARIABLE) or str(MAX_PIXELS)
-    if not (text.isdecimal() and len(text) < 19 and int(text) > 0):
-        raise InputError(f"{MAX_PIXELS_VARIABLE} must be a positive number, not {text!r}")
-    width, height = header.size
-    if width * height > int(text):
-        raise ImageSizeError(
-            f"{path} is too large: {width} x {height}, at most {int(text)} pixels are read"
-        )
-    if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
-        raise ImageError(
-            f"{path} is a TIFF with orientation tag {header.exif.orientation}: save it upright"
-        )
-    return header
-
-
-def read_pixels(path: str | Path) -> np.ndarray:
-    """A file's pixels as stored, as OpenCV gives them, BGR(A).
-
-    For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
-    file is missing, corrupt, too large or no regular file.
-    """
-    with _image_errors(Path(path)):
-        return _decoded(Path(path))[0]
-
-
-def image_size(path: str | Path) -> tuple[int, int]:
-    """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
-    return image_header(Path(path)).size
-
-
-def image_header(path: Path) -> Header:
-    """The header of an image file. Raises ImageError, with the path."""
-    with _image_errors(path), open_regular(path, ImageError) as stream:
-        return _header(stream, path)
-
-
-@contextmanager
-def _image_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror or error}") from error
-    except MemoryError:
-        raise ImageError(f"{path} needs more memory than there is") from None
-    except InputError as error:
-        raise ImageError(str(error)) from error
-
-
-def _of_array(array: np.ndarray, name: str) -> Image:
+def _of_array(array: np.ndarray, name: str | Path) -> Image:
     if array.ndim == 2:
         array = array[:, :, None]
     if array.ndim != 3 or array.shape[2] not in (1, 3, 4) or array.size == 0:
         raise InputError(
-            f"{name} must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
+            name, f"must have shape (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), not {array.shape}"
         )
     colours, used = array[:, :, :3], None
     if array.shape[2] == 4 and not (array[:, :, 3] != 0).all():
         used = array[:, :, 3] != 0
         if not used.any():
-            raise InputError(f"{name} has alpha 0 everywhere, which leaves no pixel of it")
+            raise InputError(name, "has alpha 0 everywhere, which leaves no pixel of it")
         colours = filled(colours, used)
     colours = _to_8_bit(colours, name)
     if colours.shape[2] == 1:
         colours = np.repeat(colours, 3, axis=2)
-    return Image(np.ascontiguousarray(colours), name, mask=used)
+    return Image(np.ascontiguousarray(colours), str(name), mask=used)
 
 
 def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
@@ -252,12 +166,12 @@ def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
     return pixels
 
 
-def _to_8_bit(array: np.ndarray, name: str) -> np.ndarray:
+def _to_8_bit(array: np.ndarray, name: str | Path) -> np.ndarray:
     if array.dtype == np.uint8:
         return array
     low, high = float(array.min()), float(array.max())
     if not np.isfinite(high - low):
-        raise InputError(f"{name} has values that are not finite")
+        raise InputError(name, "has values that are not finite")
     if array.dtype.kind in "bf" and low >= 0 and high <= 1:
         low, high = 0.0, 1.0
     else:

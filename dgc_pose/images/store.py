@@ -7,7 +7,7 @@ from pathlib import Path
 
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import Image, load_image, resize
-from dgc_pose.images.mask import mask_file, masked, resized_mask
+from dgc_pose.images.maps import mask_file, masked, resized_mask
 
 
 class ImageStore:

@@ -29,7 +29,7 @@ from dgc_pose.localization.correspondences import (
     PointCorrespondences,
     WorldPose,
 )
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 Correspondences = PairCorrespondences | PointCorrespondences
 _MIN_ITERATIONS = 100  # of a run of RANSAC

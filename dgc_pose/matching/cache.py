@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 Key = tuple[Any, ...]  # the image first: the object, not its pixels
 _LAST = 3  # images: of a pair, and the mirror image of one

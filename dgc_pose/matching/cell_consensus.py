@@ -12,7 +12,7 @@ import numpy as np
 from dgc_pose.network.config import FLOOR, PASSES, REACH, WEIGHT
 from dgc_pose.network.correlation import log_softmax
 from dgc_pose.runtime.engine import NativeFeatures
-from dgc_pose.system.threads import in_threads, slices
+from dgc_pose.system.parallel import in_threads, slices
 
 _CHUNK = 128  # cells compared at a time, which stay in the processor's cache
 _NEIGHBOURS = [(1, 0), (-1, 1), (0, 1), (1, 1)]  # the other four are their opposites

@@ -12,7 +12,7 @@ from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.pixels import cell_centres
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
-from dgc_pose.system.threads import slices
+from dgc_pose.system.parallel import slices
 
 _CHUNK = 128  # coarse cells at a time, which stay in the processor's cache
 _CELLS = 1.0  # Sampson distance of the centres of two cells, in cells, below which they may match

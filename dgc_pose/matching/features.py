@@ -35,7 +35,7 @@ from dgc_pose.matching.map_geometry import (
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import STRIDE
 from dgc_pose.runtime.engine import Engine, NativeFeatures
-from dgc_pose.system.threads import in_threads, slices
+from dgc_pose.system.parallel import in_threads, slices
 
 LONG_SIDE = 800  # most pixels of the images that features are computed on
 SIMILAR_CELLS = 12  # most similar cells of stride 16, for the consensus

@@ -13,7 +13,7 @@ import numpy as np
 from dgc_pose.geometry.pixels import window_offsets
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.matching.consistency import LocalMatches
-from dgc_pose.system.threads import in_threads, slices
+from dgc_pose.system.parallel import in_threads, slices
 
 _ITERATIONS = 8
 _AFFINE_ITERATIONS = 12

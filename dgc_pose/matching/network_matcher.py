@@ -27,7 +27,7 @@ from dgc_pose.matching.surroundings import surroundings
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 COARSE_CELLS = 60  # cells a side of the map of the coarse step
 _FIRST_CELLS = 30  # and of one before: where it is weak, the next has been too; docs/experiments.md

@@ -18,13 +18,13 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import InputError, reason
-from dgc_pose.files.inputs import read_bytes
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.key_points import KeyPointMatcher, KeyPoints
 from dgc_pose.network.stored import find_weights
+from dgc_pose.system.files import read_bytes
 
 LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model takes one size alone
 ERROR_PX = 1.0  # of a match along one axis, pixels of the model's image

@@ -21,7 +21,7 @@ from dgc_pose.matching.consistency import consistent
 from dgc_pose.matching.texture import Texture
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 _NEIGHBOURS = 8  # matches, whose affinity predicts where a cell lies
 # Cells of stride 8, at full resolution, from a cell to the nearest match: below, it is at a match;

@@ -25,7 +25,7 @@ from dgc_pose.matching.view import View
 from dgc_pose.network.config import LONGEST, STRIDE
 from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, NativeFeatures
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
 _ANGLES = range(0, 360, 30)  # degrees, at equal fields of view

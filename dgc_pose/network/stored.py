@@ -12,8 +12,8 @@ import numpy as np
 from safetensors import safe_open
 
 from dgc_pose.errors import WeightsError
-from dgc_pose.files.inputs import read_as, require_regular
 from dgc_pose.network.config import PRESETS
+from dgc_pose.system.files import open_file, read_as
 
 SUFFIX = ".safetensors"
 _FOLDER = Path(__file__).parents[1] / "weights"
@@ -63,7 +63,7 @@ def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
 def reading(what: str, path: Path) -> Iterator[None]:
     """`read_as`, of a regular file, where an OSError is a WeightsError, too."""
     try:
-        require_regular(path, WeightsError)
+        open_file(path, WeightsError).close()
         with read_as(what, path, WeightsError):
             yield
     except OSError as error:

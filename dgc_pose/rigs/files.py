@@ -12,12 +12,12 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.result import plain
-from dgc_pose.files.json_files import json_text
-from dgc_pose.files.outputs import write_text
 from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.localization.location import Location
 from dgc_pose.model import colmap_camera
+from dgc_pose.system.files import write_text
+from dgc_pose.system.texts import json_text
 
 # How many of OpenCV's coefficients hold a lens of COLMAP's: k1 k2 p1 p2 k3, or k1 to k4.
 _OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)

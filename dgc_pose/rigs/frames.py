@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.files.outputs import writing
-from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
+from dgc_pose.images.folder import copies_of_others, frames_folder, left_out_line, search_images
 from dgc_pose.images.image import load_image
-from dgc_pose.images.video import frames_folder
+from dgc_pose.system.files import naming_path
 
 _FRAMES = ArgumentName("frames")
 _MOST_FRAMES = 15  # read of each camera
@@ -88,7 +87,7 @@ def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
     newest = max(frame.stat().st_mtime_ns for frame in frames)
     path = folder / f"{name}.png"
     for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
-        with writing(file):
+        with naming_path(file):
             file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
             os.utime(file, ns=(newest, newest))  # --resume tells by the time what has changed
     return path

@@ -30,11 +30,10 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import MODEL, POINTS, reconstruct
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.files.outputs import replaced, replaced_folder
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.images.folder import frames_folder
 from dgc_pose.images.image import flipped, load_image
-from dgc_pose.images.video import frames_folder
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
@@ -45,6 +44,7 @@ from dgc_pose.rigs.adjustment import WALK, adjusted, extended
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
 from dgc_pose.system.colmap_library import pycolmap
+from dgc_pose.system.files import replaced, replaced_folder
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource

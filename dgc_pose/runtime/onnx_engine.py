@@ -30,7 +30,7 @@ from dgc_pose.network.stored import check_state, fingerprint, folded, read_safet
 from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 from dgc_pose.runtime.session import Session
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 

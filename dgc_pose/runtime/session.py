@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import WeightsError
-from dgc_pose.files.inputs import require_regular
+from dgc_pose.system.files import open_file
 from dgc_pose.system.onnx_library import SHARED_ARENA, onnxruntime
 
 _QUIET = 4  # errors are raised, and need not be printed
@@ -25,7 +25,7 @@ class Session:
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
-        require_regular(path, WeightsError)  # ONNX Runtime hides the system's message
+        open_file(path, WeightsError).close()  # ONNX Runtime hides the system's message
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = session_threads()
         options.inter_op_num_threads = 1
@@ -59,7 +59,7 @@ class Session:
 
 
 def session_threads() -> int:
-    """As many threads as OpenCV uses (`dgc_pose.system.threads`), and as OMP_NUM_THREADS allows."""
+    """As many threads as OpenCV uses (`system.parallel`), and as OMP_NUM_THREADS allows."""
     most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
     allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

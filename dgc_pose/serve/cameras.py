@@ -9,8 +9,8 @@ from dataclasses import replace
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import scratch_folder
 from dgc_pose.images.image import Image
+from dgc_pose.system.files import scratch_folder
 
 MAX_FILE_BYTES = 1_000_000  # of a file of cameras
 _MAX_TEXT = 300  # characters of a K

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.images.image import image_size, load_image, picture_url, resize_by
+from dgc_pose.images.decoding import image_size
+from dgc_pose.images.image import load_image, picture_url, resize_by
 
 SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
 
@@ -69,13 +70,14 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
         width, height = image_size(path)
         if width * height > max_pixels:  # before they are decoded
             raise ImageError(
-                f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
+                f"the file is too large: {width} x {height}, at most {max_pixels} pixels are read "
                 "(--max-megapixels of dgc-pose serve)"
             )
         image = load_image(path)
     except DgcPoseError as error:
         # The path is none of the client's business.
-        raise ImageError(str(error).replace(str(path), "the file")) from None
+        parts = ("the file" if part is error.path else part for part in error.args)
+        raise ImageError(*parts) from None
     return {
         "size": list(image.size),
         "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),

@@ -1,1 +1,1 @@
-"""Options, threads, processes, and libraries behind one module each."""
+"""Files and their texts, arrays, options, parallel work, and libraries behind one module each."""

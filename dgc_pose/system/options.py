@@ -1,7 +1,7 @@
 """Fields of option dataclasses: default, help text and allowed values stand in one place.
 
 A field made by `option` is checked by `check_options`, and the commands make a command-line option
-of it, if it has a help text (`dgc_pose.cli.dataclass_options`).
+of it, if it has a help text (`dgc_pose.cli.options`).
 """
 
 import math

@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import writing
+from dgc_pose.system.files import naming_path
 
 # What matplotlib draws without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
@@ -42,5 +42,5 @@ def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
         for text in (axes.title, *axes.texts, *(legend.get_texts() if legend else ())):
             text.set_parse_math(False)
             text.set_text(text.get_text().encode("utf-8", "replace").decode())
-    with writing(path):
+    with naming_path(path):
         figure.savefig(path, format=picture_format(path), dpi=dpi)

@@ -19,7 +19,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import FISHEYE, Distortion
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.images.header import Exif, Header
+from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
 

@@ -6,7 +6,7 @@ import pytest
 from dgc_pose.cameras.by_image import upright_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.images.header import Exif, Header
+from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.images.image import turned
 
 SIZE = (640, 480)  # as stored

@@ -18,7 +18,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.prior import LENS_STD
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 from dgc_pose.images.image import Image
 
 SIZE = (640, 480)

@@ -13,7 +13,7 @@ from dgc_pose.cameras.calibration import pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera, matrix_camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Exif
+from dgc_pose.images.decoding import Exif
 from dgc_pose.images.image import Image
 
 K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])
@@ -148,14 +148,14 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
     [
         ("K.txt", b"1 2 3\n4 5 6\n", "K.txt: K has 6 numbers, not fx fy cx cy and no 3x3 matrix"),
         ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
-        ("K.txt", bytes(range(256)), "K.txt: a file of cameras is text, and this is not"),
+        ("K.txt", bytes(range(256)), "K.txt is not text, and a file of cameras is"),
         ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY is not an .npy that can be read"),
         ("cameras.txt", b"# none\n1 PINHOLE 9\n", "expected MODEL,width,height,parameters, not"),
         ("cameras.txt", b"1 PINHOLE 640 480 500 510 320 240 -0.3", "PINHOLE takes 4 parameters"),
         ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
-        ("c.csv", b"name,fx\na,1\n", "c.csv: no column 'fy'"),
-        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv:2: K must be upper triangular"),
-        ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv:2: more cells than columns"),
+        ("c.csv", b"name,fx\na,1\n", "c.csv has no column 'fy'"),
+        ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv line 2: K must be upper triangular"),
+        ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv line 2: more cells than columns"),
         ("t.json", b"{", "t.json is not a file of cameras that can be read"),
         ("calib.txt", b"P0: 1 2 3\n", "calib.txt is not a file of cameras that can be read"),
         ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read (an alias"),

@@ -128,7 +128,7 @@ def test_a_wrong_line_of_names_is_named(tmp_path, text, reason):
 
 @pytest.mark.parametrize("read", [read_pairs, read_pair_list])
 @pytest.mark.parametrize(
-    ("content", "reason"), [(b"\n# nothing\n", "no pairs"), (b"\xff\xfe\x00\x80", "is text")]
+    ("content", "reason"), [(b"\n# nothing\n", "no pairs"), (b"\xff\xfe\x00\x80", "is not text")]
 )
 def test_a_file_that_is_no_list_is_an_error(tmp_path, read, content, reason):
     path = tmp_path / "pairs.txt"

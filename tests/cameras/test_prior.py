@@ -19,7 +19,7 @@ from dgc_pose.cameras.prior import (
     of_part,
     with_lines,
 )
-from dgc_pose.images.header import Exif, Header
+from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.images.image import Image
 
 SIZE = (4000, 3000)  # a diagonal of 5000

@@ -1,7 +1,9 @@
 """`batch`, `export-colmap` and `reconstruct` with unusable input: one line, exit code 2,
 nothing written."""
 
+import os
 import shlex
+import shutil
 from pathlib import Path
 
 import cv2
@@ -12,7 +14,6 @@ from command_line import assert_refused, run
 from multi_view import K_text
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.matching.key_points import SiftMatcher
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 
@@ -45,7 +46,6 @@ def test_too_few_images(
 
 
 def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
-    """Without a K, and with one; a K of each serves."""
     folder, out = tmp_path / "folder", tmp_path / "out"
     folder.mkdir()
     whole = cv2.imread(str(photos / "view0.png"))
@@ -56,31 +56,6 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     reason = "one K for images of several sizes (240x150 and 240x180)"
     assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()
-    table = tmp_path / "K.csv"
-    table.write_text(
-        f"name,fx,fy,cx,cy,width,height\na.png,{K_text()},240,180\nb.png,{K_text()},240,150\n"
-    )
-    (folder / "notes.txt").write_text("of the day")
-    done = run("batch", folder, *options, "--K", table)
-    assert done.exit_code == 3, done.output  # the images are the same
-    left_out = "1 file left out (first: notes.txt): not an image of a known format"
-    assert f"warning: {left_out}\n" in done.stderr
-
-
-def test_failed_pairs_are_told(
-    photos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*arguments: object) -> None:
-        raise np.linalg.LinAlgError("singular")
-
-    monkeypatch.setattr(SiftMatcher, "_match", fail)
-    options = ["--out", tmp_path / "out", "--pairs", "exhaustive", "--K", K_text(), *SIFT]
-    done = run("batch", photos, *options)
-    assert done.exit_code == 3 and "0 poses of 3 pairs (failed 3)" in done.stdout
-    assert done.stderr == (
-        "3 pairs failed (first: view0.png view1.png: LinAlgError: singular): "
-        "--resume matches them again\n"
-    )
 
 
 def test_a_batch_ends_with_a_table_and_its_files(
@@ -106,3 +81,40 @@ def test_a_batch_ends_with_a_table_and_its_files(
     words = shlex.split(files[2].removeprefix(command))
     words[-1] = str(tmp_path / words[-1])
     assert run(*words).exit_code == 0 and (tmp_path / "database.db").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["100%20real #3? [1]", os.fsdecode(b"h\xfctte")], ids=ascii)
+def test_folders_and_photographs_may_have_any_name(photos: Path, tmp_path: Path, name: str) -> None:
+    """Line breaks and control characters of a name are not printed."""
+    views, out = tmp_path / name, tmp_path / "results" / name
+    shutil.copytree(photos, views)
+    for i in range(3):
+        (views / f"view{i}.png").rename(views / f"{i}\x1b]0;title\x07\n.png")
+    for file in ("bad\x07\n.png", "notes\x07\n.txt"):
+        (views / file).write_bytes(b"\x89PNG\r\n\x1a\n" * file.endswith("png"))
+    done = run("batch", views, "--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT)
+    assert done.exit_code == 0 and read_batch(out).summary["poses"] == 3, done.output
+    assert all(c.isprintable() or c == "\n" for c in done.output.encode(errors="replace").decode())
+    lines = done.stdout.splitlines()
+    assert sum(line.startswith("0\ufffd]0;title\ufffd .png 1") for line in lines) == 1
+    assert [line.split(".")[0] for line in done.stderr.splitlines()] == [
+        "warning: 1 file left out (first: notes\ufffd ",
+        "bad image bad\ufffd ",
+    ]
+    database = out.parent / f"{name}.db"
+    exported = run("export-colmap", out, "--database", database)
+    assert exported.exit_code == 0 and database.is_file(), exported.output
+
+
+@pytest.mark.slow
+def test_results_may_lie_among_the_photographs(photos: Path, tmp_path: Path) -> None:
+    """They are no photographs of the next run."""
+    views = tmp_path / "photos"
+    shutil.copytree(photos, views)
+    words = (views, "--pairs", "exhaustive", "--K", K_text(), *SIFT, "--out")
+    for more in ((views / "out",), (views / "out", "--resume")):
+        done = run("reconstruct", *words, *more)
+        assert done.exit_code == 0 and "3 of 3 images" in done.stdout, done.output
+    assert run("batch", *words, tmp_path / "other").exit_code == 0
+    assert read_batch(tmp_path / "other").summary["images"] == 3

@@ -9,15 +9,6 @@ from results import INLIERS, ambiguous_pose
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cli.output import pose_text
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.status import probability_text
-
-
-@pytest.mark.parametrize(
-    ("probability", "words"),
-    [(1.0, "over 99 %"), (0.9949, "99 %"), (0.874, "87 %"), (0.01, "1 %"), (0.0, "below 1 %")],
-)
-def test_no_probability_is_printed_as_certain(probability, words) -> None:
-    assert probability_text(probability) == f"probability {words}"
 
 
 def test_an_ambiguous_pair_has_no_pose_and_all_that_explain_it() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from dgc_pose.batch.poses import epipolar_error_px
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, one_to_one, track_corners
 from dgc_pose.images.image import Image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.maps import masked
 from dgc_pose.matches import Matches
 
 

@@ -19,7 +19,7 @@ from dgc_pose.estimation.camera_model import (
     other_models,
 )
 from dgc_pose.estimation.probability import shipped_models
-from dgc_pose.images.header import Exif
+from dgc_pose.images.decoding import Exif
 
 SIZE = (1536, 1024)
 LENS = Distortion("RADIAL", (-0.03, 0.01))

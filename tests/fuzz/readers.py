@@ -21,7 +21,8 @@ from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs
 from dgc_pose.cameras.prior import auto_camera
 from dgc_pose.colmap.database import pair_geometries
-from dgc_pose.images.image import Image, image_header, image_size, load_image, read_pixels
+from dgc_pose.images.decoding import image_header, image_size, read_pixels
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.matching import MatchingOptions
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet

@@ -1,6 +1,7 @@
-"""The images of a folder, and the reasons of what is left out."""
+"""The images of a folder, the reasons of what is left out, and the frames of a video."""
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -8,8 +9,12 @@ import cv2
 import numpy as np
 import PIL.Image
 import pytest
+from command_line import assert_refused, run
+from multi_view import K_text, render_views
 
-from dgc_pose.images.folder import copies_of_others, search_images
+from dgc_pose.errors import InputError
+from dgc_pose.images.folder import copies_of_others, frames_folder, search_images
+from dgc_pose.images.image import load_image
 
 _HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
 
@@ -60,67 +65,16 @@ def test_what_is_left_out_is_counted_by_its_reason(
     ]
 
 
-def _picture(seed: int, size: tuple[int, int]) -> np.ndarray:
-    """A smooth pattern (H, W, 3) uint8, with fine noise on it."""
-    rng = np.random.default_rng(seed)
-    coarse = cv2.resize(rng.integers(0, 256, (9, 12, 3), np.uint8), size)
-    noise = rng.integers(-20, 21, coarse.shape)
-    return np.clip(coarse + noise, 0, 255).astype(np.uint8)
-
-
-def _write(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(path), pixels)
-
-
-def test_copies_are_known_by_their_content(tmp_path: Path) -> None:
-    """Downscaled ones of the same name, in other folders, also without the orientation by EXIF; and
-    equal bytes under any name."""
-    pixels, names = _picture(1, (801, 603)), []
-    for factor in (1, 2, 4):
-        size = 801 // factor, 603 // factor
-        names.append(
-            "images" + f"_{factor}" * (factor > 1) + f"/x.{'jpg' if factor < 4 else 'png'}"
-        )
-        _write(tmp_path / names[-1], cv2.resize(pixels, size, interpolation=cv2.INTER_AREA))
-    (tmp_path / "b.jpg").write_bytes((tmp_path / "images/x.jpg").read_bytes())
-    names.append("b.jpg")
-    copies = copies_of_others(tmp_path, names)
-    assert copies == {"images/x.jpg", "images_2/x.jpg", "images_4/x.png"}
-    assert copies_of_others(tmp_path, names[2::-1]) == {"images_2/x.jpg", "images_4/x.png"}
-    exif = PIL.Image.Exif()
-    exif[274] = 6
-    PIL.Image.fromarray(np.rot90(pixels[..., ::-1])).save(tmp_path / "x.jpg", exif=exif)
-    assert copies_of_others(tmp_path, ["images_4/x.png", "x.jpg"]) == {"images_4/x.png"}
-
-
-@pytest.mark.parametrize("copy", ["x (1).jpg", "x copy.jpg", "x - Copy.jpg", "a/Copy of x.jpg"])
-def test_of_equal_files_the_one_with_the_plain_name_is_kept(tmp_path: Path, copy: str) -> None:
-    for name in (copy, "x.jpg"):
+def test_equal_bytes_are_copies_under_any_name(tmp_path: Path) -> None:
+    """The shortest name is kept. Files of one size and other bytes are no copies."""
+    for name in ("images/x.jpg", "b.jpg", "a/Copy of x.jpg"):
         _save(tmp_path / name)
-    assert copies_of_others(tmp_path, [copy, "x.jpg"]) == {copy}
-
-
-def test_different_photographs_are_no_copies(tmp_path: Path) -> None:
-    """Of one size or not: a rig's, those of two days, a crop, and of a camera that moved by 1/50 of
-    the width; nor are the same pictures of other names."""
-    pixels = _picture(1, (800, 600))
-    half = cv2.resize(pixels, (400, 300), interpolation=cv2.INTER_AREA)
-    pictures = {
-        "a/x.png": pixels,
-        "b/x.png": pixels + np.uint8(1),  # as large
-        "c/x.png": cv2.resize(_picture(2, (800, 600)), (400, 300)),
-        "d/x.png": half[:200],
-        "e/x.png": np.roll(half, 8, axis=1),
-        "f/y.png": half,
-        "g/x.png": np.zeros_like(half),
-        "h/x.png": np.zeros((150, 200, 3), np.uint8),
-    }
-    for name, picture in pictures.items():
-        _write(tmp_path / name, picture)
-    (tmp_path / "i").mkdir()
-    (tmp_path / "i" / "x.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(50))
-    assert copies_of_others(tmp_path, [*pictures, "i/x.png"]) == set()
+    for name in ("a/y.bmp", "b/y.bmp"):
+        _save(tmp_path / name, "BMP")
+    data = (tmp_path / "a/y.bmp").read_bytes()
+    (tmp_path / "a/y.bmp").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    names = search_images(tmp_path).names
+    assert copies_of_others(tmp_path, names) == {"a/Copy of x.jpg", "images/x.jpg"}
 
 
 def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
@@ -141,3 +95,71 @@ def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
     link = tmp_path / "link"
     link.symlink_to(folder)
     assert search_images(link).names == images.names
+
+
+SIZE = (160, 96)
+
+
+def write_video(path: Path, frames: list[np.ndarray]) -> None:
+    """Motion JPEG of images (H, W, 3), RGB."""
+    size = frames[0].shape[1], frames[0].shape[0]
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10, size)
+    for frame in frames:
+        video.write(np.ascontiguousarray(frame[:, :, ::-1]))
+    video.release()
+
+
+def _frames(count: int, sharp: set[int]) -> list[np.ndarray]:
+    """Stripes, blurred but for some frames. The mean grey is 40 and five times the number."""
+    stripes = 20 * (np.arange(SIZE[0]) // 8 % 2 * 2.0 - 1) + np.zeros((SIZE[1], 1))
+    blurred = cv2.GaussianBlur(stripes, (0, 0), 4)
+    pictures = (40 + 5 * i + (stripes if i in sharp else blurred) for i in range(count))
+    return [np.repeat(np.uint8(picture)[:, :, None], 3, 2) for picture in pictures]
+
+
+def _numbers(folder: Path) -> list[int]:
+    return [round((load_image(f).pixels.mean() - 40) / 5) for f in sorted(folder.iterdir())]
+
+
+def test_the_sharpest_frame_of_each_part_is_taken_once(tmp_path: Path) -> None:
+    """And anew of another video. The folder may lie in one that is still missing."""
+    video, folder = tmp_path / "a.avi", tmp_path / "new" / "frames"
+    write_video(video, _frames(30, {2, 13, 14, 25}))
+    assert frames_folder(video, 3, folder) == folder
+    assert _numbers(folder) in ([2, 13, 25], [2, 14, 25])
+    before = {file: file.stat() for file in folder.iterdir()}
+    assert {file: file.stat() for file in frames_folder(video, 3, folder).iterdir()} == before
+    write_video(video, _frames(8, {3, 6}))
+    os.utime(video, (1e9, 1e9))
+    assert _numbers(frames_folder(video, 2, folder)) == [3, 6]
+    for name in ("folder.mp4", "missing.mp4", "pairs.txt"):
+        assert frames_folder(tmp_path / name, 40, tmp_path / "frames") == tmp_path / name
+
+
+def test_a_video_without_a_frame(tmp_path: Path) -> None:
+    """Nothing is written. In a process of its own FFmpeg prints nothing beside our line."""
+    name = "x1.mp4"
+    (tmp_path / name).write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
+    message = f"{tmp_path / name} is a video, and no frame of it can be read"
+    with pytest.raises(InputError) as caught:
+        frames_folder(tmp_path / name, 40, tmp_path / "frames")
+    assert str(caught.value) == message
+    command = [sys.executable, "-m", "dgc_pose", "batch", tmp_path / name, "--out", tmp_path / "o"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", f"error: {message}\n")
+    assert os.listdir(tmp_path) == [name]
+
+
+def test_a_video_is_a_source(tmp_path: Path) -> None:
+    """Its frames are photographs for a resumed batch too."""
+    views = [view.pixels for view in render_views(4)]
+    write_video(tmp_path / "scene.avi", [frame for view in views for frame in (view, view)])
+    options = ["--K", K_text(), "--weights", "sift", "--workers", "1", "--frames", "4"]
+    command_line = ("reconstruct", tmp_path / "scene.avi", "--out", tmp_path / "out", *options)
+    done = run(*command_line)
+    assert done.exit_code == 0, done.output
+    frames = tmp_path / "out" / "batch_4_frames_of_scene.avi"
+    assert [load_image(file).size for file in frames.iterdir()] == 4 * [(240, 180)]
+    assert_refused(run(*command_line), "--resume")
+    again = run(*command_line, "--resume")
+    assert again.exit_code == 0 and "6 poses of 6 pairs" in again.output, again.output

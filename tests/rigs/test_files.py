@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.files.toml_files import toml_data
 from dgc_pose.localization.location import Location
 from dgc_pose.rigs.files import write_rig
+from dgc_pose.system.texts import toml_data
 
 LENSES = [
     None,

@@ -8,7 +8,8 @@ import pytest
 from marker_scene import texture
 
 from dgc_pose.errors import InputError
-from dgc_pose.images.image import load_image, read_pixels
+from dgc_pose.images.decoding import read_pixels
+from dgc_pose.images.image import load_image
 from dgc_pose.rigs.frames import camera_frames, still_picture
 
 SIZE = (160, 120)

@@ -21,8 +21,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import pose_matrix
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.inputs import TEXT_BYTES, read_as, read_bytes, require_regular
 from dgc_pose.geometry.pixels import Size
+from dgc_pose.system.files import TEXT_BYTES, open_file, read_as, read_bytes
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
@@ -70,7 +70,7 @@ def read_model(folder: Path) -> Calibration:
     for name in ("cameras.bin", "cameras.txt"):
         if (folder / name).is_file():
             return read_cameras(folder / name)
-    raise InputError(f"{folder} holds no cameras.txt and no cameras.bin")
+    raise InputError(folder, "holds no cameras.txt and no cameras.bin")
 
 
 def read_cameras(path: Path) -> Calibration:
@@ -84,7 +84,7 @@ def read_cameras(path: Path) -> Calibration:
         data = read_bytes(path, TEXT_BYTES)
         cameras = _text_cameras(data) if is_text else _binary_cameras(data)
     if not cameras:
-        raise InputError(f"{path}: no cameras in this file")
+        raise InputError(path, "has no cameras")
     cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
     parts = {str(key): camera for key, camera in cameras.items()}
     images = path.with_name("images.txt" if is_text else "images.bin")
@@ -159,7 +159,7 @@ def read_database(path: Path) -> PairList:
 
     Raises InputError, with the path, if it is none that can be read.
     """
-    require_regular(path)
+    open_file(path).close()
     file = path.resolve()
     logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
     names = [log.name for log in logs if log.stat().st_size]  # without these it is not whole

@@ -182,11 +182,11 @@ def read_table(text: str, path: Path) -> Calibration:
             if row.keys() >= {*_POSE}:
                 poses[row["name"]] = pose_matrix([float(row[key]) for key in _POSE])
         except KeyError as error:
-            raise InputError(f"{path}: no column {error}") from None
+            raise InputError(path, f"has no column {error}") from None
         except (InputError, TypeError, ValueError, OverflowError) as error:
-            raise InputError(f"{path}:{number}: {reason(error)}") from None
+            raise InputError(path, f"line {number}: {reason(error)}") from None
     if not cameras:
-        raise InputError(f"{path}: no cameras in this table")
+        raise InputError(path, "has no cameras")
     return Calibration("", cameras, poses=poses)
 
 

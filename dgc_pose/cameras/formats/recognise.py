@@ -36,10 +36,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats import colmap, keyed, rigs
 from dgc_pose.cameras.formats.keyed import numbers, numbers_camera
 from dgc_pose.errors import InputError, shortened
-from dgc_pose.files.arrays import read_array
-from dgc_pose.files.inputs import read_as, read_text
-from dgc_pose.files.toml_files import toml_data
-from dgc_pose.files.yaml_files import yaml_data
+from dgc_pose.system.arrays import read_array
+from dgc_pose.system.files import read_as, read_text
+from dgc_pose.system.texts import toml_data, yaml_data
 
 # KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
 _PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
@@ -60,7 +59,7 @@ def read_file(path: Path) -> Calibration:
         with read_as("a file of cameras", path):
             return replace(_read_file(path), where=str(path))
     except InputError as error:
-        if str(error).startswith(str(path)):
+        if error.path is not None:
             raise
         raise InputError(f"{path}: {error}") from error
 
@@ -75,7 +74,7 @@ def _read_file(path: Path) -> Calibration:
         return colmap.read_cameras(path)
     text = read_text(path, "a file of cameras")
     if not text.strip():
-        raise InputError(f"{path} is empty")
+        raise InputError(path, "is empty")
     if ending == ".toml":
         return _of_mapping(toml_data(text, path), path)
     if "<opencv_storage>" in text:

@@ -10,7 +10,7 @@ from dgc_pose.cameras.calibration import pair_cameras, parse_camera, read_calibr
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 from dgc_pose.images.image import Image
 
 K = np.array([[500.0, 0, 321.25], [0, 510, 238.5], [0, 0, 1]])

@@ -12,7 +12,7 @@ from dgc_pose.cameras.calibration import camera_data, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 
 SIZE = (640, 480)
 K = [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]

@@ -20,7 +20,7 @@ from dgc_pose.cameras.calibration import camera_data, pair_cameras, parse_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 from dgc_pose.images.image import Image
 
 SIZE = (640, 480)
@@ -57,7 +57,9 @@ def test_a_table(tmp_path: Path) -> None:
     assert (first.identity, second.identity) == ("1", None)
     assert first.size == SIZE and first.K.diagonal().tolist() == [500, 510, 1]
     path.write_text(f"{text}a.jpg,600,510,320,240,640,480,0.01,1\n")
-    with pytest.raises(InputError, match=r"cameras\.csv:4: another camera of a.jpg than in a line"):
+    with pytest.raises(
+        InputError, match=r"cameras\.csv line 4: another camera of a.jpg than in a line"
+    ):
         read_calibration(str(path))
 
 

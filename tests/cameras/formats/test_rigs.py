@@ -12,7 +12,7 @@ import pytest
 from dgc_pose.cameras.calibration import image_camera, pair_cameras, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
-from dgc_pose.images.header import Header
+from dgc_pose.images.decoding import Header
 from dgc_pose.images.image import Image
 
 SIZE = (640, 480)

@@ -16,12 +16,10 @@ from dgc_pose import (
     Image,
     Matcher,
     Matches,
-    NetworkMatcher,
     estimate_pose,
-    load_matcher,
     solve_pair,
 )
-from dgc_pose.system.threads import in_threads, one_blas_thread
+from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 
 @pytest.fixture(autouse=True)
@@ -85,38 +83,19 @@ def _blas_threads() -> set[int]:
 
 def test_products_run_in_one_thread_and_then_in_as_many_as_before() -> None:
     with threadpool_limits(limits=2, user_api="blas"):
-        before = _blas_threads()
-        assert before == {2}
-        assert one_blas_thread()(_blas_threads)() == {1}
-        with pytest.raises(ZeroDivisionError):
-            one_blas_thread()(lambda: 1 // 0)()
-        assert _blas_threads() == before
-        found: list[set[int]] = []
-        other = threading.Thread(target=lambda: found.append(one_blas_thread()(_blas_threads)()))
-        other.start()
-        other.join()
-        assert found == [before] and _blas_threads() == before
+        assert one_blas_thread()(_blas_threads)() == {1} and _blas_threads() == {2}
+        assert in_threads(lambda _: one_blas_thread()(_blas_threads)(), range(2)) == [{2}, {2}]
 
 
-def test_a_pose_and_the_matches_of_a_network_have_products_in_one_thread(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_products_of_a_pose_run_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     def seen(*_: object, **__: object) -> NoReturn:
         raise RuntimeError(f"{_blas_threads()}")
 
     scene = two_view_scene("general", count=60)
-    matches = Matches(scene.points1, scene.points2, np.ones(60), error_px=0.5)
     first, second = (Image(np.zeros((48, 64, 3), np.uint8)) for _ in range(2))
-    matcher = load_matcher()
-    monkeypatch.setattr("dgc_pose.estimation.relative_pose.candidates", seen)
-    monkeypatch.setattr(NetworkMatcher, "_match", seen)
     monkeypatch.setattr(Matcher, "_match", seen)
-    calls = (
-        lambda: estimate_pose(matches, *scene.cameras),
-        lambda: matcher.match(first, second),
-        lambda: solve_pair(first, second, scene.cameras, Matcher()),
-    )
-    with threadpool_limits(limits=2, user_api="blas"):
-        for call in calls:
-            with pytest.raises(RuntimeError, match=r"^\{1\}$"):
-                call()
+    with (
+        threadpool_limits(limits=2, user_api="blas"),
+        pytest.raises(RuntimeError, match=r"^\{1\}$"),
+    ):
+        solve_pair(first, second, scene.cameras, Matcher())

@@ -1,10 +1,33 @@
+"""Files that are read, and outputs that appear whole; what is no array."""
+
 import errno
 import os
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import staged, writing
+from dgc_pose.system.arrays import as_numpy
+from dgc_pose.system.files import naming_path, read_text, staged
+
+
+@pytest.mark.parametrize("value", [np.eye(3) * 1j, "K", None])
+def test_what_is_no_array_of_real_numbers_is_refused(value: object) -> None:
+    with pytest.raises(InputError, match=r"^K is not an array of real numbers but \w+ of dtype "):
+        as_numpy(value, "K")
+
+
+@pytest.mark.parametrize(
+    "content", [b"\0\0\0\x18ftypmp42" + bytes(900), "a.png b.png".encode("utf-16"), b"\xff"]
+)
+def test_a_file_that_is_no_text_is_told_as_such(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mp4"
+    path.write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        read_text(path, "a list of pairs")
+    assert str(caught.value) == f"{path} is not text, and a list of pairs is"
+    assert caught.value.path == path
 
 
 def test_outputs_appear_together_at_the_end_or_all_is_as_before(tmp_path):
@@ -28,7 +51,7 @@ def test_outputs_appear_together_at_the_end_or_all_is_as_before(tmp_path):
 
 def test_errors_of_the_writing_have_the_outputs_name(tmp_path):
     out, missing = str(tmp_path / "a.txt"), str(tmp_path / "nowhere" / "b.txt")
-    with pytest.raises(OSError) as caught, staged(out) as stage, writing(stage(out)):
+    with pytest.raises(OSError) as caught, staged(out) as stage, naming_path(stage(out)):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert caught.value.filename == out and caught.value.errno == errno.ENOSPC
     with pytest.raises(OSError) as caught, staged(out, missing):
@@ -40,5 +63,8 @@ def test_errors_of_the_writing_have_the_outputs_name(tmp_path):
 @pytest.mark.parametrize("paths", [[""], ["."], ["/dev/null"], ["a.txt", "./a.txt"]])
 def test_what_is_no_output_is_refused(tmp_path, monkeypatch, paths):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match="must be a file|are the same file"), staged(*paths):
+    with (
+        pytest.raises(InputError, match="is a folder or a device|are the same file"),
+        staged(*paths),
+    ):
         pytest.fail("the block must not run")

@@ -1,14 +1,92 @@
-"""Output files that appear whole or not at all, and never in place of an input."""
+"""Files: inputs that are checked; outputs that appear whole or not at all, never over an input.
+
+For a damaged file a reader of NumPy, Pillow or torch raises almost anything, so a file is parsed
+within `read_as`, which names it.
+"""
 
 import fcntl
 import os
 import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import DgcPoseError, InputError, reason
+
+TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
+_START_BYTES = 4096  # of a text, which have no zero byte
+
+
+@contextmanager
+def naming_path(path: str | Path) -> Iterator[None]:
+    """Around code that reads or writes this file alone: an OSError that names no file names it."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None or error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def open_file(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
+    """A regular file to read, links followed.
+
+    Raises `error`, with the path, for a folder, a pipe, which would wait for its writer, a device
+    and no name of a file; OSError, with the path, if it cannot be opened.
+    """
+    with suppress(ValueError):  # a zero byte
+        if os.path.isfile(path) or not os.path.exists(path):
+            return open(path, "rb")
+    raise error(Path(path), "is no regular file")
+
+
+def read_bytes(
+    path: str | Path, limit: int = 2**31 - 1, error: type[DgcPoseError] = InputError
+) -> bytes:
+    """The content of a file. Raises as `open_file` does, and `error` for more than `limit` bytes;
+    OSError, with the path, if it cannot be read."""
+    with open_file(path, error) as stream, naming_path(path):
+        size = os.fstat(stream.fileno()).st_size
+        if size > limit:
+            raise error(Path(path), f"is too large: {size} bytes, at most {limit} are read")
+        return stream.read(size)
+
+
+@contextmanager
+def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError) -> Iterator[None]:
+    """Turn whatever a reader raises into `error`: "PATH is not `what` that can be read (why)".
+
+    Our own errors and an OSError that names its file pass.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of readers, about what they repair
+            yield
+    except DgcPoseError:
+        raise
+    except MemoryError:
+        raise error(Path(path), "needs more memory than there is") from None
+    except Exception as failure:
+        if isinstance(failure, OSError) and failure.filename is not None:
+            raise
+        why = f"is not {what} that can be read ({reason(failure)})"
+        raise error(Path(path), why) from failure
+
+
+def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -> str:
+    """A text in UTF-8, without a byte order mark.
+
+    Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
+    almost any other file has, or is no regular file; OSError if it cannot be read.
+    """
+    data = read_bytes(path, limit)
+    with suppress(UnicodeDecodeError):
+        if b"\0" not in data[:_START_BYTES]:
+            return data.decode("utf-8-sig")
+    raise InputError(Path(path), f"is not text, and {what} is")
 
 
 @contextmanager
@@ -86,7 +164,7 @@ def output_target(path: str | Path) -> Path:
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f"{text!r}: {error}") from None
     if text.endswith(("/", os.sep)) or (target.exists() and not target.is_file()):
-        raise InputError(f"an output must be a file, and {text!r} is something else")
+        raise InputError(f"the output {text!r} is a folder or a device")
     return target
 
 
@@ -100,20 +178,9 @@ def require_no_input(outputs: Iterable[str | Path], inputs: Iterable[str | Path]
                 raise InputError(f"{output}: this output is {same}, which would be lost")
 
 
-@contextmanager
-def writing(path: str | Path) -> Iterator[None]:
-    """Around code that writes to this file alone: an OSError that names no file names this one."""
-    try:
-        yield
-    except OSError as error:
-        if error.errno is None or error.filename is not None:
-            raise
-        raise OSError(error.errno, error.strerror, str(path)) from None
-
-
 def save_text(path: str | Path, text: str) -> None:
     """Write a text as UTF-8. Raises OSError, with the path."""
-    with writing(path):
+    with naming_path(path):
         Path(path).write_text(text, encoding="utf-8")
 
 

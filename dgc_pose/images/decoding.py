@@ -1,4 +1,4 @@
-"""The header of an encoded image, without decoding a pixel: format, size, camera, pixels' shape.
+"""An image file: its header, without decoding a pixel, and its pixels as stored.
 
 A file has the format of its first bytes, whatever its name. Pillow reads the headers, OpenCV the
 pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory for what a header
@@ -9,18 +9,26 @@ import io
 import math
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, BinaryIO
 
+import cv2
+import numpy as np
 import PIL.Image
 from PIL.ExifTags import IFD, Base
-from PIL.JpegImagePlugin import JpegImageFile
-from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
-from dgc_pose.errors import is_installed
+from dgc_pose.errors import ImageError, InputError, is_installed, reason
 from dgc_pose.geometry.pixels import EXCHANGING, Size
+from dgc_pose.system.files import open_file, read_as, read_bytes
 
+# Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
+MAX_PIXELS = 210_000_000
+_TOO_LARGE = f"is too large: at most {MAX_PIXELS} pixels are read"
+PIL.Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2  # Pillow refuses images of more than twice that
+_MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
 _END_BYTES = 2**17  # of a file's beginning and end, searched for XMP, and a PNG's for EXIF data
 _RAW = "RAW"
 # The formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
@@ -30,7 +38,7 @@ _FORMATS = {
         "JPEG": rb"\xff\xd8\xff",
         "PNG": rb"\x89PNG\r\n\x1a\n",
         _RAW: rb"II\*\0....CR|.{4}ftypcrx |IIRO|IIRS|MMOR|IIU\0|FUJIFILMCCD-RAW",
-        "TIFF": rb"II[*+]\0|MM\0[*+]",
+        "TIFF": rb"II\*\0|MM\0\*",
         "WEBP": rb"RIFF....WEBP",
         "BMP": rb"BM.{12}[\x0c\x10\x28\x34\x38\x40\x6c\x7c]\0\0\0",
         "PPM": rb"P[1-6](\s*#|\s+\d)",
@@ -40,6 +48,7 @@ _FORMATS = {
         "HEIF": rb".{4}ftyp(hei[cxms]|hev[cxms]|mif1|msf1)",
     }.items()
 }
+_RAW_FILE = "a camera's raw file, or begins with a thumbnail, and neither is read"
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
 _MAX_ZOOM = 200.0
 _MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
@@ -81,51 +90,128 @@ class Header:
     projection: str = ""  # "equirectangular" or "cylindrical", of a panorama by XMP; else ""
 
 
+def image_size(path: str | Path) -> Size:
+    """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
+    return image_header(Path(path)).size
+
+
+def image_header(path: Path) -> Header:
+    """The header of an image file. Raises ImageError, with the path."""
+    with image_errors(path), open_file(path, ImageError) as stream:
+        return _checked_header(stream, path)
+
+
+def read_pixels(path: str | Path) -> np.ndarray:
+    """A file's pixels as stored, as OpenCV gives them, BGR(A).
+
+    For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
+    file is missing, corrupt, too large or no regular file.
+    """
+    with image_errors(Path(path)):
+        return decoded(Path(path))[0]
+
+
+@contextmanager
+def image_errors(path: Path) -> Iterator[None]:
+    """Around the reading of an image: what goes wrong with the file is an ImageError."""
+    try:
+        yield
+    except OSError as error:
+        raise ImageError(path, f"cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        raise ImageError(path, "needs more memory than there is") from None
+    except InputError as error:
+        raise ImageError(*error.args) from error
+
+
+def decoded(path: Path) -> tuple[np.ndarray, Header]:
+    """Pixels as stored, in the order BGR(A); of HEIC 8-bit colours. For `image_errors`."""
+    data = read_bytes(path, _MAX_BYTES, ImageError)
+    header = _checked_header(io.BytesIO(data), path, verify=True)
+    if header.format == "HEIF":
+        import pillow_heif
+
+        with read_as("HEIC", path, ImageError):
+            image = pillow_heif.open_heif(data, convert_hdr_to_8bit=True, bgr_mode=True)
+            pixels = np.array(image)
+        return cv2.cvtColor(pixels, cv2.COLOR_GRAY2BGR) if pixels.ndim == 2 else pixels, header
+    try:
+        # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
+        array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error as error:
+        if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
+            raise MemoryError from None
+        raise ImageError(path, f"cannot be decoded: {error.err}") from None
+    if array is None:  # OpenCV gives no reason
+        raise ImageError(path, f"cannot be decoded: OpenCV does not read this {header.format}")
+    return array, header
+
+
+def _checked_header(stream: BinaryIO, path: Path, *, verify: bool = False) -> Header:
+    try:
+        header = _read_header(stream, verify)
+    except UnreadableFormatError as error:
+        raise ImageError(path, f"is {error}") from None
+    except PIL.Image.DecompressionBombError:
+        raise ImageError(path, _TOO_LARGE) from None
+    except PIL.UnidentifiedImageError:
+        raise ImageError(path, "is corrupt: Pillow does not read it") from None
+    except Exception as error:  # of any type, by the format's reader
+        raise ImageError(path, f"is corrupt: {reason(error)}") from error
+    if math.prod(header.size) > MAX_PIXELS:
+        raise ImageError(path, _TOO_LARGE)
+    if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
+        turn = header.exif.orientation
+        raise ImageError(path, f"is a TIFF with orientation tag {turn}: save it upright")
+    return header
+
+
 def image_format(stream: BinaryIO) -> str:
     """The format of an image file. Raises UnreadableFormatError if it is not read."""
     start = stream.read(64)
-    if not start:
-        raise UnreadableFormatError("empty")
     name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
     if name is None:
-        raise UnreadableFormatError("not an image of a known format")
-    if name == _RAW or (name == "TIFF" and _is_raw(stream)):
-        raise UnreadableFormatError(
-            "a camera's raw file, or begins with a thumbnail, and neither is read"
-        )
+        raise UnreadableFormatError("not an image of a known format" if start else "empty")
+    if name == _RAW:
+        raise UnreadableFormatError(_RAW_FILE)
     if name == "HEIF" and not is_installed("pillow_heif"):
         raise UnreadableFormatError("HEIC, which needs pillow-heif: pip install '.[heic]'")
     return name
 
 
-def read_header(stream: BinaryIO, *, verify: bool = False) -> Header:
-    """The header of an image file, of which the ends are read, and what Pillow reads.
+def _read_header(stream: BinaryIO, verify: bool) -> Header:
+    """The header, for which the ends of the file are read, and what Pillow reads.
 
-    verify: whether the checksums of a PNG are checked, of all of the file.
-
-    Raises UnreadableFormatError if the format is not read, any other exception if the header is
-    damaged.
+    verify: whether the checksums of a PNG are checked, of all of the file. Raises
+    UnreadableFormatError if the format is not read, any other exception if the header is damaged.
     """
     name = image_format(stream)
     stream.seek(0)
     ends = stream.read(_END_BYTES)
     stream.seek(max(len(ends), stream.seek(0, io.SEEK_END) - _END_BYTES))
     ends += stream.read()
-    found = _PROJECTION.search(ends)
+    stream.seek(0)
+    found, tags, info = _PROJECTION.search(ends), PIL.Image.Exif(), dict[Any, Any]()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
         if name == "TIFF":  # Pillow refuses kinds that OpenCV decodes: floats in three colours
-            tags, exif_block, info = _tiff_tags(stream), stream, {}
+            tags.load_from_fp(stream)
+            if Base.DNGVersion in tags or tags.get(Base.NewSubfileType, 0) & 1:
+                raise UnreadableFormatError(_RAW_FILE)
             size = int(tags[Base.ImageWidth]), int(tags[Base.ImageLength])
         else:
-            stream.seek(0)
-            image = _opened(name, stream)
+            if name == "HEIF":
+                import pillow_heif
+
+                image: Any = pillow_heif.open_heif(stream)
+            else:
+                image = PIL.Image.open(stream, formats=[name])
             size, info = image.size, image.info
-            block = _png_exif(ends, info) if name == "PNG" else info.get("exif") or b""
-            exif_block = io.BytesIO(block.removeprefix(b"Exif\0\0"))
+            with suppress(Exception):  # a damaged block raises almost anything
+                tags.load(_png_exif(ends, info) if name == "PNG" else info.get("exif") or b"")
             if verify and name != "HEIF":
                 image.verify()
-        exif, aspect = read_exif(exif_block)
+        exif, aspect = _exif(tags)
     aspect = _density_aspect(info, aspect)
     if name == "HEIF":  # its own rotation, which is part of decoding, is repeated in EXIF
         exif = replace(exif, orientation=1)
@@ -134,51 +220,14 @@ def read_header(stream: BinaryIO, *, verify: bool = False) -> Header:
     return Header(name, size, exif, aspect, found[1].decode().lower() if found else "")
 
 
-def _is_raw(stream: BinaryIO) -> bool:
-    """Whether the first image of a TIFF is a thumbnail or a sensor's mosaic, as raw files have."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            tags = _tiff_tags(stream)
-        return Base.DNGVersion in tags or bool(tags.get(Base.NewSubfileType, 0) & 1)
-    except Exception:  # damaged tags, which the header's reader refuses
-        return False
-
-
-def _tiff_tags(stream: BinaryIO, offset: int | None = None) -> Any:
-    """The tags of a TIFF's first image, or of the directory at an offset."""
-    stream.seek(0)
-    start = stream.read(16)
-    directory = ImageFileDirectory_v2(start if b"+" in start[2:4] else start[:8])
-    stream.seek(directory.next if offset is None else offset)
-    directory.load(stream)
-    return directory
-
-
-def _opened(name: str, stream: BinaryIO) -> Any:
-    """An image with its `size` and `info`, of which nothing is decoded. Not by PIL.Image.open,
-    which refuses 179 million pixels: telephones take such images."""
-    if name == "HEIF":
-        import pillow_heif
-
-        return pillow_heif.open_heif(stream)
-    PIL.Image.init()
-    if name not in PIL.Image.OPEN:
-        raise UnreadableFormatError(f"{name}, which this Pillow does not read")
-    # The registered factory of JPEG also reads blocks of several images.
-    factory = JpegImageFile if name == "JPEG" else PIL.Image.OPEN[name][0]
-    return factory(stream, "")
-
-
-def _png_exif(data: bytes, info: Mapping[Any, Any]) -> bytes:
-    """The EXIF block of a PNG, a chunk anywhere or a text of ImageMagick's; empty without one."""
-    at = max(data.find(b"eXIf" + order) for order in (b"II*\0", b"MM\0*"))
+def _png_exif(ends: bytes, info: Mapping[Any, Any]) -> bytes:
+    """The EXIF block of a PNG, a chunk anywhere or a text of ImageMagick's; empty without one.
+    Pillow would decode the image for a chunk that is behind the pixels."""
+    at = max(ends.find(b"eXIf" + order) for order in (b"II*\0", b"MM\0*"))
     if at > 0:
-        return data[at + 4 :]
-    try:  # an empty line, a name and a length, then hexadecimal digits
-        return bytes.fromhex(info["Raw profile type exif"].split("\n", 3)[3])
-    except (KeyError, IndexError, ValueError):  # the pixels may be intact
-        return b""
+        return ends[at + 4 :]
+    # An empty line, a name and a length, then hexadecimal digits.
+    return bytes.fromhex(info.get("Raw profile type exif", "\n\n\n").split("\n", 3)[3])
 
 
 def _density_aspect(info: Mapping[Any, Any], by_exif: float) -> float:
@@ -198,21 +247,20 @@ def _aspect(width: Any, height: Any) -> float:
     return aspect if _PIXEL_ASPECTS[0] <= aspect <= _PIXEL_ASPECTS[1] else 1.0
 
 
-def read_exif(stream: BinaryIO) -> tuple[Exif, float]:
+def _exif(tags: PIL.Image.Exif) -> tuple[Exif, float]:
     """The camera, and the aspect of a pixel as stored, of an EXIF block or a TIFF; of a damaged one
     as of an empty one."""
-    try:
-        tags = _tiff_tags(stream)
-        directories = [tags[tag] for tag in (IFD.Exif, IFD.GPSInfo) if tag in tags]
-        more = {k: v for offset in directories for k, v in _tiff_tags(stream, offset).items()}
+    with suppress(Exception):  # a damaged block raises almost anything
+        more = tags.get_ifd(IFD.Exif) | tags.get_ifd(IFD.GPSInfo)
         aspect = _aspect(tags.get(Base.YResolution), tags.get(Base.XResolution))
-        return _camera_tags(tags, more), aspect
-    except Exception:  # a damaged block raises almost anything
-        return Exif(), 1.0
+        return _camera(tags, more), aspect
+    return Exif(), 1.0
 
 
-def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
+def _camera(first: PIL.Image.Exif, more: Mapping[int, Any]) -> Exif:
     zoom, turn = _number(more.get(Base.DigitalZoomRatio)), first.get(Base.Orientation)
+    sides = [_number(more.get(side)) for side in (Base.ExifImageWidth, Base.ExifImageHeight)]
+    width, height = (int(side) if side and 1 <= side < 2**31 else 0 for side in sides)
     return Exif(
         make=_text(first.get(Base.Make)),
         model=_text(first.get(Base.Model)),
@@ -220,7 +268,7 @@ def _camera_tags(first: Mapping[int, Any], more: Mapping[int, Any]) -> Exif:
         focal_mm=_number(more.get(Base.FocalLength)),
         focal_35mm=_number(more.get(Base.FocalLengthIn35mmFilm)),
         digital_zoom=zoom if zoom is not None and 1 <= zoom <= _MAX_ZOOM else 1.0,
-        size=_size(more.get(Base.ExifImageWidth), more.get(Base.ExifImageHeight)),
+        size=(width, height) if width and height else None,
         pixels_per_mm=_pixels_per_mm(more),
         position=_position(more),
         orientation=turn if isinstance(turn, int) and 1 <= turn <= 8 else 1,
@@ -255,11 +303,6 @@ def _text(value: Any) -> str:
     if not isinstance(value, str):
         return ""
     return " ".join("".join(c if c.isprintable() else " " for c in value).split())[:_MAX_TEXT]
-
-
-def _size(width: Any, height: Any) -> tuple[int, int] | None:
-    sides = [int(side) for side in map(_number, (width, height)) if side and 1 <= side < 2**31]
-    return (sides[0], sides[1]) if len(sides) == 2 else None
 
 
 def _pixels_per_mm(tags: Mapping[int, Any]) -> float | None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.inputs import read_as, read_bytes
+from dgc_pose.system.files import read_as, read_bytes
 
 ARRAY_BYTES = 2**29  # of all arrays of a file together, as they lie in memory
 
@@ -58,5 +58,6 @@ def unpacked(data: bytes, path: str | Path) -> Mapping[str, np.ndarray]:
     """The arrays of the content of an .npz. Raises InputError as `read_arrays` does."""
     with read_as("an .npz", path), np.load(io.BytesIO(data)) as file:
         if sum(info.file_size for info in file.zip.infolist()) > ARRAY_BYTES:
-            raise InputError(f"{path} is too large: at most {ARRAY_BYTES} bytes of arrays are read")
+            most = f"at most {ARRAY_BYTES} bytes of arrays are read"
+            raise InputError(Path(path), f"is too large: {most}")
         return {name: file[name] for name in file.files}

@@ -1,1 +1,0 @@
-"""Files and arrays: inputs that are checked, outputs that appear whole."""
