@@ -17,7 +17,7 @@ from dgc_pose.files.inputs import read_as, read_text
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import load_image, resize
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.views import MapPairs
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")

@@ -19,7 +19,7 @@ from dgc_pose.matching.matcher import Matcher
 from dgc_pose.network.config import INPUT_SIZE, NetworkConfig
 from dgc_pose.network.net import normalise, to_pixels
 from dgc_pose.network.weights import choose_device, load_network
-from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
+from dgc_pose.training.views import MapPairs, image_arrays, level_truth
 
 MapMethod = Callable[[MapPairs], list[Comparison]]  # of a batch, pair by pair
 _SIZE = (INPUT_SIZE, INPUT_SIZE)

@@ -86,7 +86,7 @@ class ListedPairs:
 
 def posed_pair(views: RoomPairs, ids: Ids) -> PosedPair:
     """The first pair of a batch."""
-    from dgc_pose.training.map_pairs import image_arrays
+    from dgc_pose.training.views import image_arrays
 
     image1, image2 = (
         Image(image_arrays(view[:1])[0]) for view in (views.maps.image1, views.maps.image2)

@@ -15,13 +15,11 @@ from dgc_pose.benchmarks.map_run import MapCase, MapSet
 from dgc_pose.benchmarks.warps import FAR, Warp, affine_warp, homography_warp, spline_warp
 from dgc_pose.errors import InputError
 from dgc_pose.network.config import INPUT_SIZE
-from dgc_pose.training.draw import Draw
-from dgc_pose.training.light import other_light
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.draw import Draw, other_light
+from dgc_pose.training.pairs import occluded
 from dgc_pose.training.photos import Photos, load_held_back
 from dgc_pose.training.room_pairs import RoomOptions, room_pairs
-from dgc_pose.training.views import pixel_grid
-from dgc_pose.training.warped_pairs import occluded
+from dgc_pose.training.views import MapPairs, pixel_grid
 
 _Warps = Callable[[int, Draw], Warp]
 # By number, the warps of a batch's pairs in turn.
@@ -81,7 +79,7 @@ def synthetic_cases(
             views = other_light(torch.cat([batch.image1, batch.image2]), draw)
             image1, image2 = views.chunk(2)
             batch = batch._replace(image1=image1, image2=image2)
-        chosen = batch.chosen(slice(min(len(batch.map), pairs - done)))
+        chosen = MapPairs(*(values[: pairs - done] for values in batch))
         # The target may show the plane's horizon, which no real view does.
         horizons = (chosen.map >= FAR).flatten(1).any(1).tolist()
         names = [f"{name} {done + k}" + ", past its horizon" * h for k, h in enumerate(horizons)]
@@ -122,4 +120,5 @@ def _scenes(photos: Photos, draw: Draw, changed: bool) -> MapPairs:
     R = views.target.seen_by(views.source).pose[..., :3]
     cosine = (R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
     angle = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
-    return views.maps.chosen((angle >= ROTATION_DEG[0]) & (angle <= ROTATION_DEG[1]))
+    which = (angle >= ROTATION_DEG[0]) & (angle <= ROTATION_DEG[1])
+    return MapPairs(*(values[which] for values in views.maps))

@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.training.bank import ImageBank
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
 _SIDE, _PLANES = 256, 72  # longest side, pixels, and planes, even in the inverse depth

@@ -23,13 +23,13 @@ from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.pixels import pixel_grid as centres
 from dgc_pose.images.image import load_image, resize_by
 from dgc_pose.network.weights import load_checkpoint
-from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths
 from dgc_pose.training.posed_frames import PosedFrame, reach_of
 from dgc_pose.training.views import (
     Cameras,
+    MapPairs,
     Shape,
     angle_deg,
     inside,

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import torch
 
-from dgc_pose.training.bank import ImageBank
+from dgc_pose.training.photos import ImageBank
 
 
 def _images() -> list[np.ndarray]:

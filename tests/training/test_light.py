@@ -3,8 +3,7 @@
 import torch
 from textures import procedural_textures
 
-from dgc_pose.training.draw import Draw
-from dgc_pose.training.light import _kernels, other_light
+from dgc_pose.training.draw import Draw, _kernels, other_light
 
 
 def test_views_stay_in_range_and_differ_from_each_other():

@@ -10,12 +10,10 @@ from textures import drawn_photos, write_photos
 from dgc_pose.errors import InputError
 from dgc_pose.training import pairs as pairs_module
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import Shares
-from dgc_pose.training.pairs import TRAINING, PairSource, load_data
+from dgc_pose.training.pairs import TRAINING, PairSource, load_data, warped_pairs
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.views import Shape
-from dgc_pose.training.warped_pairs import warped_pairs
+from dgc_pose.training.views import MapPairs, Shape
 
 
 def test_a_batch_has_its_shares_and_a_small_one_has_all_kinds_in_turn(monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.training.bank import ImageBank
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths
 from dgc_pose.training.views import Cameras
 

@@ -14,8 +14,8 @@ from textures import coordinates
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.training import posed_pairs as posed_pairs_module
-from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
 from dgc_pose.training.posed_pairs import (
     frame_pairs,

@@ -18,6 +18,7 @@ from dgc_pose.network.net import DGCNet, Pyramid
 from dgc_pose.network.stored import COUNTER, folded, read_safetensors
 from dgc_pose.network.weights import load_network
 from dgc_pose.training import run
+from dgc_pose.training.losses import EncoderStage
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.run import (
@@ -28,7 +29,6 @@ from dgc_pose.training.run import (
     save_weights,
     vgg_layers,
 )
-from dgc_pose.training.stages import EncoderStage
 
 pytestmark = pytest.mark.slow
 

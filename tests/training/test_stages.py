@@ -9,10 +9,9 @@ from torch import nn
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.stages import DecoderStage, EncoderStage, _window
-from dgc_pose.training.views import Shape
-from dgc_pose.training.warped_pairs import warped_pairs
+from dgc_pose.training.losses import DecoderStage, EncoderStage, _window
+from dgc_pose.training.pairs import warped_pairs
+from dgc_pose.training.views import MapPairs, Shape
 
 pytestmark = pytest.mark.slow
 

@@ -6,9 +6,9 @@ import torch.nn.functional as F
 from textures import coordinates
 
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.pairs import occluded, warped_pairs
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.warped_pairs import occluded, warped_pairs
+from dgc_pose.training.views import MapPairs
 
 WIDTH, HEIGHT = 250, 190
 
