@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import assert_refused, run
-from multi_view import K, View, render_views, write_views
+from worlds import K, View, render_views, write_views
 
 from dgc_pose.benchmarks.locations import LocationScore, report, thinned, true_model
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from batch_runs import view_folder
 from command_line import run
-from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
+from worlds import SIZE, K, View
 
 from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.benchmarks.reconstructions import (

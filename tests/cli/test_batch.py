@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from batch_runs import view_folder
 from command_line import assert_refused, run
-from multi_view import K_text
+from worlds import K_text
 
 from dgc_pose.batch.result import read_batch
 from dgc_pose.matching.key_points import SiftMatcher

@@ -8,7 +8,7 @@ import pycolmap
 import pytest
 from batch_runs import view_folder
 from command_line import run
-from multi_view import K_text
+from worlds import K_text
 
 from dgc_pose.batch.result import read_batch
 

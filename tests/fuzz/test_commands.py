@@ -11,7 +11,7 @@ from fuzz.readers import make_batch
 from hypothesis import given
 from hypothesis import strategies as st
 from textures import write_photos
-from world_scene import world_scene, write_colmap
+from worlds import world_scene, write_colmap
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main

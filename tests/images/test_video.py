@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import assert_refused, run
-from multi_view import K_text, render_views
+from worlds import K_text, render_views
 
 from dgc_pose.errors import InputError
 from dgc_pose.images.video import frames_folder

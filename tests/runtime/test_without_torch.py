@@ -5,7 +5,7 @@ from importlib import resources
 
 import pytest
 from hidden_packages import EXTRAS, run_in, without
-from multi_view import K_text, render_views, write_views
+from worlds import K_text, render_views, write_views
 
 pytestmark = pytest.mark.slow
 

@@ -1,10 +1,10 @@
 """Depths of a plane sweep, against those of a ray-caster in float64."""
 
 import cv2
-import multi_view
 import numpy as np
 import pytest
 import torch
+import worlds
 
 from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths
@@ -21,13 +21,13 @@ def _swept(images, K, poses, reach):
 
 
 def test_depths_are_those_of_the_scene():
-    views, K = multi_view.render_views(5, step=0.5), multi_view.K
+    views, K = worlds.render_views(5, step=0.5), worlds.K
     intrinsics = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
     poses = [np.column_stack([view.R, view.t]) for view in views]
     found = _swept([view.pixels for view in views], intrinsics, poses, (2.5, 9.0))
     for k in (1, 2, 3):
-        textures = multi_view.draw_textures()
-        truth = multi_view.render(views[k].R, views[k].centre, textures, fine=1)[1]
+        textures = worlds.draw_textures()
+        truth = worlds.render(views[k].R, views[k].centre, textures, fine=1)[1]
         depth = found[k].numpy()
         assert depth.shape == truth.shape
         known = (depth > 0) & np.isfinite(truth)

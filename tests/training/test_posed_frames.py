@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from rendered import RenderedPair, poses, rendered, write_rgbd
-from world_scene import world_scene, write_colmap
+from worlds import world_scene, write_colmap
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.training.posed_frames import read_rgbd, read_scene, read_scenes
