@@ -114,11 +114,9 @@ def two_view_scene(
     if kind == "planar":
         points[:, 2] = 0.3 * points[:, 0] - 0.2 * points[:, 1]
     points += MIDDLE
-    seen = [
-        project(points, camera.K, *at) for camera, at in zip(cameras, (HERE, pose), strict=True)
-    ]
+    seen = [project(points, cameras[0].K), project(points, cameras[1].K, *pose)]
     ahead = (points[:, 2] > 0.1) & ((points @ pose[0].T + pose[1])[:, 2] > 0.1)
-    inside = ahead & within(seen[0], SIZE1) & within(seen[1], cameras[1].size)
+    inside = ahead & _within(seen[0], SIZE1) & _within(seen[1], cameras[1].size)
     share = 1.0 if kind == "random" else outliers
     return _matched(rng, seen, inside, cameras, pose, count, sigma_px, share)
 
@@ -138,8 +136,8 @@ def camera_scene(
 ) -> TwoViewScene:
     """The same of two cameras of any kind.
 
-    turn_deg: about x, y and z. centre: of camera 2; by default the optical axes do not meet. depths:
-    the range of z in camera 1. weights: the fingerprint of the network that the matches are of.
+    turn_deg: about x, y and z. centre: of camera 2; by default the optical axes do not meet.
+    depths: the range of z in camera 1. weights: the fingerprint of the matches' network.
     """
     rng = np.random.default_rng(seed)
     R = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
@@ -150,7 +148,7 @@ def camera_scene(
     local = points @ R.T + t
     ahead = np.isfinite(local).all(1) & (local[:, 2] > 0.1)
     seen = [pixels[ahead], camera2.project(local[ahead, :2] / local[ahead, 2:])]
-    inside, cameras = within(seen[1], camera2.size), (camera1, camera2)
+    inside, cameras = _within(seen[1], camera2.size), (camera1, camera2)
     scene = _matched(rng, seen, inside, cameras, (R, t), count, sigma_px, outliers)
     return replace(scene, matches=replace(scene.matches, weights=weights))
 
@@ -193,8 +191,8 @@ def joined(scene: TwoViewScene, points1: np.ndarray, points2: np.ndarray) -> Two
     """The scene with further matches, none of them true, at the end."""
     points1, points2 = np.vstack([scene.points1, points1]), np.vstack([scene.points2, points2])
     new = replace(scene.matches, points1=points1, points2=points2, confidence=np.ones(len(points1)))
-    true = np.arange(len(points1)) < len(scene.true)
-    return replace(scene, matches=new, true=true & np.resize(scene.true, len(true)))
+    true = np.pad(scene.true, (0, len(points1) - len(scene.true)))
+    return replace(scene, matches=new, true=true)
 
 
 def project(
@@ -205,7 +203,7 @@ def project(
     return pixels[:, :2] / pixels[:, 2:]
 
 
-def within(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+def _within(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return (pixels >= 0).all(1) & (pixels <= np.subtract(size, 1)).all(1)
 
 
