@@ -1,9 +1,7 @@
 """The convolutions as ONNX graphs without weights; `python -m dgc_pose.training.export_graphs`.
 
-Graphs for the pyramid, for what needs no weights, and for each decoder. What lies between them, the
-correlations and the consensus, is NumPy (`onnx_engine.py`). The weights stay in the safetensors
-file: the graphs name them, and the engine hands them over by name. So a graph is some kilobytes, is
-made once for a preset, and serves all weights of it.
+Graphs for the pyramid, for what needs no weights, and for each decoder. They name the weights,
+which stay in the safetensors file: a graph is made once for a preset, and serves all weights of it.
 
 Needs torch, onnx and onnxscript. The graphs are to be made anew if the network of a preset changes;
 tests/runtime/test_onnx_engine.py fails until they are.
@@ -43,13 +41,9 @@ class _Part(nn.Module):
         return self.function(*self.children(), *arguments)
 
 
-def _levels(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
-    """All levels of an image (H, W, 3) of 0 to 255, float32."""
-    return pyramid(_input(pixels))
-
-
 def _native(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
-    """The coarsest three levels of such an image, of unit length, channels last, fine to coarse."""
+    """The coarsest three levels of an image (H, W, 3) of 0 to 255, float32: of unit length,
+    channels last, fine to coarse."""
     levels = pyramid.coarse(_input(pixels))
     return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
 
@@ -80,13 +74,16 @@ def export(folder: Path) -> None:
         weights_of[graph] = _without_weights(model, set(net.state_dict()))
         onnx.save_model(model, folder / graph)
 
+    def levels(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
+        return pyramid(_input(pixels))
+
     def resample(features: Tensor, like: Tensor) -> Tensor:
         return F.interpolate(features, like.shape[2:], mode="bilinear")
 
     rows, columns = _CELLS
     c, d, h, w, u, v = (torch.export.Dim(name, min=1, max=4096) for name in "cdhwuv")
     pixels, sides = torch.rand(STRIDE * rows, STRIDE * columns, 3), {0: STRIDE * h, 1: STRIDE * w}
-    write(graphs.LEVELS, _Part(_levels, pyramid=net.pyramid), [pixels], [sides])
+    write(graphs.LEVELS, _Part(levels, pyramid=net.pyramid), [pixels], [sides])
     write(graphs.NATIVE, _Part(_native, pyramid=net.pyramid), [pixels], [sides])
     features, state = torch.rand(1, 24, 12, 10), torch.rand(1, config.map_channels, 14, 18)
     any_features, pair = {1: c, 2: u, 3: v}, [features, state]

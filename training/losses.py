@@ -25,7 +25,6 @@ from dgc_pose.training.views import MapPairs, Shape, level_known, level_truth
 
 StageName = Literal["encoder", "decoders"]
 Loss = tuple[Tensor, dict[str, Tensor]]  # with figures
-Window = tuple[slice, slice]  # rows and columns of a level
 
 # Views of each stage's batches in turn. One batch has as many pixels as the next.
 SHAPES: dict[StageName, tuple[Shape, ...]] = {
@@ -82,12 +81,11 @@ class EncoderStage(nn.Module):
         truths = {}
         for stride, grid in grids.items():
             truth, valid = level_truth(pairs.map, pairs.valid, grid[0])
-            truths[stride] = truth.flatten(1, 2), valid.flatten(1, 2)
-        chosen = random_cells(truths[4][1], _QUERIES, draw)
-        truths[4] = chosen_cells(truths[4], chosen)
+            truths[stride] = [truth.flatten(1, 2), valid.flatten(1, 2)]
+        chosen, *truths[4] = random_cells(*truths[4], _QUERIES, draw)
         queries = t2.flatten(2).gather(2, chosen[:, None].expand(-1, t2.shape[1], -1))
         lengths = (level.norm(dim=1).mean() / _LONGEST - 1 for level in full[1:])
-        total = 0.5 * window_loss(s2, t2, truths[8], draw, _WINDOW_QUERIES)
+        total = 0.5 * window_loss(s2, t2, *truths[8], draw, _WINDOW_QUERIES)
         total = total + _DRIFT * sum(length.clamp(min=0) ** 2 for length in lengths)
         figures = {}
         for name, weight, stride, likely in (
@@ -144,21 +142,23 @@ class DecoderStage(nn.Module):
         noisy = draw.chance(len(pairs.map), 1, 1, 1, share=share)
         corner = [draw.choice(range(side // 4 + 1)) for side in shape]
         state = self.net.start(source, target)
-        truth = _at_level(pairs, COARSEST, _window(COARSEST, shape, corner))
-        total, error = self._level_loss(COARSEST, state, truth)
-        figures = {f"epe{LEVEL_SIZES[COARSEST]}": error}
-        for level in range(COARSEST - 1, -1, -1):
-            rows, columns = window = _window(level, shape, corner)
-            truth = _at_level(pairs, level, window)
-            previous = upsample(state.detach() if own else state)
-            if level == 1:
-                previous = previous[:, :, rows, columns]
-            if share:
-                noised = self._noisy_truth(level, previous, truth, draw)
-                previous = torch.where(noisy, noised, previous)
-            warped = self.net.warp(source[level], previous)
-            seen = target[level][:, :, rows, columns]
-            state = self.net.refine(level, warped, seen, previous, _grid(source[level]))
+        total, figures = state.new_zeros(()), {}
+        for level in range(COARSEST, -1, -1):
+            rows, columns = _window(level, shape, corner)
+            side = shape[0] >> level
+            parts = *level_truth(pairs.map, pairs.valid, side), level_known(pairs.known, side)
+            # Of the part of the level that is decoded; pixels of the views
+            truth = MapPairs(*pairs[:2], *(part[:, rows, columns] for part in parts))
+            if level < COARSEST:
+                previous = upsample(state.detach() if own else state)
+                if level == 1:
+                    previous = previous[:, :, rows, columns]
+                if share:
+                    noised = self._noisy_truth(level, previous, truth, draw)
+                    previous = torch.where(noisy, noised, previous)
+                warped = self.net.warp(source[level], previous)
+                seen = target[level][:, :, rows, columns]
+                state = self.net.refine(level, warped, seen, previous, _grid(source[level]))
             part, figures[f"epe{LEVEL_SIZES[level]}"] = self._level_loss(level, state, truth)
             total = total + part
         if self.net.config.matchability == "network":
@@ -206,14 +206,6 @@ class DecoderStage(nn.Module):
         return self.net
 
 
-def _at_level(pairs: MapPairs, level: int, window: Window) -> MapPairs:
-    """The pairs with the truth about the part of a level that is decoded, pixels of the views."""
-    rows = pairs.map.shape[1] >> level
-    parts = *level_truth(pairs.map, pairs.valid, rows), level_known(pairs.known, rows)
-    truth, valid, known = (part[:, window[0], window[1]] for part in parts)
-    return pairs._replace(map=truth, valid=valid, known=known)
-
-
 def _similarity(source: Tensor, target: Tensor, scale: Tensor) -> Tensor:
     """Scaled products (B, h * w, Q) of source cells (B, C, h, w), column-major, and (B, C, Q)."""
     return scale * source.transpose(2, 3).flatten(2).mT @ target
@@ -223,7 +215,7 @@ def _grid(features: Tensor) -> tuple[int, int]:
     return features.shape[2], features.shape[3]
 
 
-def _window(level: int, shape: Shape, corner: list[int]) -> Window:
+def _window(level: int, shape: Shape, corner: list[int]) -> tuple[slice, slice]:
     """The part of a level that is decoded: all; of the two finest the half from `corner`, rows and
     columns of level 1."""
     if level > 1:
@@ -236,10 +228,7 @@ def _window(level: int, shape: Shape, corner: list[int]) -> Window:
 
 
 def masked_mean(values: Tensor, inside: Tensor) -> Tensor:
-    """The mean of the `values` that are `inside`; 0 if there are none.
-
-    NaN and infinity of the other values do not reach the sum.
-    """
+    """The mean of the `values` that are `inside`, whatever the others are; 0 if there are none."""
     return torch.where(inside, values, 0).sum() / inside.sum().clamp(min=1)
 
 
@@ -270,18 +259,17 @@ def likelihood_loss(
 
 
 def window_loss(
-    source: Tensor, target: Tensor, truths: tuple[Tensor, Tensor], draw: Draw, queries: int
+    source: Tensor, target: Tensor, truth: Tensor, valid: Tensor, draw: Draw, queries: int
 ) -> Tensor:
     """The cross-entropy of the refinement's soft-argmax, in a window about the truth.
 
     source, target: unit features (B, C, h, w) of stride 4. Both are averaged over 2x2, the source's
-    at every cell, as the engine does. truths: true points (B, h w / 4, 2), pixels, of the
-    target's cells of stride 8, of which random `queries` count, and which are valid.
+    at every cell, as the engine does. truth: true points (B, h w / 4, 2), pixels, of the target's
+    cells of stride 8, of which random `queries` count; valid: (B, h w / 4).
     """
     means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
     rows, columns = means.shape[2:]
-    chosen = random_cells(truths[1], queries, draw)
-    points, use = chosen_cells(truths, chosen)
+    chosen, points, use = random_cells(truth, valid, queries, draw)
     place = torch.where(use[..., None], (points + 0.5) / 4 - 1, 0)  # in means, between cells
     middle = (place + _JITTER * draw.uniform(*place.shape, low=-1)).round()
     offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=place.device)
@@ -299,16 +287,14 @@ def window_loss(
     return masked_mean(-(share * likely).sum(-1), use & (share.sum(-1) > 0.9))
 
 
-def random_cells(valid: Tensor, count: int, draw: Draw) -> Tensor:
-    """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first."""
+def random_cells(
+    truth: Tensor, valid: Tensor, count: int, draw: Draw
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first, and their true
+    points (B, n, 2) and validity (B, n)."""
     order = draw.uniform(*valid.shape) + valid.float()
-    return order.topk(min(count, valid.shape[1]), 1).indices
-
-
-def chosen_cells(truths: tuple[Tensor, Tensor], chosen: Tensor) -> tuple[Tensor, Tensor]:
-    """True points (B, n, 2) and their validity (B, n) of the cells (B, n) of all N."""
-    points, valid = truths
-    return points.gather(1, chosen[..., None].expand(-1, -1, 2)), valid.gather(1, chosen)
+    chosen = order.topk(min(count, valid.shape[1]), 1).indices
+    return chosen, truth.gather(1, chosen[..., None].expand(-1, -1, 2)), valid.gather(1, chosen)
 
 
 def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:

@@ -132,7 +132,13 @@ def load_photos(
     ImageError for fewer than two photographs, or if a folder holds no place.
     """
     training, held_back = _split(root)
-    places = [] if light is None else _places(light)
+    folders = [] if light is None else sorted(path for path in light.iterdir() if path.is_dir())
+    places = [_decoded(_images(folder), SIDE) for folder in folders]
+    for folder, place in zip(folders, places, strict=True):
+        if len(place) < 2 or len({image.shape for image in place}) > 1:
+            raise ImageError(f"{folder}: must hold two photographs of one size and more")
+    if light is not None and not places:
+        raise ImageError(f"{light}: holds no folders of photographs of one place")
     validating = Photos.of(_decoded(held_back, SIDE), device=device)
     return Photos.of(_decoded(training, SIDE), places, device), validating
 
@@ -163,28 +169,15 @@ def _images(root: Path) -> list[Path]:
     return sorted(root / name for name in content.names)
 
 
-def _places(root: Path) -> list[list[np.ndarray]]:
-    places = []
-    for folder in sorted(path for path in root.iterdir() if path.is_dir()):
-        places.append(_decoded(_images(folder), SIDE))
-        if len(places[-1]) < 2 or len({image.shape for image in places[-1]}) > 1:
-            raise ImageError(f"{folder}: must hold two photographs of one size and more")
-    if not places:
-        raise ImageError(f"{root}: holds no folders of photographs of one place")
-    return places
-
-
 def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
     """Those that can be read. Raises ImageError if none can."""
-    images: list[np.ndarray] = []
-    damaged: list[ImageError] = []  # one in thousands is no reason to stop
+    images, damaged = list[np.ndarray](), list[ImageError]()
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         try:
             pixels = load_image(path).pixels
-        except ImageError as error:
+            images.append(resize_by(pixels, min(1.0, side / min(pixels.shape[:2]))))
+        except ImageError as error:  # one in thousands is no reason to stop
             damaged.append(error)
-            continue
-        images.append(resize_by(pixels, min(1.0, side / min(pixels.shape[:2]))))
     if damaged and not images:
         raise damaged[0]
     if damaged:

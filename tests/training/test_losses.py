@@ -70,7 +70,7 @@ def test_the_window_loss_is_least_for_features_that_find_the_truth():
     truth = 8 * torch.stack([x, y], -1).view(1, -1, 2) + 3.5 + torch.tensor([4.0, 8.0])
     valid = ((truth > 16) & (truth < torch.tensor([128.0, 96.0]) - 16)).all(-1)
     losses = [
-        float(window_loss(source, target, (truth + shift, valid), Draw("cpu", 0), 500))
+        float(window_loss(source, target, truth + shift, valid, Draw("cpu", 0), 500))
         for shift in (0.0, 4.0)
     ]
     means, wanted = F.avg_pool2d(source, 2, 1)[0], F.avg_pool2d(target, 2)[0]
