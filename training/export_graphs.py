@@ -41,9 +41,13 @@ class _Part(nn.Module):
         return self.function(*self.children(), *arguments)
 
 
+def _levels(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
+    """All levels of an image (H, W, 3) of 0 to 255, float32."""
+    return pyramid(_input(pixels))
+
+
 def _native(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
-    """The coarsest three levels of an image (H, W, 3) of 0 to 255, float32: of unit length,
-    channels last, fine to coarse."""
+    """The coarsest three levels of such an image, of unit length, channels last, fine to coarse."""
     levels = pyramid.coarse(_input(pixels))
     return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
 
@@ -74,16 +78,13 @@ def export(folder: Path) -> None:
         weights_of[graph] = _without_weights(model, set(net.state_dict()))
         onnx.save_model(model, folder / graph)
 
-    def levels(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
-        return pyramid(_input(pixels))
-
     def resample(features: Tensor, like: Tensor) -> Tensor:
         return F.interpolate(features, like.shape[2:], mode="bilinear")
 
     rows, columns = _CELLS
     c, d, h, w, u, v = (torch.export.Dim(name, min=1, max=4096) for name in "cdhwuv")
     pixels, sides = torch.rand(STRIDE * rows, STRIDE * columns, 3), {0: STRIDE * h, 1: STRIDE * w}
-    write(graphs.LEVELS, _Part(levels, pyramid=net.pyramid), [pixels], [sides])
+    write(graphs.LEVELS, _Part(_levels, pyramid=net.pyramid), [pixels], [sides])
     write(graphs.NATIVE, _Part(_native, pyramid=net.pyramid), [pixels], [sides])
     features, state = torch.rand(1, 24, 12, 10), torch.rand(1, config.map_channels, 14, 18)
     any_features, pair = {1: c, 2: u, 3: v}, [features, state]

@@ -1,5 +1,5 @@
-"""Batches of random pairs of all kinds, made on the device of the network; and of them those of
-warped photographs."""
+"""Batches of random pairs of all kinds, made on the device of the network; and pairs of warped
+photographs."""
 
 from __future__ import annotations
 
@@ -104,18 +104,15 @@ def load_data(
         raise InputError("held: no scene of posed is left to train")
     needed = {name: scene for name, scene in frames.items() if name in held or name in trains}
     training, held_back = load_photos(photos, light, device)
-    pairs = validating = None
-    if needed:
-        scenes = load_posed(needed, device, depths)
-        pairs = frame_pairs(scenes, trains) if trains else None
-        validating = frame_pairs(scenes, held) if held else None
+    scenes = load_posed(needed, device, depths) if needed else None
+    pairs = frame_pairs(scenes, trains) if scenes is not None and trains else None
     sources = {
         TRAINING: PairSource(training, pairs, shares),
         "photos": PairSource(held_back, shares=Shares(1, 0, 0, 0)),
         "rooms": PairSource(held_back, shares=Shares(0, 0, 1, 0)),
     }
-    if validating is not None:
-        sources["posed"] = PairSource(held_back, validating, Shares(0, 0, 0, 1))
+    if scenes is not None and held:
+        sources["posed"] = PairSource(held_back, frame_pairs(scenes, held), Shares(0, 0, 0, 1))
     return sources
 
 

@@ -1,8 +1,5 @@
-"""Posed photographs of known depth on a device, and pairs of views cut from them.
-
-The map follows from the target's depth and the poses. Pixels that the depths decide nothing about
-are not `MapPairs.known`.
-"""
+"""Posed photographs of known depth on a device, and pairs of views cut from them, whose maps follow
+from the target's depth and the poses."""
 
 from __future__ import annotations
 
@@ -187,11 +184,11 @@ def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, T
         agreeing = agree.sum(1)
         right = agreeing / compared.sum(1).clamp(min=1)
         shown = (ahead & inside(seen, size[k])).sum(1) / known.sum(1).clamp(min=1)
-        rays1, rays2 = place - cameras.centre[:, None], place - cameras.centre[k]
-        parallax = (angle_deg(rays1, rays2) * agree).sum(1) / agreeing.clamp(min=1)
+        angle = angle_deg(place - cameras.centre[:, None], place - cameras.centre[k])
+        parallax = (angle * agree).sum(1) / agreeing.clamp(min=1)
         R = cameras.pose[k, :, :3] @ cameras.pose[..., :3].mT
-        trace = R.diagonal(dim1=1, dim2=2).sum(1)
-        turn = torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
+        cosine = (R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
+        turn = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
         roll = torch.rad2deg(torch.atan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])).abs()
         good = (shown * right > _LEAST_OVERLAP) & (right > _LEAST_RIGHT) & (roll < _MOST_ROLL_DEG)
         good &= (agreeing >= _LEAST_POINTS) & (frames != frame)

@@ -82,8 +82,7 @@ def random_rooms(
     thin = draw.integers(count, solids, 1, count=3) == torch.arange(3, device=draw.device)
     half = torch.where(flat & thin, 0.02, half)
     centre = look[:, None] + draw.normal(count, solids, 3) * half.new_tensor((1.0, 0.5, 1.0))
-    floor = walls[:, None, 1] - half[..., 1]
-    stands = draw.chance(count, solids, share=0.6)
+    stands, floor = draw.chance(count, solids, share=0.6), walls[:, None, 1] - half[..., 1]
     centre[..., 1] = torch.where(stands, floor, centre[..., 1])
     aligned = draw.chance(count, solids, share=0.4)
     yaw = draw.uniform(count, solids, low=-math.pi, high=math.pi)
@@ -177,9 +176,8 @@ def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tens
 
     origin: (B, 3); rays: (B, N, 3), of unit length along the optical axis, both in the world.
     """
-    nearest = torch.full(rays.shape[:2], torch.inf, device=rays.device)
-    which = torch.zeros(rays.shape[:2], dtype=torch.int64, device=rays.device)
-    count = rooms.half.shape[1]
+    nearest = torch.full_like(rays[..., 0], torch.inf)
+    which, count = torch.zeros_like(nearest, dtype=torch.int64), rooms.half.shape[1]
     for k in range(count):
         unit = rooms.axes[:, k] / rooms.half[:, k, None]  # to a cube or a ball of half size 1
         start = ((origin - rooms.centre[:, k])[:, None] @ unit).expand_as(rays)
@@ -223,16 +221,15 @@ def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tup
     local = torch.einsum("bnji,bnj->bni", rooms.axes[room, which], local)
     axis = (local / rooms.half[room, which]).abs().argmax(-1)
     along = local.gather(-1, axis[..., None])[..., 0]
-    face = 2 * axis + (along > 0).long()
-    u = torch.where(axis == 0, local[..., 2], local[..., 0])
-    v = torch.where(axis == 1, local[..., 2], local[..., 1])
-    at = room, which, face
+    at = room, which, 2 * axis + (along > 0).long()
+    x, y, z = local.unbind(-1)
+    on_face = torch.stack([torch.where(axis == 0, z, x), torch.where(axis == 1, z, y)], -1)
     colours = torch.zeros_like(rays)
     for layer in range(LAYERS):
         photo = rooms.photo[at][..., layer]
         size = bank.size(photo)
         scale = size.amin(-1) / rooms.span[at][..., layer]  # pixels a unit of length
-        points = rooms.origin[at][..., layer, :] * size + torch.stack([u, v], -1) * scale[..., None]
+        points = rooms.origin[at][..., layer, :] * size + on_face * scale[..., None]
         spacing = depth / cameras.K[:, :1] * scale
         colours += rooms.weight[at][..., layer, None] * bank.sample(photo, points, spacing)
     image = (colours * rooms.gain[at]).clamp(0, 1).mT.unflatten(2, shape)
