@@ -132,8 +132,7 @@ class Trainer:
                 saved = self.elapsed
         net = self.average.finished()
         save_weights(net, self.weights_path)
-        text = _card(self.options, data[TRAINING], self.device, self.stages)
-        write_text(self.weights_path.with_suffix(".md"), text)
+        write_text(self.weights_path.with_suffix(".md"), self._card(data[TRAINING]))
         return net
 
     def train_step(self, training: PairSource) -> dict[str, Tensor]:
@@ -235,34 +234,31 @@ class Trainer:
             print(f"    validation, {kind}:  {_text(means)}", file=sys.stderr)
         self.rows.append(row)
 
+    def _card(self, training: PairSource) -> str:
+        """Of the weights: what they were trained on, how, and on what machine. Markdown."""
+        photos, posed, cuda = training.photos, "none", self.device.type == "cuda"
+        if (pairs := training.posed) is not None:
+            scenes = f"{len(pairs.names)} scenes ({', '.join(pairs.names)})"
+            posed = f"{len(pairs.frames.unique())} of {scenes}, {len(pairs.frames)} pairs train"
+        threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
+        rows = {
+            **{name: of for name, of in vars(self.options).items() if of not in (None, ())},
+            "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
+            "posed photographs": posed,
+            "hardware": torch.cuda.get_device_name(self.device) if cuda else threads,
+            "made by": f"dgc-pose {version()}, torch {torch.__version__}",
+            "chosen": "nothing: the moving average of the last step's weights is stored",
+        }
+        for name, stage in self.stages.items():
+            done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds"
+            figures = (f"{kind}: {_text(found)}" for kind, found in stage["figures"].items())
+            rows[name] = "; ".join([done, *figures])
+        table = "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+        return f"# {self.options.preset}\n\n| | |\n|---|---|\n{table}"
+
 
 def _text(figures: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
-
-
-def _card(
-    options: TrainingOptions, training: PairSource, device: torch.device, stages: Mapping[str, Row]
-) -> str:
-    """Of weights: what they were trained on, how, and on what machine. Markdown."""
-    photos, posed = training.photos, "none"
-    if (pairs := training.posed) is not None:
-        scenes = f"{len(pairs.names)} scenes ({', '.join(pairs.names)})"
-        posed = f"{len(pairs.frames.unique())} of {scenes}, {len(pairs.frames)} pairs train"
-    threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
-    rows = {
-        **{name: value for name, value in vars(options).items() if value not in (None, ())},
-        "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
-        "posed photographs": posed,
-        "hardware": torch.cuda.get_device_name(device) if device.type == "cuda" else threads,
-        "made by": f"dgc-pose {version()}, torch {torch.__version__}",
-        "chosen": "nothing: the moving average of the last step's weights is stored",
-    }
-    for name, stage in stages.items():
-        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds"
-        figures = (f"{kind}: {_text(found)}" for kind, found in stage["figures"].items())
-        rows[name] = "; ".join([done, *figures])
-    lines = [f"# {options.preset}", "", "| | |", "|---|---|"]
-    return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows.items()]) + "\n"
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
