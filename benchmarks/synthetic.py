@@ -53,7 +53,7 @@ def synthetic_set(
             raise InputError(f"no set '{name}'; there are {', '.join(SETS)}")
     if not names:
         raise InputError("no sets named")
-    photos = load_held_back(root, PHOTO_SIDE)
+    photos = load_held_back(Path(root), PHOTO_SIDE)
     names = list(dict.fromkeys(names))
     cases = (synthetic_cases(photos, name, pairs, seed, changed=changed) for name in names)
     facts = {"photographs": photos.single, "seed": seed, "changed": changed}

@@ -81,8 +81,9 @@ class EncoderStage(nn.Module):
         truths = {}
         for stride, grid in grids.items():
             truth, valid = level_truth(pairs.map, pairs.valid, grid[0])
-            truths[stride] = [truth.flatten(1, 2), valid.flatten(1, 2)]
-        chosen, *truths[4] = random_cells(*truths[4], _QUERIES, draw)
+            truths[stride] = truth.flatten(1, 2), valid.flatten(1, 2)
+        chosen, truth, valid = random_cells(*truths[4], _QUERIES, draw)
+        truths[4] = truth, valid
         queries = t2.flatten(2).gather(2, chosen[:, None].expand(-1, t2.shape[1], -1))
         lengths = (level.norm(dim=1).mean() / _LONGEST - 1 for level in full[1:])
         total = 0.5 * window_loss(s2, t2, *truths[8], draw, _WINDOW_QUERIES)

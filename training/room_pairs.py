@@ -159,7 +159,7 @@ class Rooms(NamedTuple):
 
     def chosen(self, which: Tensor) -> Rooms:
         """Some of the rooms, by their indices."""
-        return Rooms(*(part[which] for part in self[:-1]), self.ellipsoids)
+        return Rooms._make([*(part[which] for part in self[:-1]), self.ellipsoids])
 
 
 @dataclass(frozen=True)

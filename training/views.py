@@ -146,9 +146,9 @@ def angle_deg(rays1: Tensor, rays2: Tensor) -> Tensor:
     return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
 
 
-def pixel_grid(shape: Shape | torch.Size, device: torch.device) -> Tensor:
+def pixel_grid(shape: tuple[int, ...], device: torch.device) -> Tensor:
     """The pixels' centres (H, W, 2)."""
-    return torch.from_numpy(pixels.pixel_grid(shape[::-1])).float().to(device)
+    return torch.from_numpy(pixels.pixel_grid((shape[1], shape[0]))).float().to(device)
 
 
 def middle_of(shape: Shape, device: torch.device) -> Tensor:
