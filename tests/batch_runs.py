@@ -7,7 +7,7 @@ import cv2
 import h5py
 import numpy as np
 import pytest
-from multi_view import SIZE, K_text, render_views, write_views
+from worlds import SIZE, K_text, render_views, write_views
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pair_choice import parse_pair_choice
@@ -31,7 +31,7 @@ def view_folder(folder, number=4):
 
 
 def write_masks(folder, names, share=0.5):
-    """Masks of photographs of `multi_view.SIZE`, black in a share on the left."""
+    """Masks of photographs of `worlds.SIZE`, black in a share on the left."""
     for name in names:
         mask = np.full(SIZE[::-1], 255, np.uint8)
         mask[:, : round(share * SIZE[0])] = 0

@@ -1,8 +1,5 @@
-"""A smooth surface seen by two known cameras: two textured pictures and the exact dense map.
-
-The surface is given by its depth in camera 2, so the map comes straight from the projection; it is
-bent enough not to pass for a plane.
-"""
+"""A smooth surface, bent enough not to pass for a plane, seen by two known cameras: two textured
+pictures and the exact dense map, by the surface's depth in camera 2."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -78,8 +75,7 @@ def points_in_image1(points2: np.ndarray) -> np.ndarray:
     """The surface points at (..., 2) pixels of image 2, in pixels of image 1."""
     x, y = np.moveaxis((points2 - K[:2, 2]) / 300.0, -1, 0)
     depth = depth_in_camera2(points2)
-    in_camera2 = np.stack([x * depth, y * depth, depth], -1)
-    in_camera1 = (in_camera2 - T) @ R
+    in_camera1 = (np.stack([x * depth, y * depth, depth], -1) - T) @ R
     return in_camera1[..., :2] / in_camera1[..., 2:] * 300.0 + K[:2, 2]
 
 

@@ -10,22 +10,20 @@ from typing import Literal
 import cv2
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from textures import drawn_photos
 from torch import Tensor
 from torch.nn.functional import normalize
 
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import image_arrays
 from dgc_pose.training.room_pairs import (
-    FACES,
     RoomOptions,
     Rooms,
-    correspond,
     overlap,
     random_rooms,
-    render,
+    render_pairs,
 )
-from dgc_pose.training.views import Cameras, pixel_grid
+from dgc_pose.training.views import Cameras, image_arrays
 
 _OPTIONS = RoomOptions(boxes=12, ellipsoids=4, spans=((1.0, 2.0), (0.5, 1.0)))
 _TRIES = 12  # scenes drawn, of which the one whose views share enough is taken
@@ -79,7 +77,9 @@ def render_scene_pair(
     first = Cameras.looking(_K(seed, size1), look + _DISTANCE * towards, look, roll)
     axis = 0.3 * draw.normal(_TRIES, 3)
     axis[:, 1] = draw.choice((-1.0, 1.0))
-    rotation2 = _turn(normalize(axis, dim=-1), math.radians(rotation_deg)) @ first.pose[..., :3]
+    turn = (math.radians(rotation_deg) * normalize(axis, dim=-1)).double()
+    turn = torch.from_numpy(Rotation.from_rotvec(turn).as_matrix()).float()
+    rotation2 = turn @ first.pose[..., :3]
     centre2 = first.centre
     if kind != "rotation_only":
         distance2 = _DISTANCE * draw.uniform(_TRIES, 1, low=0.9, high=1.1)
@@ -95,52 +95,31 @@ def render_scene_pair(
 
 
 def _rendered(rooms, first, second, shape1, shape2) -> RenderedPair:
-    image1, depth1 = render(rooms, first, shape1, _photos().bank)
-    image2, depth2 = render(rooms, second, shape2, _photos().bank)
-    pixels = pixel_grid(shape2, depth2.device).view(1, -1, 2)
-    found, visible = correspond(rooms, first, second, depth2.flatten(1), pixels, shape1)
+    pair = render_pairs(rooms, first, second, shape2, _photos().bank, shape1)
     pose = second.seen_by(first).pose[0].double().numpy()
     U, _, Vt = np.linalg.svd(pose[:, :3])  # the nearest rotation: these are in single precision
     K = [camera.K[0].double().numpy() for camera in (first, second)]
     return RenderedPair(
-        *(image_arrays(image)[0] for image in (image1, image2)),
+        *(image_arrays(image)[0] for image in pair.maps[:2]),
         *(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]) for fx, fy, cx, cy in K),
         U @ Vt,
         pose[:, 3],
-        found.view(*shape2, 2).double().numpy(),
-        visible.view(shape2).numpy(),
-        depth1[0].double().numpy(),
-        depth2[0].double().numpy(),
+        pair.maps.map[0].double().numpy(),
+        pair.maps.valid[0].numpy(),
+        *(depth[0].double().numpy() for depth in (pair.depth1, pair.depth2)),
     )
 
 
 def _planes(rooms: Rooms, towards: Tensor, draw: Draw) -> Rooms:
     """A single plane through the origin each, tilted by up to 30 degrees to the direction
     `towards` (B, 3), in a hall too large to be seen."""
-    count = len(towards)
+    count, values = len(towards), (0, 0, _PLANE_SPAN, 0.5, 0.5, 1)
     normal = towards + 0.3 * draw.uniform(count, 3, low=-1)
     facing = Cameras.looking(torch.ones(count, 4), normal, 0 * normal, torch.zeros(count))
     axes = facing.pose[:, None, :, :3].mT.expand(-1, 2, -1, -1)
     half = torch.tensor([[100.0, 100, 100], [20, 20, 0.001]]).expand(count, 2, 3)
-    return Rooms(
-        axes,
-        half,
-        torch.zeros(count, 2, 3),
-        torch.zeros_like(rooms.photo[:, :2]),
-        torch.full_like(rooms.span[:, :2], _PLANE_SPAN),
-        torch.full_like(rooms.origin[:, :2], 0.5),
-        torch.full_like(rooms.weight[:, :2], 0.5),
-        torch.ones(count, 2, FACES, 3),
-        0,
-    )
-
-
-def _turn(axis: Tensor, angle: float) -> Tensor:
-    """Rotations (B, 3, 3) about unit axes (B, 3) by an angle, radians."""
-    x, y, z = (angle * axis).unbind(-1)
-    zero = torch.zeros_like(x)
-    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).view(-1, 3, 3)
-    return torch.linalg.matrix_exp(cross.double()).float()
+    parts = zip(rooms[2:-1], values, strict=True)
+    return Rooms(axes, half, *(torch.full_like(part[:, :2], value) for part, value in parts), 0)
 
 
 def _K(seed: int, size: tuple[int, int]) -> Tensor:

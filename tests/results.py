@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from multi_view import SIZE, K
 from scipy.spatial.transform import Rotation
+from worlds import SIZE, K
 
 from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.cameras.camera import Camera
@@ -80,5 +80,5 @@ def true_row(
 
 
 def camera() -> Camera:
-    """Of all views of `multi_view`."""
+    """Of all views of `worlds`."""
     return Camera(K, SIZE)

@@ -109,18 +109,16 @@ def two_view_scene(
     rng = np.random.default_rng(seed)
     same = same_camera or kind == "identical"
     cameras = Camera(K1, SIZE1), Camera(K1, SIZE1) if same else Camera(K2, SIZE2)
-    R, t = _motion(kind, rng, rotation_deg)
+    pose = _motion(kind, rng, rotation_deg)
     points = rng.uniform(-1, 1, (40 * count, 3)) * (4.0, 3.0, 2.0)
     if kind == "planar":
         points[:, 2] = 0.3 * points[:, 0] - 0.2 * points[:, 1]
     points += MIDDLE
-    seen, inside = [], np.ones(len(points), bool)
-    for camera, pose in zip(cameras, (HERE, (R, t)), strict=True):
-        seen.append(project(points, camera.K, *pose))
-        ahead = (points @ pose[0].T + pose[1])[:, 2] > 0.1
-        inside &= ahead & _within(seen[-1], camera.size)
+    seen = [project(points, cameras[0].K), project(points, cameras[1].K, *pose)]
+    ahead = (points[:, 2] > 0.1) & ((points @ pose[0].T + pose[1])[:, 2] > 0.1)
+    inside = ahead & _within(seen[0], SIZE1) & _within(seen[1], cameras[1].size)
     share = 1.0 if kind == "random" else outliers
-    return _matched(rng, seen, inside, cameras, (R, t), count, sigma_px, share)
+    return _matched(rng, seen, inside, cameras, pose, count, sigma_px, share)
 
 
 def camera_scene(
@@ -138,9 +136,8 @@ def camera_scene(
 ) -> TwoViewScene:
     """The same of two cameras of any kind.
 
-    turn_deg: about the axes x, y and z. centre: of camera 2; by default the optical axes do not
-    meet, so that the matches tell the focal lengths. depths: the range of z in camera 1. weights:
-    the fingerprint of the network that the matches are said to be of.
+    turn_deg: about x, y and z. centre: of camera 2; by default the optical axes do not meet.
+    depths: the range of z in camera 1. weights: the fingerprint of the matches' network.
     """
     rng = np.random.default_rng(seed)
     R = Rotation.from_euler("xyz", turn_deg, degrees=True).as_matrix()
@@ -150,11 +147,9 @@ def camera_scene(
     points *= rng.uniform(*depths, (len(points), 1))
     local = points @ R.T + t
     ahead = np.isfinite(local).all(1) & (local[:, 2] > 0.1)
-    pixels, local = pixels[ahead], local[ahead]
-    seen = camera2.project(local[:, :2] / local[:, 2:])
-    inside = _within(seen, camera2.size)
-    cameras = camera1, camera2
-    scene = _matched(rng, (pixels, seen), inside, cameras, (R, t), count, sigma_px, outliers)
+    seen = [pixels[ahead], camera2.project(local[ahead, :2] / local[ahead, 2:])]
+    inside, cameras = _within(seen[1], camera2.size), (camera1, camera2)
+    scene = _matched(rng, seen, inside, cameras, (R, t), count, sigma_px, outliers)
     return replace(scene, matches=replace(scene.matches, weights=weights))
 
 
@@ -181,24 +176,23 @@ def poster_scene(
     relief: of the points off the plane, as a share of its width.
     """
     rng = np.random.default_rng(seed)
-    points = np.column_stack([rng.uniform(-0.8, 0.8, (count, 2)), np.zeros(count)])
-    points[:, 2] = 6 + 0.4 * points[:, 0] - 0.2 * points[:, 1]
+    x, y = rng.uniform(-0.8, 0.8, (count, 2)).T
+    points = np.column_stack([x, y, 6 + 0.4 * x - 0.2 * y])
     R = Rotation.from_rotvec(np.radians(18) * np.array([0.3, 0.9, 0.1])).as_matrix()
     t = MIDDLE - R @ MIDDLE + 0.3 * rng.standard_normal(3)
     noise = sigma_px * rng.standard_normal((2, count, 2))
     points[:, 2] += 1.6 * relief * rng.uniform(-0.5, 0.5, count)
     seen = project(points, K1) + noise[0], project(points, K1, R, t) + noise[1]
-    matches = Matches(*seen, np.ones(count), max(sigma_px, 0.5))
-    cameras = Camera(K1, SIZE1), Camera(K1, SIZE1)
-    return TwoViewScene(matches, cameras, R, t / np.linalg.norm(t), np.ones(count, bool))
+    matches, camera = Matches(*seen, np.ones(count), max(sigma_px, 0.5)), Camera(K1, SIZE1)
+    return TwoViewScene(matches, (camera,) * 2, R, t / np.linalg.norm(t), np.ones(count, bool))
 
 
 def joined(scene: TwoViewScene, points1: np.ndarray, points2: np.ndarray) -> TwoViewScene:
     """The scene with further matches, none of them true, at the end."""
-    points = np.vstack([scene.points1, points1]), np.vstack([scene.points2, points2])
-    new = {"points1": points[0], "points2": points[1], "confidence": np.ones(len(points[0]))}
-    true = np.concatenate([scene.true, np.zeros(len(points1), dtype=bool)])
-    return replace(scene, matches=replace(scene.matches, **new), true=true)
+    points1, points2 = np.vstack([scene.points1, points1]), np.vstack([scene.points2, points2])
+    new = replace(scene.matches, points1=points1, points2=points2, confidence=np.ones(len(points1)))
+    true = np.pad(scene.true, (0, len(points1) - len(scene.true)))
+    return replace(scene, matches=new, true=true)
 
 
 def project(
@@ -215,7 +209,7 @@ def _within(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def _matched(
     rng: np.random.Generator,
-    seen: tuple[np.ndarray, np.ndarray] | list[np.ndarray],
+    seen: list[np.ndarray],
     inside: np.ndarray,
     cameras: tuple[Camera, Camera],
     pose: tuple[np.ndarray, np.ndarray],

@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import pycolmap
 import pytest
-from world_scene import CAMERA, IMAGE, WorldScene, world_scene, write_colmap
+from worlds import CAMERA, IMAGE, WorldScene, world_scene, write_colmap
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from multi_view import K_text, render_views, write_views
+from worlds import K_text, render_views, write_views
 from packaging.requirements import Requirement
 
 from dgc_pose import errors

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch.nn.functional import interpolate
 
-from dgc_pose.training.map_pairs import image_arrays
 from dgc_pose.training.photos import Photos
+from dgc_pose.training.views import image_arrays
 
 _HUES = (0.02, 0.06, 0.09, 0.12, 0.15, 0.28, 0.35, 0.55, 0.6, 0.65)  # earth, plants, sky
 _WOOD = ((0.30, 0.17, 0.09), (0.55, 0.35, 0.19), (0.78, 0.58, 0.36))  # dark to bright

@@ -1,4 +1,4 @@
-"""Seeded random draws on the device that uses them."""
+"""Seeded random draws on the device that uses them, and the light that views get by them."""
 
 import hashlib
 import math
@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from typing import TypeVar
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 T = TypeVar("T")
+_RADIUS = 3  # pixels, of a blur's kernel
 
 
 class Draw:
@@ -34,7 +36,6 @@ class Draw:
         return self.uniform(*shape, low=math.log(low), high=math.log(high)).exp()
 
     def normal(self, *shape: int) -> Tensor:
-        """Standard normal."""
         return torch.randn(shape, generator=self._generator, device=self.device)
 
     def integers(self, *shape: int, count: int) -> Tensor:
@@ -48,3 +49,58 @@ class Draw:
     def choice(self, values: Sequence[T]) -> T:
         """One of the values, chosen on the processor."""
         return self._random.choice(values)
+
+
+def other_light(images: Tensor, draw: Draw) -> Tensor:
+    """Views (B, 3, H, W) in [0, 1], each with an exposure, a blur, a resolution and noise of its
+    own, in [0, 1]."""
+    count = len(images)
+    images = _exposed(images, draw)
+    kernels = _kernels(count, draw)[:, None].expand(-1, 3, -1, -1).reshape(3 * count, 1, 7, 7)
+    padded = F.pad(images.flatten(0, 1)[None], (_RADIUS,) * 4, mode="reflect")
+    images = F.conv2d(padded, kernels, groups=3 * count)[0].view_as(images)
+    small = F.interpolate(F.avg_pool2d(images, 2), images.shape[2:], mode="bilinear")
+    images = torch.where(draw.chance(count, 1, 1, 1, share=0.12), small, images)
+    read, shot = (draw.uniform(count, 1, 1, 1, high=0.035) for _ in range(2))
+    deviation = (read**2 + shot**2 * images.clamp(min=0)).sqrt()
+    images = images + deviation * draw.normal(*images.shape)
+    steps = torch.where(draw.chance(count, 1, 1, 1, share=0.2), 24.0, 255.0)
+    return ((images * steps).round() / steps).clamp(0, 1)
+
+
+def _exposed(images: Tensor, draw: Draw) -> Tensor:
+    count, _, height, width = images.shape
+
+    def between(limit: float, *shape: int) -> Tensor:
+        return draw.uniform(count, *shape, low=-limit, high=limit)
+
+    images = images * between(0.4, 1, 1, 1).exp() * between(0.13, 3, 1, 1).exp()
+    grey = images.mean(1, keepdim=True)
+    colour = 1 + between(0.6, 1, 1, 1)
+    colour = torch.where(draw.chance(count, 1, 1, 1, share=0.05), 0, colour)
+    images = torch.lerp(grey, images, colour)
+    images = torch.lerp(images.mean((1, 2, 3), keepdim=True), images, 1 + between(0.35, 1, 1, 1))
+    x = torch.linspace(-1, 1, width, device=images.device)
+    y = torch.linspace(-1, 1, height, device=images.device)[:, None]
+    slope = between(0.4, 2, 1, 1)
+    images = images * (1 + slope[:, :1] * x + slope[:, 1:] * y).clamp(min=0.1)
+    black, white = (draw.uniform(count, 1, 1, 1, high=0.08) for _ in range(2))
+    images = ((images - black) / (1 - white - black)).clamp(1e-4, 1)
+    return images ** between(0.45, 1, 1, 1).exp()
+
+
+def _kernels(count: int, draw: Draw) -> Tensor:
+    """Blurs (B, 7, 7) that sum to one: out of focus, a stroke about the middle, or none."""
+    offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=draw.device)
+    x, y = offsets, offsets[:, None]
+    sigma = draw.uniform(count, 1, 1, low=0.3, high=1.4)
+    focus = torch.exp(-(x**2 + y**2) / (2 * sigma**2))
+    angle = draw.uniform(count, 1, 1, high=math.pi)
+    along = (angle.cos() * x + angle.sin() * y).abs()
+    across = (angle.cos() * y - angle.sin() * x).abs()
+    length = draw.uniform(count, 1, 1, low=1, high=6)
+    stroke = ((length + 1) / 2 - along).clamp(0, 1) * (1 - across).clamp(min=0)
+    none = ((x == 0) & (y == 0)).float()
+    kind = draw.uniform(count, 1, 1)
+    kernels = torch.where(kind < 0.3, focus, torch.where(kind < 0.42, stroke, none))
+    return kernels / kernels.sum((1, 2), keepdim=True)

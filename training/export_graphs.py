@@ -1,9 +1,7 @@
 """The convolutions as ONNX graphs without weights; `python -m dgc_pose.training.export_graphs`.
 
-Graphs for the pyramid, for what needs no weights, and for each decoder. What lies between them, the
-correlations and the consensus, is NumPy (`onnx_engine.py`). The weights stay in the safetensors
-file: the graphs name them, and the engine hands them over by name. So a graph is some kilobytes, is
-made once for a preset, and serves all weights of it.
+Graphs for the pyramid, for what needs no weights, and for each decoder. They name the weights,
+which stay in the safetensors file: a graph is made once for a preset, and serves all weights of it.
 
 Needs torch, onnx and onnxscript. The graphs are to be made anew if the network of a preset changes;
 tests/runtime/test_onnx_engine.py fails until they are.

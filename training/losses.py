@@ -1,28 +1,240 @@
-"""The losses: of matches between cells for the encoder; map and mask at each level for decoders."""
+"""The stages of a run, the encoder and then the decoders on it, and their losses: of matches
+between cells for the encoder, of map and mask at each level for the decoders."""
+
+from __future__ import annotations
+
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
+from dgc_pose.network.config import (
+    COARSEST,
+    CORRELATED,
+    INPUT_SIZE,
+    LEVEL_SIZES,
+    SECOND_SIZE,
+    STRIDE,
+)
+from dgc_pose.network.correlation import consensus, match_evidence, match_scores
+from dgc_pose.network.efficientnet import EfficientPyramid
+from dgc_pose.network.net import DGCNet, l2_normalise, normalise, to_normalised, to_pixels, upsample
 from dgc_pose.training.draw import Draw
+from dgc_pose.training.views import MapPairs, Shape, level_known, level_truth
 
+StageName = Literal["encoder", "decoders"]
+Loss = tuple[Tensor, dict[str, Tensor]]  # with figures
+
+# Views of each stage's batches in turn. One batch has as many pixels as the next.
+SHAPES: dict[StageName, tuple[Shape, ...]] = {
+    "encoder": ((224, 224), (208, 272), (272, 208), (352, 352), (160, 384)),
+    "decoders": ((240, 240), (208, 272), (272, 208), (176, 336), (128, 448), (320, 176)),
+}
+_ROUNDS = 3  # of the consensus that the encoder is trained through
+_QUERIES, _WINDOW_QUERIES = 256, 160  # target cells a pair, of stride 4 and for the refinement
+_LARGEST_SCALE = 60.0  # inverse temperature
+# Features are compared without their length, which drifts; long ones overflow half precision.
+_LONGEST, _DRIFT = 220.0, 0.1
 _ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm
 _LEAST_LOG = -14.0  # of a probability: one wrong truth weighs no more
 _RADIUS, _SHARPNESS = 3, 20.0  # cells and inverse temperature of the engine's refinement
 _JITTER = 1.5  # cells, of the window about the truth
-Grid = tuple[int, int]  # rows and columns
+
+
+class EncoderStage(nn.Module):
+    """The pyramid of a network of views of any shape, by the matches of its features.
+
+    InfoNCE, in both directions, at stride 16 with stride 8, through the consensus over both scales,
+    at strides 8 and 4; and the cross-entropy of the refinement at stride 4. Levels 0 and 1 stay.
+    """
+
+    def __init__(self, net: DGCNet) -> None:
+        super().__init__()
+        assert isinstance(net.pyramid, EfficientPyramid)
+        self.net = net.requires_grad_(False)
+        self.net.pyramid.requires_grad_(True)
+        for level in (self.net.pyramid.level_0, self.net.pyramid.level_1):
+            level.requires_grad_(False)
+        scales = net.get_buffer("correlation_scales").log()
+        # Of the correlated levels, then of strides 8 and 4 alone.
+        self.log_scales = nn.Parameter(torch.cat([scales, scales.new_full((2,), 3)]))
+
+    def forward(self, pairs: MapPairs, draw: Draw, progress: float) -> Loss:
+        """The loss of a batch, and the shares of cells found."""
+        images = normalise(torch.cat([pairs.image1, pairs.image2]))
+        ratio = SECOND_SIZE / INPUT_SIZE
+        size = [STRIDE * max(2, round(side * ratio / STRIDE)) for side in images.shape[2:]]
+        small = F.interpolate(images, size, mode="bilinear", antialias=True)
+        full = self._coarse(images)
+        (s2, t2), (s3, t3), (s4, t4) = (l2_normalise(level).chunk(2) for level in full)
+        _, (s3_small, t3_small), (s4_small, t4_small) = (
+            l2_normalise(F.interpolate(low, level.shape[2:], mode="bilinear")).chunk(2)
+            for low, level in zip(self._coarse(small), full, strict=True)
+        )
+        scales = self.log_scales.exp().clamp(max=_LARGEST_SCALE)
+        evidence = match_evidence([s4, s3], [t4, t3], scales[:2])
+        pooled = evidence  # `pooled_evidence` would match the full-sized images again
+        for source, target in (([s4_small, s3_small], [t4, t3]), ([s4, s3], [t4_small, t3_small])):
+            pooled = pooled.maximum(match_evidence(source, target, scales[:2]))
+        grids = {4: _grid(s2), 8: _grid(s3), 16: _grid(s4)}
+        truths = {}
+        for stride, grid in grids.items():
+            truth, valid = level_truth(pairs.map, pairs.valid, grid[0])
+            truths[stride] = truth.flatten(1, 2), valid.flatten(1, 2)
+        chosen, truth, valid = random_cells(*truths[4], _QUERIES, draw)
+        truths[4] = truth, valid
+        queries = t2.flatten(2).gather(2, chosen[:, None].expand(-1, t2.shape[1], -1))
+        lengths = (level.norm(dim=1).mean() / _LONGEST - 1 for level in full[1:])
+        total = 0.5 * window_loss(s2, t2, *truths[8], draw, _WINDOW_QUERIES)
+        total = total + _DRIFT * sum(length.clamp(min=0) ** 2 for length in lengths)
+        figures = {}
+        for name, weight, stride, likely in (
+            ("found16", 0.5, 16, match_scores(evidence) / 2),
+            ("agreed16", 1.0, 16, consensus(match_scores(pooled), _ROUNDS, grids[16], grids[16])),
+            ("found8", 1.0, 8, match_scores(_similarity(s3, t3.flatten(2), scales[2])) / 2),
+            ("found4", 0.5, 4, match_scores(_similarity(s2, queries, scales[3])) / 2),
+        ):
+            part, figures[name] = likelihood_loss(likely, *truths[stride], stride, grids[stride])
+            total = total + weight * part
+        return total, figures
+
+    def _coarse(self, images: Tensor) -> list[Tensor]:
+        """Levels 2 to 4, in single precision."""
+        images = images.contiguous(memory_format=torch.channels_last)
+        return [level.float().contiguous() for level in self.net.coarse_features(images)]
+
+    def finished(self) -> DGCNet:
+        """The network with the inverse temperatures that were learnt."""
+        scales = self.log_scales.detach()[: len(CORRELATED)].exp()
+        self.net.get_buffer("correlation_scales").copy_(scales.clamp(max=_LARGEST_SCALE))
+        return self.net
+
+
+class DecoderStage(nn.Module):
+    """All decoders at once on the frozen pyramid.
+
+    For views of any shape each is fed with its predecessor's detached map, and a share of the pairs
+    gets the true map plus smooth noise instead, so that the fine decoders learn before the coarse
+    ones have; that share falls over the stage. For the paper's networks nothing is detached, and
+    the losses are the paper's. The two finest levels, which cost the most time, are decoded on a
+    random quarter of the view.
+    """
+
+    def __init__(self, net: DGCNet) -> None:
+        super().__init__()
+        self.net = net.requires_grad_(True)
+        net.pyramid.requires_grad_(False)
+
+    def train(self, mode: bool = True) -> DecoderStage:
+        super().train(mode)
+        self.net.pyramid.eval()
+        return self
+
+    def forward(self, pairs: MapPairs, draw: Draw, progress: float) -> Loss:
+        """Map and mask losses of a batch; each level's mean error in pixels."""
+        shape = pairs.map.shape[1], pairs.map.shape[2]
+        images = normalise(torch.cat([pairs.image1, pairs.image2]))
+        with torch.no_grad():
+            features = self.net.features(images.contiguous(memory_format=torch.channels_last))
+        source, target = map(list, zip(*(level.chunk(2) for level in features), strict=True))
+        own = self.net.config.any_shape
+        share = max(0.0, 0.3 * (1 - 1.5 * progress)) if own else 0.0
+        noisy = draw.chance(len(pairs.map), 1, 1, 1, share=share)
+        corner = [draw.choice(range(side // 4 + 1)) for side in shape]
+        state = self.net.start(source, target)
+        total, figures = state.new_zeros(()), {}
+        for level in range(COARSEST, -1, -1):
+            rows, columns = _window(level, shape, corner)
+            side = shape[0] >> level
+            parts = *level_truth(pairs.map, pairs.valid, side), level_known(pairs.known, side)
+            # Of the part of the level that is decoded; pixels of the views
+            truth = MapPairs(*pairs[:2], *(part[:, rows, columns] for part in parts))
+            if level < COARSEST:
+                previous = upsample(state.detach() if own else state)
+                if level == 1:
+                    previous = previous[:, :, rows, columns]
+                if share:
+                    noised = self._noisy_truth(level, previous, truth, draw)
+                    previous = torch.where(noisy, noised, previous)
+                warped = self.net.warp(source[level], previous)
+                seen = target[level][:, :, rows, columns]
+                state = self.net.refine(level, warped, seen, previous, _grid(source[level]))
+            part, figures[f"epe{LEVEL_SIZES[level]}"] = self._level_loss(level, state, truth)
+            total = total + part
+        if self.net.config.matchability == "network":
+            total = total + mask_loss(self.net.mask(warped, seen), truth.valid, truth.known)
+        return total, figures
+
+    def _level_loss(self, level: int, state: Tensor, truth: MapPairs) -> tuple[Tensor, Tensor]:
+        """The loss of a level's state, and its mean error in pixels."""
+        config, size = self.net.config, _grid(truth.image1)[::-1]
+        points = to_pixels(state[:, :2].movedim(1, -1), size, config.align_corners)
+        # 0 elsewhere, so that undefined values of the truth reach no gradient.
+        error = torch.where(truth.valid[..., None], points - truth.map, 0)
+        distance = error.detach().norm(dim=-1)
+        if config.any_shape:
+            total = map_loss(error / 2**level, truth.valid)
+        else:
+            # |dx| + |dy| of normalised coordinates (paper, equation 3)
+            normalised = 2 * error / error.new_tensor(size)
+            total = masked_mean(normalised.abs().sum(-1), truth.valid)
+        if config.matchability == "decoder":
+            # Matchable: visible, with an error that the next level (or, at the finest, an
+            # estimator) can use.
+            good = truth.valid & (distance < max(4.0, 1.5 * 2**level))
+            total = total + mask_loss(state[:, 2:], good, truth.known)
+        return total, masked_mean(distance, truth.valid)
+
+    def _noisy_truth(self, level: int, previous: Tensor, truth: MapPairs, draw: Draw) -> Tensor:
+        """The true map plus smooth noise of up to two cells, with the previous mask channel.
+
+        The previous map plus that noise for cells of unknown truth.
+        """
+        align_corners, size = self.net.config.align_corners, _grid(truth.image1)[::-1]
+        batch, _, *sides = previous.shape
+        coarse = draw.normal(batch, 2, *(max(2, side // 4) for side in sides))
+        smooth = F.interpolate(coarse, sides, mode="bicubic", align_corners=False)
+        extent = draw.uniform(batch, 1, 1, 1, low=0.2, high=1.5)
+        noise = (smooth * extent).movedim(1, -1) * 2**level
+        points = to_pixels(previous.detach()[:, :2].movedim(1, -1), size, align_corners)
+        noisy = torch.where(truth.known[..., None], truth.map, points) + noise
+        bounded = noisy.clamp(-2 * max(size), 3 * max(size))
+        noised = to_normalised(bounded, size, align_corners)
+        return torch.cat([noised.movedim(-1, 1), previous[:, 2:].detach()], 1)
+
+    def finished(self) -> DGCNet:
+        return self.net
+
+
+def _similarity(source: Tensor, target: Tensor, scale: Tensor) -> Tensor:
+    """Scaled products (B, h * w, Q) of source cells (B, C, h, w), column-major, and (B, C, Q)."""
+    return scale * source.transpose(2, 3).flatten(2).mT @ target
+
+
+def _grid(features: Tensor) -> tuple[int, int]:
+    return features.shape[2], features.shape[3]
+
+
+def _window(level: int, shape: Shape, corner: list[int]) -> tuple[slice, slice]:
+    """The part of a level that is decoded: all; of the two finest the half from `corner`, rows and
+    columns of level 1."""
+    if level > 1:
+        return slice(None), slice(None)
+    rows, columns = (
+        slice(first << 1 - level, (first << 1 - level) + (side >> level + 1))
+        for first, side in zip(corner, shape, strict=True)
+    )
+    return rows, columns
 
 
 def masked_mean(values: Tensor, inside: Tensor) -> Tensor:
-    """The mean of the `values` that are `inside`; 0 if there are none.
-
-    NaN and infinity of the other values do not reach the sum.
-    """
+    """The mean of the `values` that are `inside`, whatever the others are; 0 if there are none."""
     return torch.where(inside, values, 0).sum() / inside.sum().clamp(min=1)
 
 
 def likelihood_loss(
-    log_likely: Tensor, truth: Tensor, valid: Tensor, stride: int, grid: Grid
+    log_likely: Tensor, truth: Tensor, valid: Tensor, stride: int, grid: tuple[int, int]
 ) -> tuple[Tensor, Tensor]:
     """The mean negative log-likelihood of the true matches, and the share of right cells.
 
@@ -48,18 +260,17 @@ def likelihood_loss(
 
 
 def window_loss(
-    source: Tensor, target: Tensor, truths: tuple[Tensor, Tensor], draw: Draw, queries: int
+    source: Tensor, target: Tensor, truth: Tensor, valid: Tensor, draw: Draw, queries: int
 ) -> Tensor:
     """The cross-entropy of the refinement's soft-argmax, in a window about the truth.
 
     source, target: unit features (B, C, h, w) of stride 4. Both are averaged over 2x2, the source's
-    at every cell, as the engine does. truths: true points (B, h w / 4, 2), pixels, of the
-    target's cells of stride 8, of which random `queries` count, and which are valid.
+    at every cell, as the engine does. truth: true points (B, h w / 4, 2), pixels, of the target's
+    cells of stride 8, of which random `queries` count; valid: (B, h w / 4).
     """
     means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
     rows, columns = means.shape[2:]
-    chosen = random_cells(truths[1], queries, draw)
-    points, use = chosen_cells(truths, chosen)
+    chosen, points, use = random_cells(truth, valid, queries, draw)
     place = torch.where(use[..., None], (points + 0.5) / 4 - 1, 0)  # in means, between cells
     middle = (place + _JITTER * draw.uniform(*place.shape, low=-1)).round()
     offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=place.device)
@@ -77,16 +288,14 @@ def window_loss(
     return masked_mean(-(share * likely).sum(-1), use & (share.sum(-1) > 0.9))
 
 
-def random_cells(valid: Tensor, count: int, draw: Draw) -> Tensor:
-    """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first."""
+def random_cells(
+    truth: Tensor, valid: Tensor, count: int, draw: Draw
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first, and their true
+    points (B, n, 2) and validity (B, n)."""
     order = draw.uniform(*valid.shape) + valid.float()
-    return order.topk(min(count, valid.shape[1]), 1).indices
-
-
-def chosen_cells(truths: tuple[Tensor, Tensor], chosen: Tensor) -> tuple[Tensor, Tensor]:
-    """True points (B, n, 2) and their validity (B, n) of the cells (B, n) of all N."""
-    points, valid = truths
-    return points.gather(1, chosen[..., None].expand(-1, -1, 2)), valid.gather(1, chosen)
+    chosen = order.topk(min(count, valid.shape[1]), 1).indices
+    return chosen, truth.gather(1, chosen[..., None].expand(-1, -1, 2)), valid.gather(1, chosen)
 
 
 def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
@@ -97,11 +306,6 @@ def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
     """
     error = error_cells.abs().sum(-1)
     return masked_mean(_ROBUST_CELLS * torch.log1p(error / _ROBUST_CELLS), valid)
-
-
-def absolute_map_loss(error: Tensor, valid: Tensor) -> Tensor:
-    """Mean over valid cells of |dx| + |dy| (paper, equation 3) of (B, H, W, 2), normalised."""
-    return masked_mean(error.abs().sum(-1), valid)
 
 
 def mask_loss(logits: Tensor, target: Tensor, known: Tensor) -> Tensor:

@@ -71,12 +71,12 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        config = self.config  # raises InputError for a name of no network
+        own = self.config.any_shape  # raises InputError for a name of no network
         if (self.seconds is None) == (self.steps is None):
             raise InputError("a run needs its length, in seconds or in steps, and one of them only")
-        if config.any_shape and self.encoder is not None:
+        if own and self.encoder is not None:
             raise InputError(ArgumentName("encoder"), f"is VGG-16, which {self.preset} has not")
-        if not config.any_shape and self.encoder is None and self.init is None:
+        if not own and self.encoder is None and self.init is None:
             needs = f"or init is needed: the VGG-16 of {self.preset} is not trained"
             raise InputError(ArgumentName("encoder"), needs)
 

@@ -1,28 +1,41 @@
-"""Batches of random pairs of all kinds, made on the device of the network."""
+"""Batches of random pairs of all kinds, made on the device of the network; and pairs of warped
+photographs."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
+import torch.nn.functional as F
+from torch import Tensor
 
 from dgc_pose.errors import InputError
-from dgc_pose.training.draw import Draw
-from dgc_pose.training.light import other_light
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.draw import Draw, other_light
 from dgc_pose.training.options import Shares
-from dgc_pose.training.photos import Photos, load_photos
+from dgc_pose.training.photos import Photos, load_photos, spacing
 from dgc_pose.training.posed_frames import PosedFrame, read_scenes
 from dgc_pose.training.posed_pairs import FramePairs, frame_pairs, load_posed, posed_pairs
 from dgc_pose.training.room_pairs import room_pairs
-from dgc_pose.training.views import Shape
-from dgc_pose.training.warped_pairs import warped_pairs
+from dgc_pose.training.views import (
+    MapPairs,
+    Shape,
+    inside,
+    middle_of,
+    pixel_grid,
+    root_area,
+    rotation_2d,
+)
 
 TRAINING = "training"  # what trains; all else validates
-_OFFSETS = range(1000)
+_STARTS = range(1000)
+_FARTHEST = 20.0  # times farther than its middle, where a view's plane ends
+_OCCLUDED = 0.3  # share of the views with an occluder
+_BENT = 0.4  # share of the pairs with a smooth bend beside the projective maps
+_AWAY = 1e4  # pixels, coordinate of points beyond a view's horizon
 
 
 @dataclass(frozen=True)
@@ -44,7 +57,7 @@ class PairSource:
         if not ends[-1]:
             raise InputError("shares: there is no data for the kinds of pairs that have a share")
         # Evenly from a random start, so that small batches have all kinds, too.
-        places = (np.arange(count) + draw.choice(_OFFSETS) / len(_OFFSETS)) * ends[-1] / count
+        places = (np.arange(count) + draw.choice(_STARTS) / len(_STARTS)) * ends[-1] / count
         kinds = ends.searchsorted(places, "right")
         warped, relit, rooms, cut = np.bincount(kinds, minlength=4).tolist()
         parts = []
@@ -91,16 +104,110 @@ def load_data(
         raise InputError("held: no scene of posed is left to train")
     needed = {name: scene for name, scene in frames.items() if name in held or name in trains}
     training, held_back = load_photos(photos, light, device)
-    pairs = validating = None
-    if needed:
-        scenes = load_posed(needed, device, depths)
-        pairs = frame_pairs(scenes, trains) if trains else None
-        validating = frame_pairs(scenes, held) if held else None
+    scenes = load_posed(needed, device, depths) if needed else None
+    pairs = frame_pairs(scenes, trains) if scenes is not None and trains else None
     sources = {
         TRAINING: PairSource(training, pairs, shares),
         "photos": PairSource(held_back, shares=Shares(1, 0, 0, 0)),
         "rooms": PairSource(held_back, shares=Shares(0, 0, 1, 0)),
     }
-    if validating is not None:
-        sources["posed"] = PairSource(held_back, validating, Shares(0, 0, 0, 1))
+    if scenes is not None and held:
+        sources["posed"] = PairSource(held_back, frame_pairs(scenes, held), Shares(0, 0, 0, 1))
     return sources
+
+
+def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bool) -> MapPairs:
+    """Random pairs of views of `shape`.
+
+    light: of two aligned photographs of one place, in other light or exposure; else both of one.
+    A view is projective: foreshortened down to 0.35, rolled, enlarged up to twice. The truth is not
+    known where the target shows what lies outside of its photograph.
+    """
+    bank = photos.bank
+    if light:
+        source, target = photos.places_drawn(count, draw)
+    else:
+        source = target = draw.integers(count, count=photos.single)
+    to_source, to_target = _random_views(bank.size(target), shape, draw)
+    pixels = pixel_grid(shape, draw.device).expand(count, -1, -1, -1)
+    in_target = _apply(to_target, pixels)[0]
+    bend = 0.07 * draw.uniform(count, 1, 1, 1) * draw.chance(count, 1, 1, 1, share=_BENT)
+    knots = F.interpolate(draw.normal(count, 2, 5, 5), shape, mode="bicubic", align_corners=False)
+    reach = bend * root_area(shape) * spacing(in_target)[..., None]
+    in_target = in_target + reach * knots.movedim(1, -1) / 2
+    found, depth = _apply(torch.linalg.inv_ex(to_source).inverse, in_target)
+    truth = torch.where(depth[..., None] > 1 / _FARTHEST, found, _AWAY).clamp(-_AWAY, _AWAY)
+    in_source = _apply(to_source, pixels)[0]
+    image1, hidden1 = occluded(photos, bank.view(source, in_source), draw)
+    image2, hidden2 = occluded(photos, bank.view(target, in_target), draw)
+    place = (2 * truth + 1) / truth.new_tensor(shape[::-1]) - 1
+    behind = F.grid_sample(hidden1.float()[:, None], place, align_corners=False)[:, 0] > 0.3
+    on_view, on_photo = inside(truth, shape), inside(in_target, bank.size(target)[:, None, None])
+    known = on_photo | ~on_view | hidden2
+    valid = on_view & on_photo & ~hidden2 & ~behind
+    return MapPairs(image1.movedim(-1, 1), image2.movedim(-1, 1), truth, valid, known)
+
+
+def _random_views(size: Tensor, shape: Shape, draw: Draw) -> list[Tensor]:
+    """Homographies (B, 3, 3) from pixels of the source and of the target view to pixels of the
+    photographs, whose width and height are `size` (B, 2)."""
+    count, extent = len(size), size.new_tensor(shape[::-1]) / root_area(shape)
+    most = (size / extent).amin(1) / 2
+    side2 = most * draw.log_uniform(count, low=0.5, high=1.0)
+    side1 = (side2 * draw.log_uniform(count, low=0.6, high=1.65)).minimum(1.05 * most)
+    free = (size / 2 - side2[:, None] * extent).clamp(min=0)
+    centre2 = (size - 1) / 2 + free * draw.uniform(count, 2, low=-1)
+    apart = 0.28 * side1.maximum(side2)[:, None] * draw.normal(count, 2).clamp(-2, 2)
+    roll = math.radians(6) * draw.normal(count)
+    slanted = draw.chance(count, share=0.75)
+    views = []
+    for side, centre in ((side1, centre2 + apart), (side2, centre2)):
+        # Of either view, half of the slanted pairs are strongly foreshortened.
+        strong = slanted & draw.chance(count, share=0.5)
+        squeeze = draw.uniform(count, low=0.35, high=0.95)
+        squeeze = torch.where(strong, squeeze, draw.uniform(count, low=0.8))
+        axis = draw.uniform(count, high=math.pi)
+        stretch = torch.diag_embed(torch.stack([squeeze**-0.5, squeeze**0.5], -1))  # area kept
+        linear = rotation_2d(roll + math.radians(13) * draw.normal(count)) @ rotation_2d(axis)
+        linear = linear @ stretch @ rotation_2d(-axis) * side[:, None, None]
+        slope = 0.45 * draw.uniform(count, low=-1) * (1 - squeeze**2).clamp(min=0.02).sqrt()
+        tilt = slope[:, None] * torch.stack([axis.cos(), axis.sin()], -1)
+        tilt = tilt + 0.04 * draw.normal(count, 2)
+        # The view's corners stay on this side of the horizon.
+        tilt = tilt * (0.62 / (tilt.abs() * extent).sum(1).clamp(min=0.62))[:, None]
+        # centre + linear u / (1 + tilt u); u is 0 in the middle of the view, whose area is 4
+        upper = torch.cat([linear + centre[..., None] * tilt[:, None], centre[..., None]], -1)
+        views.append(torch.cat([upper, F.pad(tilt, (0, 1), value=1.0)[:, None]], 1))
+    scale = 2 / root_area(shape)
+    units = torch.diag(size.new_tensor([scale, scale, 1.0]))
+    units[:2, 2] = -scale * middle_of(shape, draw.device)
+    return [view @ units for view in views]
+
+
+def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Points (B, H, W, 2) through homographies (B, 3, 3), and their third coordinates (B, H, W),
+    positive on the view's side of the horizon."""
+    moved = torch.einsum("bij,bhwj->bhwi", matrix, F.pad(points, (0, 1), value=1.0))
+    depth = moved[..., 2]
+    return moved[..., :2] / depth.clamp(min=1e-3)[..., None], depth
+
+
+def occluded(
+    photos: Photos, images: Tensor, draw: Draw, share: float = _OCCLUDED
+) -> tuple[Tensor, Tensor]:
+    """A `share` of the views (B, H, W, 3) behind a blot cut from another photograph, and the blots'
+    masks (B, H, W)."""
+    count, shape = len(images), (images.shape[1], images.shape[2])
+    place = (pixel_grid(shape, draw.device) - middle_of(shape, draw.device)) * 2 / root_area(shape)
+    offset = place - draw.uniform(count, 1, 1, 2, low=-0.9, high=0.9)
+    turn = rotation_2d(draw.uniform(count, high=math.pi))
+    radii = draw.uniform(count, 1, 1, 2, low=0.1, high=0.45)
+    offset = torch.einsum("bij,bhwj->bhwi", turn, offset) / radii
+    angle = torch.atan2(offset[..., 1], offset[..., 0])
+    edge = 1 - 0.25 * torch.sin(3 * angle + draw.uniform(count, 1, 1, high=2 * math.pi))
+    hidden = (offset.norm(dim=-1) < edge) & draw.chance(count, 1, 1, share=share)
+    other = draw.integers(count, count=photos.single)
+    size = photos.bank.size(other)[:, None, None]
+    shift = draw.uniform(count, 1, 1, 2, low=-0.2, high=0.2)
+    points = size / 2 + 0.4 * size.amin(-1, keepdim=True) * (place + shift)
+    return torch.where(hidden[..., None], photos.bank.view(other, points), images), hidden

@@ -1,13 +1,15 @@
-"""Photographs, decoded once and kept in memory."""
+"""Photographs, decoded once, in one row on the device; sampled at any points of any of them."""
 
 from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -16,12 +18,78 @@ from tqdm import tqdm
 from dgc_pose.errors import ImageError
 from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import load_image, resize_by
-from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
 
 SIDE = 300  # pixels of the shorter side in memory, at most
+LEVELS = 4  # of the mip pyramid: the image, and three halvings
 _log = logging.getLogger(__name__)
+_SHARPNESS = 1.2  # a level is left when its texels are this much smaller than a sample
 _HELD_BACK = 20  # one photograph in so many is held back for validation
+
+
+@dataclass(frozen=True)
+class ImageBank:
+    """N images with their mip levels."""
+
+    texels: Tensor  # (T,) int32, R + 2^8 G + 2^16 B
+    start: Tensor  # (N, LEVELS) int64, the first texel of a level
+    sizes: Tensor  # (N, LEVELS, 2) int64, width and height
+
+    @classmethod
+    def of(cls, images: Iterable[np.ndarray], device: torch.device | str = "cpu") -> ImageBank:
+        """The bank of images (h, w, 3) uint8, RGB."""
+        levels, sizes = [], []
+        for image in images:
+            for _ in range(LEVELS):
+                wide = image.astype(np.int32)
+                levels.append((wide[..., 0] | wide[..., 1] << 8 | wide[..., 2] << 16).ravel())
+                sizes.append(image.shape[1::-1])
+                half = [max(1, (side + 1) // 2) for side in sizes[-1]]
+                image = cv2.resize(image, half, interpolation=cv2.INTER_AREA)
+        start = np.cumsum([0, *(len(level) for level in levels[:-1])]).reshape(-1, LEVELS)
+        table = torch.tensor(sizes).view(-1, LEVELS, 2)
+        parts = torch.from_numpy(np.concatenate(levels)), torch.from_numpy(start), table
+        return cls(*(part.to(device) for part in parts))
+
+    def size(self, image: Tensor) -> Tensor:
+        """Width and height (..., 2) float of images (...) int64."""
+        return self.sizes[image, 0].float()
+
+    def sample(self, image: Tensor, points: Tensor, spacing: Tensor) -> Tensor:
+        """Bilinear colours (..., 3) in [0, 1] at points (..., 2), pixels; mirrored at the edges.
+
+        image: (...) int64; spacing: (...), the pixels between two samples, which choose the mip
+        level. Both broadcast with the points.
+        """
+        level = (_SHARPNESS * spacing).clamp(min=1).log2().long().clamp(max=LEVELS - 1)
+        start, size = self.start[image, level], self.sizes[image, level]
+        place = (points + 0.5) / self.sizes[image, 0]
+        mirrored = 1 - (place.remainder(2) - 1).abs()  # on an endless row of mirrored copies
+        inside = torch.minimum((mirrored * size - 0.5).clamp(min=0), size - 1)
+        first = inside.long()
+        u, v = (inside - first).unsqueeze(-2).unbind(-1)
+        left, top = first.unbind(-1)
+        right, bottom = torch.minimum(first + 1, size - 1).unbind(-1)
+        upper, lower = start + top * size[..., 0], start + bottom * size[..., 0]
+        above = torch.lerp(self._colours(upper + left), self._colours(upper + right), u)
+        below = torch.lerp(self._colours(lower + left), self._colours(lower + right), u)
+        return torch.lerp(above, below, v) / 255
+
+    def view(self, image: Tensor, points: Tensor) -> Tensor:
+        """Views (B, H, W, 3) of images (B,) at points (B, H, W, 2), pixels, each about as far from
+        the next."""
+        return self.sample(image[:, None, None], points, spacing(points))
+
+    def _colours(self, index: Tensor) -> Tensor:
+        """Texels, unpacked: (..., 3) float32 in [0, 255]."""
+        packed = self.texels[index]
+        return torch.stack([packed & 255, packed >> 8 & 255, packed >> 16], -1).float()
+
+
+def spacing(points: Tensor) -> Tensor:
+    """The mean distance (B, 1, 1) of neighbours among points (B, H, W, 2)."""
+    steps = points[:, 1:, 1:] - points[:, :-1, :-1]
+    return steps.norm(dim=-1).mean((1, 2))[:, None, None] / math.sqrt(2)
 
 
 @dataclass(frozen=True)
@@ -54,9 +122,7 @@ class Photos:
 
 
 def load_photos(
-    root: str | Path,
-    light: str | Path | None = None,
-    device: torch.device | str = "cpu",
+    root: Path, light: Path | None = None, device: torch.device | str = "cpu"
 ) -> tuple[Photos, Photos]:
     """All photographs below a folder, made smaller: those that train, and those held back.
 
@@ -65,32 +131,35 @@ def load_photos(
     trains another, unless the folder is so small that this would leave none of either. Raises
     ImageError for fewer than two photographs, or if a folder holds no place.
     """
-    training, held_back = _split(Path(root))
-    places = [] if light is None else _places(Path(light))
+    training, held_back = _split(root)
+    folders = [] if light is None else sorted(path for path in light.iterdir() if path.is_dir())
+    places = [_decoded(_images(folder), SIDE) for folder in folders]
+    for folder, place in zip(folders, places, strict=True):
+        if len(place) < 2 or len({image.shape for image in place}) > 1:
+            raise ImageError(f"{folder}: must hold two photographs of one size and more")
+    if light is not None and not places:
+        raise ImageError(f"{light}: holds no folders of photographs of one place")
     validating = Photos.of(_decoded(held_back, SIDE), device=device)
     return Photos.of(_decoded(training, SIDE), places, device), validating
 
 
-def load_held_back(root: str | Path, side: int = SIDE) -> Photos:
+def load_held_back(root: Path, side: int = SIDE) -> Photos:
     """The photographs that `load_photos` holds back, without decoding the others; the shorter side
     has `side` pixels at most. Raises as `load_photos` does."""
-    return Photos.of(_decoded(_split(Path(root))[1], side))
+    return Photos.of(_decoded(_split(root)[1], side))
 
 
 def _split(root: Path) -> tuple[list[Path], list[Path]]:
     """The photographs below a folder, sorted: those that train, those held back."""
-    numbers = {path: _number(path) for path in _images(root)}
+    numbers = {
+        path: int(hashlib.sha256(path.name.encode()).hexdigest()[:8], 16) for path in _images(root)
+    }
     if len(numbers) < 2:
         raise ImageError(f"{root}: one trains and one is held back, and it holds {len(numbers)}")
     ranked = sorted(numbers, key=lambda path: (numbers[path] % _HELD_BACK != 0, numbers[path]))
     count = sum(number % _HELD_BACK == 0 for number in numbers.values())
     count = min(max(1, count), len(ranked) - 1)  # of a few names none may be, or all
     return sorted(ranked[count:]), sorted(ranked[:count])
-
-
-def _number(path: Path) -> int:
-    """A number by the name of a file, as if at random."""
-    return int(hashlib.sha256(path.name.encode()).hexdigest()[:8], 16)
 
 
 def _images(root: Path) -> list[Path]:
@@ -100,28 +169,15 @@ def _images(root: Path) -> list[Path]:
     return sorted(root / name for name in content.names)
 
 
-def _places(root: Path) -> list[list[np.ndarray]]:
-    places = []
-    for folder in sorted(path for path in root.iterdir() if path.is_dir()):
-        places.append(_decoded(_images(folder), SIDE))
-        if len(places[-1]) < 2 or len({image.shape for image in places[-1]}) > 1:
-            raise ImageError(f"{folder}: must hold two photographs of one size and more")
-    if not places:
-        raise ImageError(f"{root}: holds no folders of photographs of one place")
-    return places
-
-
 def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
     """Those that can be read. Raises ImageError if none can."""
-    images: list[np.ndarray] = []
-    damaged: list[ImageError] = []  # one in thousands is no reason to stop
+    images, damaged = list[np.ndarray](), list[ImageError]()
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         try:
             pixels = load_image(path).pixels
-        except ImageError as error:
+            images.append(resize_by(pixels, min(1.0, side / min(pixels.shape[:2]))))
+        except ImageError as error:  # one in thousands is no reason to stop
             damaged.append(error)
-            continue
-        images.append(resize_by(pixels, min(1.0, side / min(pixels.shape[:2]))))
     if damaged and not images:
         raise damaged[0]
     if damaged:

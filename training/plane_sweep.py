@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.training.bank import ImageBank
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
 _SIDE, _PLANES = 256, 72  # longest side, pixels, and planes, even in the inverse depth
@@ -27,16 +27,15 @@ def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]
 
     reach: (n, 2), nearest and farthest depth of each.
     """
-    near = _neighbours(bank.sizes[:, 0].float(), views, reach)
+    sizes = bank.sizes[:, 0].float()
+    near = _neighbours(sizes, views, reach)
     greys, K = [], []
-    for frame, own in enumerate(views.K):
-        image = torch.tensor(frame, device=own.device)
-        size = bank.size(image)
+    for frame, (own, size) in enumerate(zip(views.K, sizes, strict=True)):
         factor = min(1.0, _SIDE / float(size.max()))
         width, height = (round(factor * extent) for extent in size.cpu().tolist())
         scale = own.new_tensor([width, height]) / size
         points = (pixel_grid((height, width), own.device) + 0.5) / scale - 0.5
-        colours = bank.sample(image, points, 1 / scale[:1])
+        colours = bank.sample(torch.tensor(frame, device=own.device), points, 1 / scale[:1])
         greys.append(colours @ own.new_tensor([0.299, 0.587, 0.114]))
         K.append(torch.cat([own[:2] * scale, (own[2:] + 0.5) * scale - 0.5]))
     small = Cameras(torch.stack(K), views.pose)

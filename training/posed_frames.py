@@ -1,8 +1,4 @@
-"""Photographs with poses, and depth if a sensor has it, from the folders that hold them.
-
-A scene is a folder with its photographs in `images/`. docs/training.md describes what lies beside
-them.
-"""
+"""Photographs with poses, and depth if a sensor has it, from the folders of docs/training.md."""
 
 from __future__ import annotations
 
@@ -54,10 +50,9 @@ class PosedFrame:
         Raises ImageError, with the path, if it cannot be read; InputError if its shape is another.
         """
         assert self.depth is not None
-        stored = read_pixels(self.depth)
+        stored, size = read_pixels(self.depth), image_size(self.image)
         if stored.ndim != 2:
             raise ImageError(f"{self.depth} is not a depth image of one channel")
-        size = image_size(self.image)
         if not same_shape(stored.shape[::-1], size):
             sizes = f"{stored.shape[1]} x {stored.shape[0]}, its image {size[0]} x {size[1]}"
             raise InputError(f"{self.depth} has {sizes} pixels, another shape")
@@ -68,8 +63,7 @@ class PosedFrame:
 def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
     """The frames of a scene's folder, or of all scenes in a folder, by the folders' names.
 
-    Raises InputError, with the path, if there are none or a file is malformed; ImageError if a file
-    is not an image; OSError.
+    Raises InputError, with the path, if there are none or a file is malformed; ImageError; OSError.
     """
     root = Path(root).resolve()  # the working folder, too, has a name
     folders = [root] if (root / "images").is_dir() else sorted(root.iterdir())
@@ -94,48 +88,36 @@ def read_scene(root: Path) -> list[PosedFrame]:
 
 def _read_model(root: Path) -> list[PosedFrame]:
     """Those of a COLMAP model that show points, whose depths bound the search."""
-    model = load_model(root, root / "images")
-    frames = []
+    model, frames = load_model(root, root / "images"), []
     for name in sorted(model.seen):
         pose = np.vstack([model.poses[name], (0, 0, 0, 1)])
         depths = model.points[model.seen[name][0]] @ pose[2, :3] + pose[2, 3]
-        if not (depths > 0).any():
-            continue
-        nearest, farthest = np.quantile(depths[depths > 0], (_NEAREST, _FARTHEST))
-        reach = nearest / _MARGIN, farthest * _MARGIN
-        frames.append(PosedFrame(root / "images" / name, model.cameras[name], pose, reach=reach))
+        if (depths > 0).any():
+            nearest, farthest = np.quantile(depths[depths > 0], (_NEAREST, _FARTHEST))
+            reach = nearest / _MARGIN, farthest * _MARGIN
+            image = root / "images" / name
+            frames.append(PosedFrame(image, model.cameras[name], pose, reach=reach))
     return frames
 
 
-def reach_of(depth: np.ndarray) -> tuple[float, float]:
-    """The least and the largest of the known depths (h, w)."""
-    known = depth[depth > 0]
-    return (known.min(), known.max()) if len(known) else (1.0, 1.0)
-
-
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
-    """The frames of a posed RGB-D folder, in order.
-
-    Raises InputError, with the path, if the numbers of its files differ or a matrix is malformed;
-    OSError.
-    """
-    root = Path(root)
+    """The frames of a posed RGB-D folder, in order. Raises InputError, with the path, if the
+    numbers of its files differ or a matrix is malformed; OSError."""
+    root, path = Path(root), Path(root) / "poses.txt"
     folders = root / "images", root / "depth"
     images, depths = ([f / name for name in search_images(f).names] for f in folders)
     camera = parse_camera(str(root / "K.txt"))
-    path = root / "poses.txt"
     with read_as("rows of 16 numbers", path):
         poses = np.linalg.inv(np.array(read_text(path).split(), float).reshape(-1, 4, 4))
     if not 0 < len(images) == len(depths) == len(poses):
         counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
         raise InputError(f"{root}: {counts}; there must be as many of each, one at least")
-    parts = zip(images, poses, depths, strict=True)
-    return [PosedFrame(image, camera, pose, depth) for image, pose, depth in parts]
+    cameras = [camera] * len(images)
+    return [*map(PosedFrame, images, cameras, poses, depths)]
 
 
 def _read_listed(root: Path) -> list[PosedFrame]:
-    path, scale = root / "cameras.txt", root / "depth_scale.txt"
-    step = 1e-3
+    path, scale, step = root / "cameras.txt", root / "depth_scale.txt", 1e-3
     if scale.exists():
         with read_as("a number of steps", scale):
             step = 1 / float(read_text(scale))
@@ -150,7 +132,7 @@ def _read_listed(root: Path) -> list[PosedFrame]:
         if not (K[:2].min() > 0 and 0 < nearest < farthest < np.inf):
             wanted = "fx fy must be positive, and the depths must, too, and rise"
             raise InputError(f"{path}:{number}: {wanted}")
-        depth = root / "depth" / f"{Path(name).stem}.png" if scale.exists() else None
-        reach = nearest, farthest
-        frames.append(PosedFrame(root / "images" / name, Camera(K), pose, depth, step, reach))
+        image, reach = root / "images" / name, (nearest, farthest)
+        depth = root / "depth" / f"{image.stem}.png" if scale.exists() else None
+        frames.append(PosedFrame(image, Camera(K), pose, depth, step, reach))
     return frames

@@ -1,8 +1,5 @@
-"""Posed photographs of known depth on a device, and pairs of views cut from them.
-
-The map follows from the target's depth and the poses. Pixels that the depths decide nothing about
-are not `MapPairs.known`.
-"""
+"""Posed photographs of known depth on a device, and pairs of views cut from them, whose maps follow
+from the target's depth and the poses."""
 
 from __future__ import annotations
 
@@ -19,17 +16,17 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dgc_pose.errors import InputError
+from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.pixels import pixel_grid as centres
 from dgc_pose.images.image import load_image, resize_by
 from dgc_pose.network.weights import load_checkpoint
-from dgc_pose.system.files import replaced
-from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths
-from dgc_pose.training.posed_frames import PosedFrame, reach_of
+from dgc_pose.training.posed_frames import PosedFrame
 from dgc_pose.training.views import (
     Cameras,
+    MapPairs,
     Shape,
     angle_deg,
     inside,
@@ -39,7 +36,7 @@ from dgc_pose.training.views import (
     rotation_2d,
 )
 
-LONGEST = 512  # pixels of a frame's longer side in memory, at most
+_LONGEST = 512  # pixels of a frame's longer side in memory, at most
 _PROBE = (16, 20)  # rows and columns of points by which a frame's overlap with others is estimated
 _AGREES = 0.05  # of the depth, for such a point
 _VISIBLE = 0.03  # of the depth expected in the source: within this of it, the pixel is visible
@@ -97,16 +94,10 @@ def load_posed(
     kept: a folder for the depths that are swept, a file a scene and its frames, poses and reach.
     Raises ImageError if a file cannot be read, InputError for a depth of another shape.
     """
-    images: list[np.ndarray] = []
-    K: list[Tensor] = []
-    poses: list[Tensor] = []
-    depths: list[Tensor] = []
+    images, K, poses, depths = list[np.ndarray](), list[Tensor](), list[Tensor](), list[Tensor]()
     for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
-        pixels, pinholes, sensed = zip(*map(_prepared, frames), strict=True)
-        reach = np.array(
-            [f.reach or reach_of(depth) for f, depth in zip(frames, sensed, strict=True)]
-        )
-        pose = np.stack([frame.cam_from_world for frame in frames])[:, :3]
+        pixels, pinholes, sensed, reaches = zip(*map(_prepared, frames), strict=True)
+        reach, pose = np.array(reaches), np.stack([f.cam_from_world[:3] for f in frames])
         # In single precision: about the cameras, and in units of the depth.
         unit = np.median(np.sqrt(reach.prod(1)))
         middle = -np.einsum("nij,ni->nj", pose[..., :3], pose[..., 3]).mean(0)
@@ -117,13 +108,12 @@ def load_posed(
         if frames[0].depth is not None:
             depths += [torch.from_numpy(depth / np.float32(unit)).to(device) for depth in sensed]
             continue
-        # Other poses have other depths.
-        digest = hashlib.sha256(repr(frames).encode()).hexdigest()[:16]
+        digest = hashlib.sha256(repr(frames).encode()).hexdigest()[:16]  # other poses, other depths
         path = kept / f"{name}-{digest}.pt"
         if not path.exists():
             bounds = torch.from_numpy(reach / unit).float().to(device)
             swept = swept_depths(ImageBank.of(pixels, device), Cameras(K[-1], poses[-1]), bounds)
-            path.parent.mkdir(parents=True, exist_ok=True)
+            kept.mkdir(parents=True, exist_ok=True)
             with replaced(path) as temporary:
                 torch.save(swept, temporary)
         depths += load_checkpoint(path, device)
@@ -139,9 +129,11 @@ def load_posed(
     )
 
 
-def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pixels, fx fy cx cy and depths (h, w), 0 if unknown, of a frame without its lens distortion,
-    LONGEST pixels at most."""
+def _prepared(
+    frame: PosedFrame,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
+    """Pixels, fx fy cx cy, depths (h, w), 0 if unknown, and reach of a frame without its lens
+    distortion, `_LONGEST` pixels at most."""
     pixels = load_image(frame.image).pixels
     height, width = pixels.shape[:2]
     camera = replace(frame.camera, size=(width, height))
@@ -152,12 +144,13 @@ def _prepared(frame: PosedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         pixels = cv2.remap(pixels, x, y, cv2.INTER_LINEAR)
         if frame.depth is not None:
             depth = cv2.remap(depth, x, y, cv2.INTER_NEAREST)
-    pixels = resize_by(pixels, min(1.0, LONGEST / max(width, height)))
+    pixels = resize_by(pixels, min(1.0, _LONGEST / max(width, height)))
     size = pixels.shape[1], pixels.shape[0]
     if depth.shape[1] > size[0]:
         depth = cv2.resize(depth, size, interpolation=cv2.INTER_NEAREST_EXACT)
-    K = camera.resized(size).K
-    return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth
+    K, known = camera.resized(size).K, depth[depth > 0]
+    reach = frame.reach or ((known.min(), known.max()) if len(known) else (1.0, 1.0))
+    return pixels, np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]), depth, reach
 
 
 def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs:
@@ -166,11 +159,10 @@ def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs:
     """
     chosen = [k for k, name in enumerate(scenes.names) if name in names]
     parts = [_scene_pairs(scenes, (scenes.scene == k).nonzero()[:, 0]) for k in chosen]
-    parts = [part for part in parts if len(part[0])]
-    if not parts:
+    frames, middles, weights = map(torch.cat, zip(*parts, strict=True))
+    if not len(frames):
         listed = ", ".join(names)
         raise InputError(f"posed: in {listed} no two frames share enough of known depth")
-    frames, middles, weights = map(torch.cat, zip(*parts, strict=True))
     return FramePairs(scenes, frames, middles, weights.double().cumsum(0))
 
 
@@ -192,11 +184,11 @@ def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, T
         agreeing = agree.sum(1)
         right = agreeing / compared.sum(1).clamp(min=1)
         shown = (ahead & inside(seen, size[k])).sum(1) / known.sum(1).clamp(min=1)
-        rays1, rays2 = place - cameras.centre[:, None], place - cameras.centre[k]
-        parallax = (angle_deg(rays1, rays2) * agree).sum(1) / agreeing.clamp(min=1)
+        angle = angle_deg(place - cameras.centre[:, None], place - cameras.centre[k])
+        parallax = (angle * agree).sum(1) / agreeing.clamp(min=1)
         R = cameras.pose[k, :, :3] @ cameras.pose[..., :3].mT
-        trace = R.diagonal(dim1=1, dim2=2).sum(1)
-        turn = torch.rad2deg(torch.acos(((trace - 1) / 2).clamp(-1, 1)))
+        cosine = (R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2
+        turn = torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
         roll = torch.rad2deg(torch.atan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])).abs()
         good = (shown * right > _LEAST_OVERLAP) & (right > _LEAST_RIGHT) & (roll < _MOST_ROLL_DEG)
         good &= (agreeing >= _LEAST_POINTS) & (frames != frame)
@@ -226,7 +218,10 @@ def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapP
     linear1, shift1 = _random_cuts(scenes.bank.size(source), middle1, shape, draw)
     linear2, shift2 = _random_cuts(scenes.bank.size(target), middle2, shape, draw)
     pixels = pixel_grid(shape, draw.device).expand(count, -1, -1, -1)
-    in_frame1, in_frame2 = _cut(linear1, shift1, pixels), _cut(linear2, shift2, pixels)
+    in_frame1, in_frame2 = (
+        torch.einsum("bij,bhwj->bhwi", linear, pixels) + shift[:, None, None]
+        for linear, shift in ((linear1, shift1), (linear2, shift2))
+    )
     image1 = scenes.bank.view(source, in_frame1)
     image2 = scenes.bank.view(target, in_frame2)
     depth = scenes.depth_at(target, in_frame2)
@@ -260,7 +255,3 @@ def _random_cuts(size: Tensor, middle: Tensor, shape: Shape, draw: Draw) -> tupl
     wanted = middle + 0.17 * side[:, None] * draw.normal(count, 2) - (size - 1) / 2
     centre = (size - 1) / 2 + wanted.minimum(free).maximum(-free)
     return linear, centre - linear @ middle_of(shape, draw.device)
-
-
-def _cut(linear: Tensor, shift: Tensor, points: Tensor) -> Tensor:
-    return torch.einsum("bij,bhwj->bhwi", linear, points) + shift[:, None, None]

@@ -10,12 +10,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
-from dgc_pose.training.photos import Photos
+from dgc_pose.training.photos import ImageBank, Photos
 from dgc_pose.training.views import (
     Cameras,
+    MapPairs,
     Shape,
     about_axis,
     inside,
@@ -32,19 +31,19 @@ _TINY = 1e-9  # in place of a direction's zero
 _PROBE = 24  # rays a side that the views' overlap is estimated by
 _WALLS = ((1.6, 4.5), (1.1, 2.0), (1.6, 4.5))  # half of a room's width, height and depth
 _LOOK = ((-0.5, 0.5), (-0.16, 0.48), (-0.5, 0.5))  # of these, what cameras look at
+# The range of each layer, units of length that a photograph's shorter side covers
+Spans = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class RoomOptions:
-    """Ranges of pairs of views of rooms."""
-
     boxes: int = 11
     ellipsoids: int = 3
     orbit_deg: tuple[float, float] = (4.0, 75.0)  # between the cameras, about what they look at
     roll_deg: float = 7.0  # standard deviation, of each camera
     enough: float = 0.22  # share of the target that the source sees; pairs of more are no better
     tries: int = 3  # pairs drawn for each that is kept
-    spans: tuple[tuple[float, float], ...] = ((0.8, 3.0), (0.35, 1.2))  # of a layer's photographs
+    spans: Spans = ((0.8, 3.0), (0.35, 1.2))
 
 
 def room_pairs(
@@ -52,7 +51,7 @@ def room_pairs(
 ) -> RoomPairs:
     """Random pairs: of all that are drawn those whose views share the most, up to enough."""
     rooms, look = random_rooms(options.tries * count, photos, draw, options)
-    source, target = orbiting(rooms, look, shape, draw, options)
+    source, target = _orbiting(rooms, look, shape, draw, options)
     shared = overlap(rooms, source, target, shape).clamp(max=options.enough)
     best = (shared + 0.02 * draw.uniform(len(shared))).argsort(descending=True)[:count]
     return render_pairs(rooms.chosen(best), source[best], target[best], shape, photos.bank)
@@ -83,8 +82,7 @@ def random_rooms(
     thin = draw.integers(count, solids, 1, count=3) == torch.arange(3, device=draw.device)
     half = torch.where(flat & thin, 0.02, half)
     centre = look[:, None] + draw.normal(count, solids, 3) * half.new_tensor((1.0, 0.5, 1.0))
-    floor = walls[:, None, 1] - half[..., 1]
-    stands = draw.chance(count, solids, share=0.6)
+    stands, floor = draw.chance(count, solids, share=0.6), walls[:, None, 1] - half[..., 1]
     centre[..., 1] = torch.where(stands, floor, centre[..., 1])
     aligned = draw.chance(count, solids, share=0.4)
     yaw = draw.uniform(count, solids, low=-math.pi, high=math.pi)
@@ -93,24 +91,20 @@ def random_rooms(
     pitch, roll = 0.5 * draw.normal(2, count, solids) * tilted
     axes = about_axis(yaw, 1) @ about_axis(pitch, 0) @ about_axis(roll, 2)
     turned = about_axis(0.4 * draw.normal(count, 1), 1)
-    shapes = (
-        torch.cat([turned, axes], 1),
-        torch.cat([walls[:, None], half], 1),
-        F.pad(centre, (0, 0, 1, 0)),
-    )
-    textures = random_textures(count, 1 + solids, photos, draw, options)
-    return Rooms(*shapes, *textures, options.ellipsoids), look
+    axes, half = torch.cat([turned, axes], 1), torch.cat([walls[:, None], half], 1)
+    textures = random_textures(count, 1 + solids, photos, draw, options.spans)
+    return Rooms(axes, half, F.pad(centre, (0, 0, 1, 0)), *textures, options.ellipsoids), look
 
 
 def random_textures(
-    count: int, primitives: int, photos: Photos, draw: Draw, options: RoomOptions
+    count: int, primitives: int, photos: Photos, draw: Draw, of_layers: Spans
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
     """Photographs, spans, origins, weights and gains, as `Rooms` has them; half of the primitives
     have one photograph on all faces."""
     faces = count, primitives, FACES
     photo = draw.integers(*faces, LAYERS, count=photos.single)
     photo = torch.where(draw.chance(count, primitives, 1, 1, share=0.5), photo[:, :, :1], photo)
-    spans = [draw.log_uniform(*faces, low=low, high=high) for low, high in options.spans]
+    spans = [draw.log_uniform(*faces, low=low, high=high) for low, high in of_layers]
     span = torch.stack(spans, -1)
     span[:, 0] *= 2
     second = draw.uniform(*faces, high=0.6) * draw.chance(*faces, share=0.65)
@@ -120,9 +114,9 @@ def random_textures(
     return photo, span, origin, torch.stack([1 - second, second], -1), gain
 
 
-def orbiting(
-    rooms: Rooms, look: Tensor, shape: Shape, draw: Draw, options: RoomOptions = RoomOptions()
-) -> tuple[Cameras, Cameras]:
+def _orbiting(
+    rooms: Rooms, look: Tensor, shape: Shape, draw: Draw, options: RoomOptions
+) -> list[Cameras]:
     """Two random cameras a room, inside of it, that look at about the points `look` (B, 3)."""
     count = len(look)
     focal = root_area(shape) * draw.uniform(count, 1, low=0.75, high=1.4)
@@ -146,7 +140,7 @@ def orbiting(
         aside = 0.12 * distance[:, None] * draw.normal(count, 3)
         roll = math.radians(options.roll_deg) * draw.normal(count)
         cameras.append(Cameras.looking(K, centre, look + aside, roll))
-    return cameras[0], cameras[1]
+    return cameras
 
 
 class Rooms(NamedTuple):
@@ -165,14 +159,11 @@ class Rooms(NamedTuple):
 
     def chosen(self, which: Tensor) -> Rooms:
         """Some of the rooms, by their indices."""
-        parts = self._asdict().items()
-        return self._replace(**{k: part[which] for k, part in parts if k != "ellipsoids"})
+        return Rooms._make([*(part[which] for part in self[:-1]), self.ellipsoids])
 
 
 @dataclass(frozen=True)
 class RoomPairs:
-    """Pairs of views of rooms, with their cameras."""
-
     maps: MapPairs
     source: Cameras
     target: Cameras
@@ -185,9 +176,8 @@ def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tens
 
     origin: (B, 3); rays: (B, N, 3), of unit length along the optical axis, both in the world.
     """
-    nearest = torch.full(rays.shape[:2], torch.inf, device=rays.device)
-    which = torch.zeros(rays.shape[:2], dtype=torch.int64, device=rays.device)
-    count = rooms.half.shape[1]
+    nearest = torch.full_like(rays[..., 0], torch.inf)
+    which, count = torch.zeros_like(nearest, dtype=torch.int64), rooms.half.shape[1]
     for k in range(count):
         unit = rooms.axes[:, k] / rooms.half[:, k, None]  # to a cube or a ball of half size 1
         start = ((origin - rooms.centre[:, k])[:, None] @ unit).expand_as(rays)
@@ -231,16 +221,15 @@ def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tup
     local = torch.einsum("bnji,bnj->bni", rooms.axes[room, which], local)
     axis = (local / rooms.half[room, which]).abs().argmax(-1)
     along = local.gather(-1, axis[..., None])[..., 0]
-    face = 2 * axis + (along > 0).long()
-    u = torch.where(axis == 0, local[..., 2], local[..., 0])
-    v = torch.where(axis == 1, local[..., 2], local[..., 1])
-    at = room, which, face
+    at = room, which, 2 * axis + (along > 0).long()
+    x, y, z = local.unbind(-1)
+    on_face = torch.stack([torch.where(axis == 0, z, x), torch.where(axis == 1, z, y)], -1)
     colours = torch.zeros_like(rays)
     for layer in range(LAYERS):
         photo = rooms.photo[at][..., layer]
         size = bank.size(photo)
         scale = size.amin(-1) / rooms.span[at][..., layer]  # pixels a unit of length
-        points = rooms.origin[at][..., layer, :] * size + torch.stack([u, v], -1) * scale[..., None]
+        points = rooms.origin[at][..., layer, :] * size + on_face * scale[..., None]
         spacing = depth / cameras.K[:, :1] * scale
         colours += rooms.weight[at][..., layer, None] * bank.sample(photo, points, spacing)
     image = (colours * rooms.gain[at]).clamp(0, 1).mT.unflatten(2, shape)
@@ -260,13 +249,19 @@ def correspond(
 
 
 def render_pairs(
-    rooms: Rooms, source: Cameras, target: Cameras, shape: Shape, bank: ImageBank
+    rooms: Rooms,
+    source: Cameras,
+    target: Cameras,
+    shape: Shape,
+    bank: ImageBank,
+    source_shape: Shape | None = None,
 ) -> RoomPairs:
-    """Pairs of views of `shape` with their exact maps."""
-    image1, depth1 = render(rooms, source, shape, bank)
+    """Pairs of views of `shape`, or the source's of another one, with their exact maps."""
+    shape1 = source_shape or shape
+    image1, depth1 = render(rooms, source, shape1, bank)
     image2, depth2 = render(rooms, target, shape, bank)
     pixels = pixel_grid(shape, bank.texels.device).flatten(0, 1).expand(len(depth2), -1, -1)
-    found, visible = correspond(rooms, source, target, depth2.flatten(1), pixels, shape)
+    found, visible = correspond(rooms, source, target, depth2.flatten(1), pixels, shape1)
     truth, valid = found.unflatten(1, shape), visible.unflatten(1, shape)
     maps = MapPairs(image1, image2, truth, valid, torch.ones_like(valid))
     return RoomPairs(maps, source, target, depth1, depth2)

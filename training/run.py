@@ -16,16 +16,17 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
+from dgc_pose.files.inputs import read_as
+from dgc_pose.files.outputs import replaced, write_text, naming_path
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, Pyramid
 from dgc_pose.network.stored import COUNTER, check_state
 from dgc_pose.network.weights import load_checkpoint, load_network, read_state
-from dgc_pose.system.files import naming_path, read_as, replaced, write_text
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.losses import SHAPES, DecoderStage, EncoderStage, StageName
 from dgc_pose.training.options import TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
-from dgc_pose.training.stages import SHAPES, DecoderStage, EncoderStage, StageName
+from dgc_pose.training.views import MapPairs
 from dgc_pose.version import version
 
 CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
@@ -36,14 +37,17 @@ _BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
 _VALIDATION, _VALIDATION_BATCH = 4, 8  # batches of each kind that validate, and pairs of each
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
-_HALF_MAX = torch.finfo(torch.float16).max
 _RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
 _WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
 _DECAY = 0.999  # at most, of the exponential moving average of the weights
 # The layers that ImageNet taught learn more slowly.
 _BACKBONE, _BACKBONE_RATE = ("net.pyramid.stem.", "net.pyramid.blocks."), 0.35
+# What a checkpoint holds beside the options: values, and what has a state of its own
+_VALUES = "elapsed", "step", "stages", "rows", "stage"
+_STATES = "module", "average", "optimizer"
 
 Row = dict[str, Any]
+Validation = Mapping[str, Sequence[MapPairs]]
 
 
 class Trainer:
@@ -64,12 +68,13 @@ class Trainer:
     ) -> None:
         self.options, self.out = options, Path(out)
         self.weights_path = self.out / f"{options.preset}.safetensors"
-        path = self.out / CHECKPOINT
-        if path.exists() and not resume:
-            raise InputError(f"{path} exists already:", ArgumentName("resume"), "continues it")
-        if self.weights_path.exists() and not path.exists():
+        self.checkpoint, self.device = self.out / CHECKPOINT, torch.device(device)
+        resumes = self.checkpoint.exists()
+        if resumes and not resume:
+            text = f"{self.checkpoint} exists already:"
+            raise InputError(text, ArgumentName("resume"), "continues it")
+        if self.weights_path.exists() and not resumes:
             raise InputError(f"{self.weights_path} exists already, and is of no run in this folder")
-        self.device = torch.device(device)
         torch.manual_seed(options.seed)
         net = DGCNet(options.config)
         if options.init is not None:
@@ -86,8 +91,8 @@ class Trainer:
         self.step = 0
         self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
         self.rows: list[Row] = []  # of the log
-        if path.exists():
-            self._load(path, net)
+        if resumes:
+            self._load(net)
         else:
             self._enter(self._place()[0], net)
 
@@ -105,7 +110,12 @@ class Trainer:
         data: see `load_data`; on the run's device. A line of figures goes to standard error every
         few steps. Raises DgcPoseError if training has diverged.
         """
-        validation = {k: self._validation_pairs(k, v) for k, v in data.items() if k != TRAINING}
+        validation: dict[str, list[MapPairs]] = {}
+        for kind in [kind for kind in data if kind != TRAINING]:
+            draw = Draw(self.device, "validation", kind)  # the same pairs for every run
+            shape = (208, 272) if kind == "posed" and self.options.config.any_shape else _SQUARE
+            batches = range(_VALIDATION)
+            validation[kind] = [data[kind].make(_VALIDATION_BATCH, shape, draw) for _ in batches]
         saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
             self._write({}, validation)  # the first steps may spoil what later ones regain
@@ -122,8 +132,7 @@ class Trainer:
                 saved = self.elapsed
         net = self.average.finished()
         save_weights(net, self.weights_path)
-        text = _card(self.options, data[TRAINING], self.device, self.stages)
-        write_text(self.weights_path.with_suffix(".md"), text)
+        write_text(self.weights_path.with_suffix(".md"), self._card(data[TRAINING]))
         return net
 
     def train_step(self, training: PairSource) -> dict[str, Tensor]:
@@ -135,11 +144,13 @@ class Trainer:
         shapes = SHAPES[name] if self.options.config.any_shape else (_SQUARE,)
         shape = shapes[self.step % len(shapes)]
         usual = _GPU_BATCH[name] if self.device.type == "cuda" else _BATCH
-        batch = self.options.batch or usual
-        count = max(1, batch * INPUT_SIZE**2 // (shape[0] * shape[1]))
-        pairs = training.make(count, shape, draw)
+        count = (self.options.batch or usual) * INPUT_SIZE**2 // (shape[0] * shape[1])
+        pairs = training.make(max(1, count), shape, draw)
         loss, figures = self.module(pairs, draw, within)
-        rate = self.options.rate * rate_at(within)
+        # A linear warm-up, then a cosine.
+        cosine = 0.5 * (1 + math.cos(math.pi * min(within, 1.0)))
+        rate = _RATE * min(1.0, 0.05 + 0.95 * within / _WARM_UP)
+        rate = self.options.rate * (rate * (_LAST_RATE + (1 - _LAST_RATE) * cosine))
         for group in self.optimizer.param_groups:
             group["lr"] = rate * group["share"]
         self.optimizer.zero_grad(set_to_none=True)
@@ -148,52 +159,33 @@ class Trainer:
         self.optimizer.step()
         self.step += 1
         self.stages[name]["steps"] += 1
+        self.stages[name]["pairs"] += len(pairs.map)
         move_average(self.average, self.module, self.stages[name]["steps"])
-        self.stages[name]["pairs"] += count
         return {"rate": torch.tensor(rate), "loss": loss.detach(), "gradient": norm, **figures}
-
-    @torch.no_grad()
-    def validate(self, validation: Mapping[str, Sequence[MapPairs]]) -> dict[str, dict[str, float]]:
-        """Figures of the averaged weights, by what validates."""
-        result = {}
-        for kind, batches in validation.items():
-            draw = Draw(self.device, "validation")
-            rows = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
-            result[kind] = {k: float(np.mean([float(row[k]) for row in rows])) for k in rows[0]}
-        self.stages[self.stage]["figures"] = result
-        return result
 
     def save(self) -> None:
         """Write the log, and the checkpoint, as tensors and plain values: after a kill between them
         the next checkpoint comes with a whole log, too."""
         write_text(self.out / LOG, "".join(json.dumps(row) + "\n" for row in self.rows))
-        state = {
-            "options": self._fixed_options(),
-            "elapsed": self.elapsed,
-            "step": self.step,
-            "stages": self.stages,
-            "rows": self.rows,
-            "stage": self.stage,
-            "module": self.module.state_dict(),
-            "average": self.average.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
-        }
-        with replaced(self.out / CHECKPOINT) as temporary, naming_path(temporary):
+        state: Row = {"options": self._fixed_options()}
+        state |= {name: getattr(self, name) for name in _VALUES}
+        state |= {name: getattr(self, name).state_dict() for name in _STATES}
+        with replaced(self.checkpoint) as temporary, naming_path(temporary):
             torch.save(state, temporary)
 
-    def _load(self, path: Path, net: DGCNet) -> None:
+    def _load(self, net: DGCNet) -> None:
+        path, name = self.checkpoint, self.options.preset
         state = load_checkpoint(path, self.device)
-        with read_as(f"a checkpoint of the present {self.options.preset}", path, WeightsError):
+        with read_as(f"a checkpoint of the present {name}", path, WeightsError):
             for name, value in self._fixed_options().items():
                 if state["options"][name] != value:
                     text = f"is {value}, and {state['options'][name]} in the run of {path}"
                     raise InputError(ArgumentName(name), text)
             self._enter(state["stage"], net)
-            self.module.load_state_dict(state["module"])
-            self.average.load_state_dict(state["average"])
-            self.optimizer.load_state_dict(state["optimizer"])
-            self.elapsed, self.step = float(state["elapsed"]), int(state["step"])
-            self.stages, self.rows = dict(state["stages"]), list(state["rows"])
+            for name in _STATES:
+                getattr(self, name).load_state_dict(state[name])
+            for name in _VALUES:
+                setattr(self, name, state[name])
         if self.stage == "decoders" and self._place()[0] == "encoder":
             length = ArgumentName("seconds" if self.options.steps is None else "steps")
             raise InputError(length, f"would lead from the decoders of {path} back to the encoder")
@@ -219,16 +211,9 @@ class Trainer:
             return "encoder", self.progress / share
         return "decoders", (self.progress - share) / (1 - share)
 
-    def _validation_pairs(self, name: str, source: PairSource) -> list[MapPairs]:
-        """The same pairs for every run."""
-        draw = Draw(self.device, "validation", name)
-        shape = (208, 272) if name == "posed" and self.options.config.any_shape else _SQUARE
-        return [source.make(_VALIDATION_BATCH, shape, draw) for _ in range(_VALIDATION)]
-
-    def _write(
-        self, figures: Mapping[str, Tensor], validation: Mapping[str, Sequence[MapPairs]]
-    ) -> None:
-        """A row of the log. Raises DgcPoseError if a step has diverged, before it is saved."""
+    def _write(self, figures: Mapping[str, Tensor], validation: Validation) -> None:
+        """A row of the log, with figures of the averaged weights by what validates. Raises
+        DgcPoseError if a step has diverged, before it is saved."""
         numbers = {name: float(value) for name, value in figures.items()}
         if not math.isfinite(numbers.get("loss", 0) + numbers.get("gradient", 0)):
             raise DgcPoseError(
@@ -240,41 +225,40 @@ class Trainer:
         row: Row = {"stage": self.stage, "step": self.step, "seconds": self.elapsed, **numbers}
         place = f"{self.stage} step {self.step}, {self.elapsed:.0f} s"
         print(f"{place}  {_text(numbers)}", file=sys.stderr)
-        if validation:
-            row["validation"] = self.validate(validation)
-            for kind, found in row["validation"].items():
-                print(f"    validation, {kind}:  {_text(found)}", file=sys.stderr)
+        for kind, batches in validation.items():
+            draw = Draw(self.device, "validation")
+            with torch.no_grad():
+                found = [self.average(pairs, draw, 1.0)[1] for pairs in batches]
+            means = {name: float(np.mean([float(of[name]) for of in found])) for name in found[0]}
+            stage["figures"][kind] = row.setdefault("validation", {})[kind] = means
+            print(f"    validation, {kind}:  {_text(means)}", file=sys.stderr)
         self.rows.append(row)
+
+    def _card(self, training: PairSource) -> str:
+        """Of the weights: what they were trained on, how, and on what machine. Markdown."""
+        photos, posed, cuda = training.photos, "none", self.device.type == "cuda"
+        if (pairs := training.posed) is not None:
+            scenes = f"{len(pairs.names)} scenes ({', '.join(pairs.names)})"
+            posed = f"{len(pairs.frames.unique())} of {scenes}, {len(pairs.frames)} pairs train"
+        threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
+        rows = {
+            **{name: of for name, of in vars(self.options).items() if of not in (None, ())},
+            "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
+            "posed photographs": posed,
+            "hardware": torch.cuda.get_device_name(self.device) if cuda else threads,
+            "made by": f"dgc-pose {version()}, torch {torch.__version__}",
+            "chosen": "nothing: the moving average of the last step's weights is stored",
+        }
+        for name, stage in self.stages.items():
+            done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds"
+            figures = (f"{kind}: {_text(found)}" for kind, found in stage["figures"].items())
+            rows[name] = "; ".join([done, *figures])
+        table = "".join(f"| {name} | {value} |\n" for name, value in rows.items())
+        return f"# {self.options.preset}\n\n| | |\n|---|---|\n{table}"
 
 
 def _text(figures: Mapping[str, float]) -> str:
     return "  ".join(f"{name} {value:.3g}" for name, value in figures.items())
-
-
-def _card(
-    options: TrainingOptions, training: PairSource, device: torch.device, stages: Mapping[str, Row]
-) -> str:
-    """Of weights: what they were trained on, how, and on what machine. Markdown."""
-    photos, posed = training.photos, "none"
-    if training.posed is not None:
-        count, names = len(training.posed.frames.unique()), training.posed.names
-        posed = f"{count} of {len(names)} scenes ({', '.join(names)}), "
-        posed += f"{len(training.posed.frames)} pairs train"
-    threads = f"{platform.machine()}, {torch.get_num_threads()} threads"
-    rows = {
-        **{name: value for name, value in vars(options).items() if value not in (None, ())},
-        "photographs": f"{photos.single}, and {len(photos.places)} places in other light",
-        "posed photographs": posed,
-        "hardware": torch.cuda.get_device_name(device) if device.type == "cuda" else threads,
-        "made by": f"dgc-pose {version()}, torch {torch.__version__}",
-        "chosen": "nothing: the moving average of the last step's weights is stored",
-    }
-    for name, stage in stages.items():
-        done = f"{stage['steps']} steps, {stage['pairs']} pairs, {stage['seconds']:.0f} seconds"
-        figures = (f"{kind}: {_text(found)}" for kind, found in stage["figures"].items())
-        rows[name] = "; ".join([done, *figures])
-    lines = [f"# {options.preset}", "", "| | |", "|---|---|"]
-    return "\n".join(lines + [f"| {name} | {value} |" for name, value in rows.items()]) + "\n"
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
@@ -306,7 +290,8 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
     for key, value in net.state_dict().items():
         if not key.endswith(COUNTER):
             value = value.detach().cpu().float().contiguous()
-            fits = "running_" not in key and bool(value.abs().max() < _HALF_MAX)
+            largest = torch.finfo(torch.float16).max
+            fits = "running_" not in key and bool(value.abs().max() < largest)
             state[key] = value.half() if fits else value
     header = {"preset": net.config.name}
     with replaced(Path(path)) as temporary, naming_path(temporary):
@@ -321,14 +306,6 @@ def optimiser(stage: nn.Module) -> torch.optim.AdamW:
     backbone = [value for key, value in trained if key.startswith(_BACKBONE)]
     groups = [{"params": rest, "share": 1.0}, {"params": backbone, "share": _BACKBONE_RATE}]
     return torch.optim.AdamW(groups, weight_decay=_WEIGHT_DECAY, betas=_BETAS)
-
-
-def rate_at(progress: float) -> float:
-    """The learning rate at a progress of the stage, from 0 to 1: a linear warm-up, then a
-    cosine."""
-    cosine = 0.5 * (1 + math.cos(math.pi * min(progress, 1.0)))
-    warm = min(1.0, 0.05 + 0.95 * progress / _WARM_UP)
-    return _RATE * warm * (_LAST_RATE + (1 - _LAST_RATE) * cosine)
 
 
 @torch.no_grad()

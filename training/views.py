@@ -1,15 +1,67 @@
-"""Cameras of views in torch, and the pixels of views. Pixel (0, 0) is the top-left one's centre."""
+"""Views in torch: their pixels, cameras, and batches of pairs with their true maps, at the finest
+level and at coarser ones. Pixel (0, 0) is the top-left one's centre."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import cosine_similarity, normalize
+
+from dgc_pose.geometry import pixels
 
 Shape = tuple[int, int]  # rows and columns of a view, pixels
-NEAREST = 1e-6  # depths below are not divided by
+_NEAREST = 1e-6  # depths below are not divided by
+# Cells whose four central pixels map this far apart (pixels) straddle two surfaces: not valid.
+_STRADDLES_PX = 6.0
+
+
+class MapPairs(NamedTuple):
+    """A batch of pairs with the truth."""
+
+    image1: Tensor  # (B, 3, H, W) source in [0, 1]
+    image2: Tensor  # (B, 3, H, W) target in [0, 1]
+    map: Tensor  # (B, H, W, 2) x and y in the source of each target pixel, pixels
+    valid: Tensor  # (B, H, W) bool, the target's pixel is visible in the source
+    # (B, H, W) bool, `valid` is the truth; else neither map nor mask is learnt there
+    known: Tensor
+
+
+def image_arrays(images: Tensor) -> np.ndarray:
+    """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
+    return (255 * images.permute(0, 2, 3, 1)).round().byte().contiguous().cpu().numpy()
+
+
+def level_truth(truth: Tensor, valid: Tensor, rows: int) -> tuple[Tensor, Tensor]:
+    """The true map at a level of so many rows, (B, rows, columns, 2) pixels at the cells' centres,
+    and the mask of valid cells.
+
+    truth: (B, H, W, 2) pixels; valid: (B, H, W). The centre of a cell of s > 1 pixels lies between
+    its four central pixels: its truth is their mean, valid if all are and lie on one surface.
+    """
+    stride = truth.shape[1] // rows
+    if stride == 1:
+        return truth, valid
+    central = _central_pixels(truth, stride)
+    spread = (central.amax(0) - central.amin(0)).amax(-1)
+    whole = level_known(valid, rows)
+    return central.mean(0), whole & (spread < max(_STRADDLES_PX, 2.0 * stride / 4))
+
+
+def level_known(known: Tensor, rows: int) -> Tensor:
+    """Cells (B, rows, columns) whose central pixels are all known, of known pixels (B, H, W)."""
+    stride = known.shape[1] // rows
+    return known if stride == 1 else _central_pixels(known, stride).all(0)
+
+
+def _central_pixels(values: Tensor, stride: int) -> Tensor:
+    """The four pixels around the cells' centres: (B, H, W, ...) to (4, B, h, w, ...)."""
+    two = (stride // 2 - 1, stride // 2)
+    return torch.stack([values[:, y::stride, x::stride] for y in two for x in two])
 
 
 @dataclass(frozen=True)
@@ -23,9 +75,9 @@ class Cameras:
     def looking(cls, K: Tensor, centre: Tensor, target: Tensor, roll: Tensor) -> Cameras:
         """Cameras at `centre` (B, 3) that look at `target` (B, 3), y down as the world's, turned
         about the optical axis by `roll` (B,) radians."""
-        z = torch.nn.functional.normalize(target - centre, dim=-1)
+        z = normalize(target - centre, dim=-1)
         down = z.new_tensor((0.0, 1.0, 0.0)).expand_as(z)
-        x = torch.nn.functional.normalize(torch.linalg.cross(down, z), dim=-1)
+        x = normalize(torch.linalg.cross(down, z), dim=-1)
         upright = torch.stack([x, torch.linalg.cross(z, x), z], -2)
         return cls.at(K, about_axis(roll, 2) @ upright, centre)
 
@@ -59,7 +111,7 @@ class Cameras:
         moved = torch.einsum("bij,b...j->b...i", turn, points) + shift
         focal, middle = _wide(self.K, points).split(2, -1)
         depth = moved[..., 2]
-        flat = moved[..., :2] / depth.clamp(min=NEAREST)[..., None]
+        flat = moved[..., :2] / depth.clamp(min=_NEAREST)[..., None]
         return (flat * focal + middle).clamp(-1e5, 1e5), depth
 
     def unproject(self, points: Tensor, depth: Tensor) -> Tensor:
@@ -90,14 +142,13 @@ def rotation_2d(angle: Tensor) -> Tensor:
 
 def angle_deg(rays1: Tensor, rays2: Tensor) -> Tensor:
     """Angles (...), degrees, between rays (..., 3)."""
-    cosine = torch.nn.functional.cosine_similarity(rays1, rays2, dim=-1)
+    cosine = cosine_similarity(rays1, rays2, dim=-1)
     return torch.rad2deg(torch.acos(cosine.clamp(-1, 1)))
 
 
 def pixel_grid(shape: tuple[int, ...], device: torch.device) -> Tensor:
     """The pixels' centres (H, W, 2)."""
-    y, x = (torch.arange(side, dtype=torch.float32, device=device) for side in shape)
-    return torch.stack(torch.meshgrid(x, y, indexing="xy"), -1)
+    return torch.from_numpy(pixels.pixel_grid((shape[1], shape[0]))).float().to(device)
 
 
 def middle_of(shape: Shape, device: torch.device) -> Tensor:

@@ -11,16 +11,14 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from dgc_pose.training.draw import Draw
-from dgc_pose.training.light import other_light
-from dgc_pose.training.map_pairs import image_arrays
+from dgc_pose.training.draw import Draw, other_light
 from dgc_pose.training.photos import Photos
-from dgc_pose.training.room_pairs import RoomOptions, Rooms, random_textures, render
-from dgc_pose.training.views import Cameras, Shape, about_axis
+from dgc_pose.training.room_pairs import Rooms, random_textures, render
+from dgc_pose.training.views import Cameras, Shape, about_axis, image_arrays
 
 KINDS = ("rooms", "object", "tower", "shelf")
 # Half of the length that a photograph covers, over the root of a box's median half size
-_SPANS = RoomOptions(spans=((0.4, 1.1), (0.25, 0.75)))
+_SPANS = ((0.4, 1.1), (0.25, 0.75))
 _OTHER_LIGHT = 0.3  # its share of a photograph
 
 

@@ -10,11 +10,9 @@ import torch.nn.functional as F
 from dgc_pose.geometry.homography import homography_poses
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.training.draw import Draw
-from dgc_pose.training.light import other_light
+from dgc_pose.training.draw import Draw, other_light
 from dgc_pose.training.photos import Photos
 from dgc_pose.training.room_pairs import (
-    RoomOptions,
     RoomPairs,
     Rooms,
     correspond,
@@ -89,9 +87,8 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
     centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), torch.column_stack(middle)])
     of_tile = torch.tensor([[tile / 2, tile / 2, _BEHIND]]).expand(_TILES**2, 3)
     half = torch.cat([of_tile, torch.column_stack(sides)])
-    options = RoomOptions(spans=((tile, tile * 1.001), (tile, tile * 1.001)))
-    count = 1 + len(half)
-    photo, span, origin, weight, gain = random_textures(1, count, photos, draw, options)
+    spans, count = ((tile, tile * 1.001),) * 2, 1 + len(half)
+    photo, span, origin, weight, gain = random_textures(1, count, photos, draw, spans)
     return Rooms(
         torch.eye(3).expand(1, count, 3, 3),
         F.pad(half, (0, 0, 1, 0), value=_HALL)[None],

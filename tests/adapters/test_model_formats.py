@@ -10,7 +10,7 @@ import pycolmap
 import pytest
 from command_line import assert_refused, contents, run
 from scipy.spatial.transform import Rotation
-from world_scene import IMAGE, WorldScene, world_scene, write_colmap
+from worlds import IMAGE, WorldScene, world_scene, write_colmap
 
 from dgc_pose.model import load_model
 

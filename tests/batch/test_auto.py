@@ -4,7 +4,7 @@ import math
 
 import pytest
 from batch_runs import run_sift
-from multi_view import K
+from worlds import K
 
 from dgc_pose.batch.result import read_batch
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from batch_runs import run_sift, view_folder, write_masks
 from command_line import assert_refused, run
-from multi_view import SIZE, K_text
+from worlds import SIZE, K_text
 
 from dgc_pose.batch.source import open_source
 

@@ -4,9 +4,9 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from multi_view import SIZE, K
 from results import camera, true_row
 from scipy.spatial.transform import Rotation
+from worlds import SIZE, K
 
 from dgc_pose.batch.relations import Relation, own_cells, triples
 from dgc_pose.batch.rows import MatchedPair

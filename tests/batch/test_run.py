@@ -10,8 +10,8 @@ import numpy as np
 import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
-from multi_view import K, K_text, render_views
 from results import ambiguous_pose
+from worlds import K, K_text, render_views
 
 from dgc_pose.batch.result import Batch, group_name, read_batch, summary_of
 from dgc_pose.colmap.database import pair_geometries

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from batch_runs import view_folder
-from multi_view import SIZE, K
+from worlds import SIZE, K
 
 from dgc_pose.batch.rows import MatchedPair, PairRow, row_of
 from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from batch_runs import view_folder
 from command_line import assert_refused, run
-from multi_view import SIZE, K, View, render_views, write_views
+from worlds import SIZE, K, View, render_views, write_views
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.batch.rows import PairRow, row_of

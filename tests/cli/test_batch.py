@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from batch_runs import view_folder
 from command_line import assert_refused, run
-from multi_view import K_text
+from worlds import K_text
 
 from dgc_pose.batch.result import read_batch
 

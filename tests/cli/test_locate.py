@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 from command_line import assert_refused, contents, run
-from multi_view import K, K_text, View, render_views, write_views
+from worlds import K, K_text, View, render_views, write_views
 
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.rotation import quaternion_wxyz

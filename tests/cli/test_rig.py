@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import assert_refused, contents, run
-from multi_view import SIZE, K, render_views, write_views
 from scipy.spatial.transform import Rotation
+from worlds import SIZE, K, render_views, write_views
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.localization.location import Location

@@ -9,8 +9,8 @@ import pytest
 from batch_runs import view_folder
 from command_line import assert_refused, run
 from marker_scene import draw_markers, square, texture
-from multi_view import K_text
 from scipy.spatial.transform import Rotation
+from worlds import K_text
 
 from dgc_pose import InputError
 from dgc_pose.colmap.mapping import MappingError

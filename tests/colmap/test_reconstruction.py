@@ -14,7 +14,7 @@ import pycolmap
 import pytest
 from batch_runs import change_result, run_sift, view_folder
 from command_line import assert_refused, run
-from multi_view import K, K_text, View, render_views, write_views
+from worlds import K, K_text, View, render_views, write_views
 
 from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.batch.rows import MatchedPair, row_of

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from itertools import combinations
 
 import numpy as np
-from multi_view import SIZE, K, render_views
 from results import camera, true_row
 from scenes import project
 from scipy.spatial import cKDTree
+from worlds import SIZE, K, render_views
 
 from dgc_pose.batch.poses import epipolar_error_px
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, one_to_one, track_corners

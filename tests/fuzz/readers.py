@@ -12,7 +12,7 @@ import pycolmap
 import torch
 from command_line import run
 from PIL.TiffImagePlugin import IFDRational
-from world_scene import world_scene, write_colmap
+from worlds import world_scene, write_colmap
 
 from dgc_pose.batch.result import read_batch
 from dgc_pose.benchmarks.stored_matches import FileMatcher

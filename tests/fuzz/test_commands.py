@@ -9,7 +9,7 @@ import pytest
 from command_line import assert_refused, contents, run
 from fuzz.readers import make_batch
 from textures import write_photos
-from world_scene import world_scene, write_colmap
+from worlds import world_scene, write_colmap
 
 from dgc_pose.cli.guard import OutputFile, OutputFolder
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main

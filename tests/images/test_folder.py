@@ -10,7 +10,7 @@ import numpy as np
 import PIL.Image
 import pytest
 from command_line import assert_refused, run
-from multi_view import K_text, render_views
+from worlds import K_text, render_views
 
 from dgc_pose.errors import InputError
 from dgc_pose.images.folder import copies_of_others, frames_folder, search_images

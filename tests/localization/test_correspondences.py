@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from world_scene import CAMERA, PHOTO_CAMERA, world_scene
+from worlds import CAMERA, PHOTO_CAMERA, world_scene
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import poselib
-from world_scene import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
+from worlds import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 from boxes import box_picture
-from multi_view import SIZE, render_views, write_views
-from multi_view import K as DATABASE_K
+from worlds import SIZE, render_views, write_views
+from worlds import K as DATABASE_K
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from world_scene import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
+from worlds import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import CYLINDER, Distortion

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from multi_view import render_views
+from worlds import render_views
 
 from dgc_pose import load_matcher
 from dgc_pose.errors import InputError

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from multi_view import SIZE, K_text, draw_textures, look_at, render, render_views, write_views
-from multi_view import K as WALK_K
 from scipy.spatial.transform import Rotation
+from worlds import SIZE, K_text, draw_textures, look_at, render, render_views, write_views
+from worlds import K as WALK_K
 
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cameras.camera import Camera

@@ -1,28 +1,33 @@
 """Depths of a plane sweep, against those of a ray-caster in float64."""
 
 import cv2
-import multi_view
 import numpy as np
 import pytest
 import torch
+import worlds
 
-from dgc_pose.training.bank import ImageBank
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths
 from dgc_pose.training.views import Cameras
 
 pytestmark = pytest.mark.slow
 
 
+def _swept(images, K, poses, reach):
+    """Depths by pixels, fx fy cx cy of all, [R | t] and the range of depths."""
+    count, poses = len(images), torch.from_numpy(np.stack(poses)).float()
+    cameras = Cameras(torch.tensor([K]).float().expand(count, 4), poses)
+    return swept_depths(ImageBank.of(images), cameras, torch.tensor([reach]).expand(count, 2))
+
+
 def test_depths_are_those_of_the_scene():
-    views = multi_view.render_views(5, step=0.5)
-    textures, K = multi_view.draw_textures(), multi_view.K
-    bank = ImageBank.of([view.pixels for view in views])
-    poses = np.stack([np.column_stack([view.R, view.t]) for view in views])
-    intrinsics = torch.tensor([K[0, 0], K[1, 1], K[0, 2], K[1, 2]]).float().expand(5, 4)
-    cameras = Cameras(intrinsics, torch.from_numpy(poses).float())
-    found = swept_depths(bank, cameras, torch.tensor([[2.5, 9.0]]).expand(5, 2))
+    views, K = worlds.render_views(5, step=0.5), worlds.K
+    intrinsics = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+    poses = [np.column_stack([view.R, view.t]) for view in views]
+    found = _swept([view.pixels for view in views], intrinsics, poses, (2.5, 9.0))
     for k in (1, 2, 3):
-        truth = multi_view.render(views[k].R, views[k].centre, textures, fine=1)[1]
+        textures = worlds.draw_textures()
+        truth = worlds.render(views[k].R, views[k].centre, textures, fine=1)[1]
         depth = found[k].numpy()
         assert depth.shape == truth.shape
         known = (depth > 0) & np.isfinite(truth)
@@ -42,11 +47,7 @@ def test_views_of_many_pixels_have_the_depths_of_a_wall():
         images.append(np.ascontiguousarray(image[::turned, ::turned]))
         poses.append(np.diag([turned, turned, 1.0, 0])[:3])
         poses[-1][:, 3] = (-turned * shift * 4 / 1000, 0, 0)
-    cameras = Cameras(
-        torch.tensor([[1000.0, 1000, 639.5, 159.5]] * 3), torch.from_numpy(np.stack(poses)).float()
-    )
-    reach = torch.tensor([[2.0, 8.0]] * 3)
-    depth = swept_depths(ImageBank.of(images), cameras, reach)[0]
+    depth = _swept(images, [1000.0, 1000, 639.5, 159.5], poses, (2.0, 8.0))[0]
     known = depth[depth > 0]
     assert depth.shape == (64, 256) and len(known) > 0.3 * depth.numel()
     assert abs(known.median() / 4 - 1) < 0.004

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 import pytest
 from rendered import RenderedPair, poses, rendered, write_rgbd
+from worlds import world_scene, write_colmap
 
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.training.posed_frames import read_rgbd, read_scene, read_scenes
@@ -17,7 +17,7 @@ def pair():
     return rendered(0, (60, 48))
 
 
-def write_listed(root: Path, pair: RenderedPair, *, depth: bool) -> Path:
+def write_listed(root: Path, pair: RenderedPair, *, depth: bool = True) -> Path:
     """The pair in the layout with cameras.txt; its depth has 5,000 steps a metre."""
     write_rgbd(root, pair)
     lines = []
@@ -26,8 +26,7 @@ def write_listed(root: Path, pair: RenderedPair, *, depth: bool) -> Path:
         values = [*K, *pose[:3].ravel(), 0.5, 9.0]
         lines.append(" ".join([f"{name}.png", *map(repr, map(float, values))]))
         path = root / f"depth/{name}.png"
-        stored = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        cv2.imwrite(str(path), 5 * stored)
+        cv2.imwrite(str(path), 5 * cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
     (root / "cameras.txt").write_text("\n".join(lines) + "\n")
     for name in ("poses.txt", "K.txt"):
         (root / name).unlink()
@@ -36,7 +35,7 @@ def write_listed(root: Path, pair: RenderedPair, *, depth: bool) -> Path:
     return root
 
 
-@pytest.mark.parametrize("write", [write_rgbd, lambda r, p: write_listed(r, p, depth=True)])
+@pytest.mark.parametrize("write", [write_rgbd, write_listed])
 def test_sensors_depths_are_read_in_order_and_in_metres(pair, tmp_path, write):
     write(tmp_path / "walk", pair)
     (tmp_path / "no_scene").mkdir()
@@ -49,36 +48,21 @@ def test_sensors_depths_are_read_in_order_and_in_metres(pair, tmp_path, write):
 
 
 def test_a_colmap_model_has_cameras_poses_and_reach(tmp_path):
-    model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera(
-        camera_id=1, model="SIMPLE_RADIAL", width=64, height=48, params=[60, 32, 24, 0.1]
-    )
-    model.add_camera_with_trivial_rig(camera)
+    scene = world_scene()
+    write_colmap(scene, tmp_path / "sparse/0")  # its points are in the first two images
     (tmp_path / "images").mkdir()
-    rng = np.random.default_rng(0)
-    for k, z in enumerate((0, 1, 2, -9)):  # the last has all points behind it
-        cv2.imwrite(str(tmp_path / f"images/{k}.png"), np.zeros((48, 64, 3), np.uint8))
-        points = [pycolmap.Point2D(xy) for xy in 40 * rng.random((30, 2))]
-        image = pycolmap.Image(name=f"{k}.png", camera_id=1, image_id=k + 1, points2D=points)
-        model.add_image_with_trivial_frame(
-            image,
-            pycolmap.Rigid3d(pycolmap.Rotation3d(np.eye(3)), np.array([0.1 * k, 0, z])),
-        )
-    for n in range(30):
-        track = pycolmap.Track()
-        for k in range(4):
-            track.add_element(k + 1, n)
-        model.add_point3D(np.array([0, 0, 2.0 + n / 29]), track)
-    (tmp_path / "sparse/0").mkdir(parents=True)
-    model.write(str(tmp_path / "sparse/0"))
+    for name in scene.names:
+        cv2.imwrite(str(tmp_path / "images" / name), np.zeros((800, 1000, 3), np.uint8))
     frames = read_scene(tmp_path)
-    assert [frame.image.name for frame in frames] == ["0.png", "1.png", "2.png"]
-    for k, frame in enumerate(frames):
-        assert frame.camera.distortion is not None and frame.camera.K[0, 2] == 31.5
-        np.testing.assert_allclose(frame.cam_from_world[:3, 3], (0.1 * k, 0, k))
+    assert [frame.image.name for frame in frames] == scene.names[:2]
+    for frame, (R, centre) in zip(frames, scene.references, strict=False):
+        np.testing.assert_allclose(frame.camera.K, scene.model().cameras[frame.image.name].K)
+        pose = np.column_stack([R, -R @ centre])
+        np.testing.assert_allclose(frame.cam_from_world[:3], pose, atol=1e-12)
+        depths = (scene.points - centre) @ R[2]
         assert frame.reach is not None
         nearest, farthest = frame.reach
-        assert 0.7 * (2 + k) < nearest < 2 + k and 3 + k < farthest < 1.3 * (3 + k)
+        assert 0.7 < nearest / depths.min() < 1 and 1 < farthest / depths.max() < 1.3
 
 
 @pytest.mark.parametrize(
@@ -120,8 +104,7 @@ def test_a_wrong_line_of_cameras_is_named(pair, tmp_path):
 def test_no_scenes_and_depths_of_another_kind_are_refused(pair, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="holds no scenes"):
         read_scenes(tmp_path)
-    root = write_rgbd(tmp_path / "walk", pair)
-    monkeypatch.chdir(root)
+    monkeypatch.chdir(write_rgbd(tmp_path / "walk", pair))
     (frame, _) = read_scenes(".")["walk"]
     small = np.arange(720, dtype=np.uint16).reshape(24, 30)
     cv2.imwrite(str(frame.depth), small)

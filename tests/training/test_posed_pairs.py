@@ -14,8 +14,8 @@ from textures import coordinates
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.training import posed_pairs as posed_pairs_module
-from dgc_pose.training.bank import ImageBank
 from dgc_pose.training.draw import Draw
+from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.posed_frames import PosedFrame, read_rgbd
 from dgc_pose.training.posed_pairs import (
     frame_pairs,
@@ -25,7 +25,6 @@ from dgc_pose.training.posed_pairs import (
 from dgc_pose.training.views import Cameras, pixel_grid
 
 SIZE = (240, 180)
-LEVELS = (50, 200)  # blue of either frame
 
 
 @pytest.fixture(scope="module")
@@ -34,26 +33,20 @@ def pair():
 
 
 @pytest.fixture(scope="module")
-def scenes(pair, tmp_path_factory):
-    images = [coordinates(*SIZE, level) for level in LEVELS]
+def frames(pair, tmp_path_factory):
+    images = [coordinates(*SIZE, level) for level in (50, 200)]  # blue of either frame
     folder = tmp_path_factory.mktemp("rgbd") / "walk"
     write_rgbd(folder, replace(pair, image1=images[0], image2=images[1]))
-    return load_posed({"walk": read_rgbd(folder)}, "cpu", folder / "depths")
+    return frame_pairs(load_posed({"walk": read_rgbd(folder)}, "cpu", folder / "depths"), ["walk"])
 
 
-@pytest.fixture(scope="module")
-def frames(scenes):
-    return frame_pairs(scenes, ["walk"])
-
-
-@pytest.mark.parametrize("shape", [(96, 96), (80, 144)])
-def test_the_map_is_the_reprojection_of_the_depth(pair, frames, shape):
+def test_the_map_is_the_reprojection_of_the_depth(pair, frames):
+    shape = (80, 144)
     pairs = posed_pairs(frames, 8, shape, Draw("cpu", shape))
     place = (2 * pairs.map + 1) / pairs.map.new_tensor(shape[::-1]) - 1
     sources = 255 * F.grid_sample(pairs.image1, place, align_corners=False).movedim(1, -1)
     targets = 255 * pairs.image2.movedim(1, -1)
-    K, both = pair.K1, set()
-    errors = []
+    K, both, errors = pair.K1, set(), []
     for source, target, valid in zip(sources, targets, pairs.valid, strict=True):
         seen, shown = (part[valid].double().numpy() for part in (source, target))
         forward = bool(shown[:, 2].mean() > 125)  # the target is the second frame
@@ -82,7 +75,7 @@ def test_hidden_pixels_are_known_and_pixels_without_depth_are_not(frames):
 
 def test_the_lens_is_undone(tmp_path):
     lens = Distortion("SIMPLE_RADIAL", (-0.15,))
-    camera = Camera(np.array([[200.0, 0, 118], [0, 200, 92], [0, 0, 1]]), distortion=lens)
+    camera = Camera([200, 200, 118, 92], distortion=lens)
     cv2.imwrite(str(tmp_path / "a.png"), coordinates(*SIZE, 0)[..., ::-1])
     frame = PosedFrame(tmp_path / "a.png", camera, np.eye(4), reach=(1.0, 2.0))
     scenes = load_posed({"a": [frame]}, "cpu", tmp_path / "depths")
@@ -97,7 +90,7 @@ def test_frames_of_many_pixels_are_made_smaller_with_their_depth(tmp_path):
     image = np.stack([x / 5, y / 5, np.zeros_like(x)], -1).astype(np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), image[..., ::-1])
     cv2.imwrite(str(tmp_path / "depth.png"), (2000 + 2 * x).astype(np.uint16))
-    camera = Camera(np.array([[1000.0, 0, 639.5], [0, 1000, 159.5], [0, 0, 1]]))
+    camera = Camera([1000, 1000, 639.5, 159.5])
     frame = PosedFrame(tmp_path / "a.png", camera, np.eye(4), tmp_path / "depth.png", reach=(1, 4))
     scenes = load_posed({"a": [frame]}, "cpu", tmp_path)  # in units of 2
     assert scenes.bank.size(torch.tensor(0)).tolist() == [512, 128]
@@ -120,8 +113,7 @@ def _wall(folder: Path, count: int, step: float) -> list[PosedFrame]:
         cv2.imwrite(str(depth), np.full((48, 64), 2000, np.uint16))
         pose = np.eye(4)
         pose[0, 3] = -step * number
-        camera = Camera(np.array([[40.0, 0, 31.5], [0, 40, 23.5], [0, 0, 1]]))
-        frames.append(PosedFrame(image, camera, pose, depth))
+        frames.append(PosedFrame(image, Camera([40, 40, 31.5, 23.5]), pose, depth))
     return frames
 
 
@@ -140,9 +132,7 @@ def test_pairs_share_enough_and_far_ones_are_likelier(tmp_path):
 
 
 def test_scenes_do_not_mix_and_weigh_as_their_roots(tmp_path):
-    for name in "ab":
-        (tmp_path / name).mkdir()
-    walls = {"a": _wall(tmp_path / "a", 4, 0.2), "b": _wall(tmp_path / "b", 10, 0.2)}
+    walls = {"a": _wall(tmp_path, 4, 0.2), "b": _wall(tmp_path, 10, 0.2)}
     scenes = load_posed(walls, "cpu", tmp_path)
     pairs = frame_pairs(scenes, ["a", "b"])
     assert ((pairs.frames < 4).all(1) | (pairs.frames >= 4).all(1)).all()

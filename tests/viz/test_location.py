@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 from matplotlib.patches import Ellipse
-from world_scene import CAMERA, IMAGE, PHOTO_CAMERA, world_scene
+from worlds import CAMERA, IMAGE, PHOTO_CAMERA, world_scene
 
 from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.viz.location import plot_location

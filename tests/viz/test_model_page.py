@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from results import ambiguous_pose
-from world_scene import CAMERA, IMAGE, world_scene
+from worlds import CAMERA, IMAGE, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError

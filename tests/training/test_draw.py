@@ -3,16 +3,14 @@
 import torch
 from textures import procedural_textures
 
-from dgc_pose.training.draw import Draw
-from dgc_pose.training.light import _kernels, other_light
+from dgc_pose.training.draw import Draw, _kernels, other_light
 
 
 def test_views_stay_in_range_and_differ_from_each_other():
     images = procedural_textures(1, 48, seed=3).repeat(60, 1, 1, 1)
     changed = other_light(images, Draw("cpu", 0))
     assert changed.shape == images.shape and 0 <= changed.min() and changed.max() <= 1
-    brightness = changed.mean((1, 2, 3))
-    assert 0.08 < brightness.std() < 0.3
+    assert 0.08 < changed.mean((1, 2, 3)).std() < 0.3
     centred = [(v - v.mean((2, 3), keepdim=True)).mean(1).flatten(1) for v in (changed, images)]
     alike = torch.cosine_similarity(*centred)
     assert alike.median() > 0.75 and alike.min() > 0.2
@@ -22,11 +20,7 @@ def test_blurs_keep_the_light_and_the_place():
     kernels = _kernels(400, Draw("cpu", 1)).double()
     axis = torch.arange(-3, 4).double()
     assert (kernels.sum((1, 2)) - 1).abs().max() < 1e-5
-    means = [(kernels * part).sum((1, 2)) for part in (axis, axis[:, None])]
-    assert max(mean.abs().max() for mean in means) < 1e-5
-    xx, yy = ((kernels * part**2).sum((1, 2)) for part in (axis, axis[:, None]))
-    xy = (kernels * axis * axis[:, None]).sum((1, 2))
-    values = torch.linalg.eigvalsh(torch.stack([xx, xy, xy, yy], -1).view(-1, 2, 2))
-    sharp = values[:, 1] < 1e-9
-    stroke = ~sharp & (values[:, 0] < 0.3 * values[:, 1])
-    assert 0.5 < sharp.float().mean() < 0.66 and 0.05 < stroke.float().mean() < 0.2
+    for part in (axis, axis[:, None]):
+        assert (kernels * part).sum((1, 2)).abs().max() < 1e-5
+    sharp = kernels[:, 3, 3] > 1 - 1e-9
+    assert 0.5 < sharp.float().mean() < 0.66
