@@ -10,12 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.images.image import image_size, load_image, picture_url, resize_by
-
-SHOWN_SIDE = 1200  # longest side of a picture for the browser, pixels
+from dgc_pose.images.image import image_size, load_image, picture_url
+from dgc_pose.viz.figure import shrunk
 
 
 @dataclass(frozen=True)
@@ -33,10 +31,8 @@ class Gone(InputError):
 
 
 class SentImages:
-    """The last images in the folder, and any from elsewhere, which are never dropped.
-
-    What a client says is a key of a dictionary and never part of a path.
-    """
+    """The last images in the folder. What a client says is a key of a dictionary and never part of
+    a path."""
 
     def __init__(self, folder: Path, most: int) -> None:
         self.folder, self._most = folder, most
@@ -46,9 +42,8 @@ class SentImages:
         """Keep an image, and drop the oldest if there are too many. Returns its identifier."""
         identifier = secrets.token_urlsafe(16)
         self._images[identifier] = image
-        sent = [key for key, kept in self._images.items() if kept.path.parent == self.folder]
-        if len(sent) > self._most:
-            self._images.pop(sent[0]).path.unlink(missing_ok=True)
+        if len(self._images) > self._most:
+            self._images.pop(next(iter(self._images))).path.unlink(missing_ok=True)
         return identifier
 
     def get(self, identifier: object) -> StoredImage:
@@ -80,8 +75,3 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
         "size": list(image.size),
         "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
     }
-
-
-def shrunk(pixels: np.ndarray) -> np.ndarray:
-    """An image (H, W, 3) of at most `SHOWN_SIDE` pixels a side."""
-    return resize_by(pixels, min(1.0, SHOWN_SIDE / max(pixels.shape[:2])))
