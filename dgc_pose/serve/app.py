@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import anyio
+import cv2
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -20,12 +21,13 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from dgc_pose.cameras.pair_list import bundled_photographs
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import DgcPoseError, ImageError, InputError
+from dgc_pose.images.image import image_size, load_image, picture_url
 from dgc_pose.serve import DECODE_SECONDS, IMAGES, UPLOAD_SECONDS, ServeOptions
-from dgc_pose.serve.estimator import Estimator
+from dgc_pose.serve.estimator import Estimator, StoredImage
 from dgc_pose.serve.guard import Guard
-from dgc_pose.serve.images import SentImages, StoredImage, preview
 from dgc_pose.version import version
+from dgc_pose.viz.figure import shrunk
 
 Value = TypeVar("Value")
 _STATIC = Path(__file__).parent / "static"
@@ -38,6 +40,12 @@ class WorkError(DgcPoseError):
     """A request that came to no result; the message is one line for the client."""
 
     status = 422  # of HTTP
+
+
+class Gone(InputError):
+    """An image that the server has dropped, or never had."""
+
+    status = 410  # of HTTP: the page sends the image again
 
 
 async def in_turn(
@@ -80,7 +88,9 @@ class Server:
     ) -> None:
         self.options = options
         self._token, self._estimator = token, estimator
-        self._store = SentImages(folder, IMAGES)
+        self._folder = folder
+        # By an identifier, which is never part of a path; those used last are the last ones.
+        self._images: dict[str, StoredImage] = {}
         # A photograph need not wait for a pose.
         self._decoding, self._estimating = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         self.app = Starlette(
@@ -115,23 +125,34 @@ class Server:
             raise HTTPException(408, text) from None
         name = request.query_params.get("name", "")
         name = "".join(letter for letter in name if letter.isprintable())[:_MAX_NAME] or "image"
-        path = self._store.folder / secrets.token_hex(16)
+        path = self._folder / secrets.token_hex(16)
         try:
             path.write_bytes(content)
             pixels = int(self.options.max_megapixels * 1e6)
             shown = await in_turn(self._decoding, preview, path, pixels, seconds=DECODE_SECONDS)
-            identifier = self._store.keep(StoredImage(path, name))
-            return JSONResponse({"id": identifier, "name": name, **shown})
         except BaseException:
             path.unlink(missing_ok=True)
             raise
+        identifier = secrets.token_urlsafe(16)
+        self._images[identifier] = StoredImage(path, name)
+        if len(self._images) > IMAGES:
+            self._images.pop(next(iter(self._images))).path.unlink(missing_ok=True)
+        return JSONResponse({"id": identifier, "name": name, **shown})
 
     async def _pose(self, request: Request) -> Response:
         """Lines of JSON: what is being done, and at last the result or an error."""
         data = await _json(request)
-        image1, image2 = (self._store.get(data.get(key)) for key in ("image1", "image2"))
+        image1, image2 = (self._sent(data.get(key)) for key in ("image1", "image2"))
         lines = self._progress(image1, image2, data.get("camera"))
         return StreamingResponse(lines, media_type="application/x-ndjson")
+
+    def _sent(self, identifier: object) -> StoredImage:
+        """An image by its identifier. Raises Gone if there is none."""
+        image = self._images.pop(str(identifier), None)
+        if image is None:
+            raise Gone("the image is no longer there: send it again")
+        self._images[str(identifier)] = image
+        return image
 
     async def _progress(
         self, image1: StoredImage, image2: StoredImage, camera: object
@@ -163,6 +184,26 @@ class Server:
         finally:  # also where the client has left, which ends the response
             gone.set()
             task.cancel()
+
+
+def preview(path: Path, max_pixels: int) -> dict[str, Any]:
+    """Size (width, height) of an upright image, and a picture for the browser, which may not read
+    the file. Raises ImageError, without the path, if it cannot be read or has too many pixels."""
+    try:
+        width, height = image_size(path)
+        if width * height > max_pixels:  # before they are decoded
+            raise ImageError(
+                f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
+                "(--max-megapixels of dgc-pose serve)"
+            )
+        image = load_image(path)
+    except DgcPoseError as error:
+        # The path is none of the client's business.
+        raise ImageError(str(error).replace(str(path), "the file")) from None
+    return {
+        "size": list(image.size),
+        "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
+    }
 
 
 async def _refused(request: Request, error: Exception) -> Response:

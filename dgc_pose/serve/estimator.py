@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -16,7 +17,6 @@ from dgc_pose.images.image import Image, load_image, picture_url
 from dgc_pose.matching import CorrespondenceMap, Matcher
 from dgc_pose.pair_result import PairResult
 from dgc_pose.pose import solve_pair
-from dgc_pose.serve.images import StoredImage
 from dgc_pose.viz.figure import warp_image
 from dgc_pose.viz.model_page import pose_scene
 
@@ -24,6 +24,14 @@ SHOWN_MATCHES = 3000  # more would slow the page down
 SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
 _COVERED = 0.01  # of image 2 that the map must cover, or there is nothing to see
 _MAX_TEXT = 300  # characters of a K
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An image that a client has sent, and that could be read."""
+
+    path: Path
+    name: str  # of the client; for texts alone, never opened
 
 
 @dataclass(frozen=True)

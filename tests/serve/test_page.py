@@ -74,7 +74,7 @@ def use_page(page, server, pictures, tmp_path):
     # Images that the server has dropped are sent again.
     set_K(page, "310,310,159.5,119.5")
     assert page.evaluate(STALE)
-    server._store._images.clear()
+    server._images.clear()
     page.click("#estimate")
     page.wait(f"!{STALE}")
     assert "310.0 px" in page.text("#numbers")
