@@ -130,8 +130,8 @@ def _panels_in_rows(panels: list[tuple[float, str]], headline: str) -> tuple[Fig
     # Without mathematics: the name of a file may be what would be a formula.
     figure.suptitle(text, x=0.01, ha="left", fontsize=10, parse_math=False)
     drawn = []
-    parts = figure.subfigures(len(rows), height_ratios=heights)
-    for row, part in zip(rows, parts, strict=True):
+    parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
+    for row, part in zip(rows, parts[:, 0], strict=True):
         aspects = [aspect for aspect, _ in row]
         of_row = part.subplots(1, len(row), width_ratios=aspects, squeeze=False)[0]
         for axes, (aspect, title) in zip(of_row, row, strict=True):
@@ -203,25 +203,27 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
 
 def _draw_place(panel: Axes, model: Model, location: Location) -> None:
     """Draw the cameras, each an arrow where it looks, and the points, in the mean camera's axes."""
-    names, poses = [*model.poses], np.stack([*model.poses.values()])
+    names, poses = [*model.poses], [*model.poses.values()]
+    centres = [model.centre(name) for name in names]
     above = mean_axes(poses)[[0, 2]]  # to the right and ahead
     points = model.points @ above.T
     if len(points):
         low, high = np.quantile(points, (_FAR, 1 - _FAR), axis=0)
         points = points[((points >= low) & (points <= high)).all(1)]
-    panel.scatter(*points.T, s=2.5, color="0.7", linewidths=0)
-    centres = np.stack([above @ model.centre(name) for name in names])
-    arrows = {"angles": "xy", "width": 0.006, "scale": 15}
-    panel.quiver(*centres.T, *(poses[:, 2, :3] @ above.T).T, color="gray", **arrows)
-    agree = [names.index(image.name) for image in location.database_images if image.agrees]
-    panel.plot(*centres[agree].T, "o", color="black", markersize=4, label="database images")
-    if location.R is not None and location.centre is not None:
-        centre, ahead = above @ location.centre, above @ location.R[2]
-        panel.quiver(*centre, *ahead, color="tab:blue", **arrows)
-        panel.plot(*centre, "o", color="tab:blue", markersize=4, label="the query, and its error")
-        panel.add_patch(
-            Circle(centre, location.position_error_90 or 0, color="tab:blue", alpha=0.3)
-        )
+    panel.scatter(points[:, 0], points[:, 1], s=2.5, color="0.7", linewidths=0)
+    agree = [centres[names.index(m.name)] @ above.T for m in location.database_images if m.agrees]
+    panel.plot(
+        *np.reshape(agree, (-1, 2)).T, "o", color="black", markersize=4, label="database images"
+    )
+    colours = ["gray"] * len(names)
+    if location.cam_from_world is not None and location.centre is not None:
+        poses, centres = [*poses, location.cam_from_world], [*centres, location.centre]
+        colours.append("tab:blue")
+        middle, radius = above @ location.centre, location.position_error_90 or 0
+        panel.plot(*middle, "o", color="tab:blue", markersize=4, label="the query, and its error")
+        panel.add_patch(Circle(middle, radius, color="tab:blue", alpha=0.3))
+    tails, ahead = np.stack(centres) @ above.T, np.stack(poses)[:, 2, :3] @ above.T
+    panel.quiver(*tails.T, *ahead.T, color=colours, angles="xy", width=0.006, scale=15)
     panel.margins(0.1)
     panel.set_aspect("equal", adjustable="datalim")
     panel.set(title="from above", xlabel="x", ylabel="z")
