@@ -58,11 +58,9 @@ fuzz: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
 
-# What the documentation shows of the tool's own output, and the tables of docs/results.csv; the tests
-# say when they are out of date.
+# What the documentation shows of the tool's own output; the tests say when it is out of date.
 figures: $(VENV)/.installed
 	$(BIN)/python docs/figures.py
-	$(BIN)/python docs/results.py
 
 clean:
 	rm -rf $(VENV) build site dgc_pose.egg-info

@@ -37,7 +37,7 @@ from dgc_pose.network.net import normalise, to_pixels
 from dgc_pose.network.weights import choose_device, load_network
 from dgc_pose.system.files import read_as, read_text
 from dgc_pose.system.texts import aligned
-from dgc_pose.training.map_pairs import MapPairs, image_arrays, level_truth
+from dgc_pose.training.views import MapPairs, image_arrays, level_truth
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 SEQUENCES = 59  # of a changing viewpoint in HPatches

@@ -79,8 +79,7 @@ def locate(
     """
     from dgc_pose.localization.locate import Locator
     from dgc_pose.model import load_model
-    from dgc_pose.viz.figure import save_figure
-    from dgc_pose.viz.location import plot_location
+    from dgc_pose.viz import plot_location, save_figure
 
     if place.plot is not None and len(queries) > 1:
         raise InputError(ArgumentName("plot"), f"draws a single query, not {len(queries)}")

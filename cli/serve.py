@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import secrets
 import signal
 import socket
@@ -11,12 +10,11 @@ from contextlib import suppress
 
 import click
 
-from dgc_pose.cameras.pair_list import bundled_photographs
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.serve.options import ServeOptions
+from dgc_pose.serve import ServeOptions
 from dgc_pose.system.files import scratch_folder
 
 HOST = "127.0.0.1"
@@ -41,7 +39,6 @@ def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
     from dgc_pose.serve.estimator import Estimator
     from dgc_pose.serve.guard import local_hosts
 
-    example = [(path, "auto") for path in bundled_photographs()]
     weights = None if matcher.weights == DEFAULT_WEIGHTS else matcher.weights
     estimator = Estimator(matcher.load(), weights)
     token = secrets.token_urlsafe(24)
@@ -54,7 +51,7 @@ def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
             raise InputError(f"port {options.port} of {HOST}: {error.strerror}") from None
         port = bound.getsockname()[1]
         hosts = local_hosts(port)
-        server = Server(estimator, example, folder, token=token, hosts=hosts, options=options)
+        server = Server(estimator, folder, token=token, hosts=hosts, options=options)
         config = uvicorn.Config(
             server.app,
             log_level="warning",
@@ -67,8 +64,6 @@ def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
         class Web(uvicorn.Server):
             async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
                 # uvicorn waits for the requests under way, and prints a trace if it cancels one.
-                server.close()
-                await asyncio.sleep(0.5)  # for the answers that say so
                 for connection in list(self.server_state.connections):
                     connection.transport.close()
                 await super().shutdown(sockets)

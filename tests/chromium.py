@@ -1,4 +1,4 @@
-"""A page in headless Chromium, clicked and asked as a user would, over the DevTools protocol.
+"""A page in headless Chromium, over the DevTools protocol.
 
 Chromium reads commands from its descriptor 3 and answers on 4 (--remote-debugging-pipe), so that
 no driver and no port are needed.
@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-_OWN = ("data:", "file:", "about:", "blob:")
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 FLAGS = (
     "--headless=new",
@@ -23,68 +22,52 @@ FLAGS = (
     "--disable-gpu",
     "--disable-dev-shm-usage",
     "--no-first-run",
+    "--window-size=1400,1600",
+    "--force-prefers-reduced-motion",
     "--remote-debugging-pipe",
 )
 
 
 def find_chromium() -> str | None:
     """The browser's path: $CHROMIUM, or the first of its usual names; None without one."""
-    for name in (os.environ.get("CHROMIUM", ""), *NAMES):
-        if name and (path := shutil.which(name)):
-            return path
-    return None
+    names = (os.environ.get("CHROMIUM") or NAMES[0], *NAMES)
+    return next(filter(None, map(shutil.which, names)), None)
 
 
 class Page:
-    """One tab. Raises AssertionError where a script of the page fails."""
+    """One tab."""
 
     def __init__(self, commands: Any, answers: Any) -> None:
         self._commands, self._answers = commands, answers
         self._number = 0
         self._session: str | None = None
-        self.own: tuple[str, ...] = _OWN  # beginnings of addresses that may be requested
-        self.errors: list[str] = []  # of the page, and requests that it made of the network
+        self.errors: list[str] = []  # of the page, and requests of other sites
         target = self._call("Target.createTarget", url="about:blank")["targetId"]
         attached = self._call("Target.attachToTarget", targetId=target, flatten=True)
         self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Network", "Log"):
             self._call(f"{domain}.enable")
-        self.resize(1400, 1600)
-        still = {"name": "prefers-reduced-motion", "value": "reduce"}
-        self._call("Emulation.setEmulatedMedia", features=[still])
 
     def open_anew(self, url: str) -> None:
-        """Load a page as if for the first time, and wait until its scripts have run. Nothing but
-        what lies below its address may be asked for."""
+        """Load a page as if for the first time, and wait until its scripts have run."""
         self._call("Page.navigate", url="about:blank")
         self.errors.clear()
-        self.own = (*_OWN, url.split("?")[0])
+        self._own = ("data:", "blob:", "about:", url.split("?")[0])
         self._call("Page.navigate", url=url)
         self.wait("document.readyState === 'complete'")
 
-    def text(self, selector: str) -> str:
-        """What an element says."""
-        return self.evaluate(f"document.querySelector({json.dumps(selector)}).innerText")
-
     def evaluate(self, expression: str) -> Any:
-        """The value of a JavaScript expression, awaited where it is a promise."""
-        answer = self._call(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
-        )
+        """The value of a JavaScript expression. Raises AssertionError where it fails."""
+        answer = self._call("Runtime.evaluate", expression=expression, returnByValue=True)
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def click(self, selector: str) -> None:
-        """Press the mouse on the middle of an element."""
-        x, y = self._place(selector, (0.5, 0.5))
-        for kind in ("mousePressed", "mouseReleased"):
-            call = {"type": kind, "x": x, "y": y, "button": "left", "clickCount": 1}
-            self._call("Input.dispatchMouseEvent", **call)
+    def text(self, selector: str) -> str:
+        """What an element says."""
+        return self.evaluate(f"document.querySelector({selector!r}).innerText")
 
-    def hover(self, selector: str, at: tuple[float, float]) -> None:
-        """Move the mouse to a place of an element, in shares of its width and height."""
-        x, y = self._place(selector, at)
-        self._call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    def click(self, selector: str) -> None:
+        self.evaluate(f"document.querySelector({selector!r}).click()")
 
     def choose(self, selector: str, *files: Path) -> None:
         """Choose files in an input, as by its dialogue."""
@@ -92,38 +75,12 @@ class Page:
         paths = [str(file) for file in files]
         self._call("DOM.setFileInputFiles", files=paths, objectId=found["result"]["objectId"])
 
-    def drop(self, selector: str, *paths: Path) -> None:
-        """Drop files and folders on an element."""
-        x, y = self._place(selector, (0.5, 0.5))
-        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
-        for kind in ("dragEnter", "dragOver", "drop"):
-            self._call("Input.dispatchDragEvent", type=kind, x=x, y=y, data=data)
-
-    def resize(self, width: int, height: int) -> None:
-        """The window's inner size, CSS pixels."""
-        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-        self._call("Emulation.setDeviceMetricsOverride", **size)
-
     def wait(self, expression: str, seconds: float = 60) -> None:
         """Until a JavaScript expression is true. Raises AssertionError after so many seconds."""
         deadline = time.monotonic() + seconds
         while not self.evaluate(expression):
             assert time.monotonic() < deadline, f"still not: {expression}"
             time.sleep(0.05)
-
-    def press(self, key: str) -> None:
-        """A key of those that are named, such as ArrowDown."""
-        for kind in ("keyDown", "keyUp"):
-            self._call("Input.dispatchKeyEvent", type=kind, key=key)
-
-    def _place(self, selector: str, at: tuple[float, float]) -> tuple[float, float]:
-        """A place of an element in the window, scrolled to where it is seen."""
-        left, top, width, height = self.evaluate(
-            f"(() => {{ const e = document.querySelector({json.dumps(selector)});"
-            "e.scrollIntoView({block: 'center', behavior: 'instant'});"
-            "const r = e.getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()"
-        )
-        return left + at[0] * width, top + at[1] * height
 
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1
@@ -150,7 +107,7 @@ class Page:
             self.errors.append(parameters["entry"]["text"])
         elif method == "Network.requestWillBeSent":
             url = parameters["request"]["url"]
-            if not url.startswith(self.own):
+            if not url.startswith(self._own):
                 self.errors.append(f"a request for {url}")
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from types import ModuleType
 
 import click
-import pytest
 
 import dgc_pose
 from dgc_pose.cli.main import SECTIONS, SUBCOMMANDS, main
@@ -18,8 +17,7 @@ from dgc_pose.estimation.status import STATUSES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-_LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(#[^)\s]*)?\)")
+PAGES = {page: page.read_text("utf-8") for page in (ROOT / "README.md", *DOCS.glob("*.md"))}
 
 
 def load(name: str) -> ModuleType:
@@ -33,31 +31,28 @@ def load(name: str) -> ModuleType:
 
 def first_cells(page: Path, heading: str) -> set[str]:
     """The names in code in the first column of the table with this heading."""
-    table = page.read_text(encoding="utf-8").split(heading)[1].split("\n\n")[0]
+    table = PAGES[page].split(heading)[1].split("\n\n")[0]
     cells = re.findall(r"^\|([^|]*)\|", table, re.MULTILINE)
     return set(re.findall(r"`([\w-]+)`", "".join(cells)))
 
 
 def test_every_public_name_command_and_status_is_documented() -> None:
-    reference = (DOCS / "library.md").read_text(encoding="utf-8")
-    documented = set(re.findall(r"^::: dgc_pose\.(\w+)$", reference, re.MULTILINE))
-    assert documented == set(dgc_pose.__all__)
-    assert first_cells(PAGES[0], "| command | what it does |") == {*SUBCOMMANDS}
+    documented = re.findall(r"^::: dgc_pose\.(\w+)$", PAGES[DOCS / "library.md"], re.MULTILINE)
+    assert {*documented} == {*dgc_pose.__all__}
+    assert first_cells(ROOT / "README.md", "| command | what it does |") == {*SUBCOMMANDS}
     assert first_cells(DOCS / "glossary.md", "| status | meaning |") == {*STATUSES}
     without_t = {status for status, facts in STATUSES.items() if not facts.has_t}
     assert first_cells(DOCS / "quick-start.md", "| status |") == without_t
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_links_lead_to_files_and_commands_exist(page: Path) -> None:
+def test_links_lead_to_files_and_commands_exist() -> None:
     """`make docs` checks the links between pages; this needs no mkdocs, and checks README's too. In
     code, `dgc-pose NAME` names a sub-command."""
-    text = page.read_text(encoding="utf-8")
-    for target, _ in _LINK.findall(text):
-        if target and "://" not in target:
-            assert (page.parent / target).is_file(), target
-    named = set(re.findall(r"(?:^    |`)dgc-pose ([a-z][a-z-]+)", text, re.MULTILINE))
-    assert named <= {*SUBCOMMANDS}
+    for page, text in PAGES.items():
+        for target in re.findall(r"\[[^\]]*\]\(([^)#\s]+)", text):
+            assert "://" in target or (page.parent / target).is_file(), (page, target)
+        named = re.findall(r"(?:^    |`)dgc-pose ([a-z][a-z-]+)", text, re.MULTILINE)
+        assert {*named} <= {*SUBCOMMANDS}, page
 
 
 def test_the_help_of_every_command_is_in_the_reference() -> None:
@@ -65,7 +60,7 @@ def test_the_help_of_every_command_is_in_the_reference() -> None:
     hooks = load("hooks")
     for section, names in SECTIONS.items():
         page = DOCS / f"cli-{section.lower().replace(' ', '-')}.md"
-        markdown = hooks.on_page_markdown(page.read_text(encoding="utf-8"))
+        markdown = hooks.on_page_markdown(PAGES[page])
         helps = dict(re.findall(r"^## (\S+)\n(.*?)(?=^## |\Z)", markdown, re.MULTILINE | re.DOTALL))
         assert [*helps] == [*names]
         for name, text in helps.items():
@@ -78,35 +73,22 @@ def test_the_help_of_every_command_is_in_the_reference() -> None:
 
 
 def test_quoted_outputs_are_what_the_tool_prints() -> None:
-    """Else `make figures` brings them up to date."""
+    """But for numbers, which differ between processors; `make figures` brings them up to date."""
     figures = load("figures")
-    pages = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
-    blocks = [(name, *block) for name, text in pages.items() for block in figures.quoted(text)]
-    assert [block[:2] for block in blocks] == [
-        ("quick-start.md", marker) for marker in ("words", "output")
-    ]
-    printed = {command: figures.output(command) for command in {block[2] for block in blocks}}
-    for name, marker, command, block in blocks:
-        assert figures.agree(block, printed[command], marker), (name, block, printed[command])
-
-
-def test_the_tables_of_relative_poses_are_those_of_results_csv() -> None:
-    """Else `make figures` brings them up to date."""
-    results = load("results")
-    for page in results.PAGES:
-        text = page.read_text(encoding="utf-8")
-        assert results.TABLE.search(text), page
-        assert results.TABLE.sub(results.table, text) == text, page
+    blocks = [block for text in PAGES.values() for block in figures.BLOCK.findall(text)]
+    assert len(blocks) == 2
+    for _, command, block in blocks:
+        assert figures.words(block) == figures.words(figures.output(command))
 
 
 def test_the_first_pose_of_the_readme_runs_as_printed() -> None:
     """The command and the Python lines, in the repository's folder; both have the same pose."""
-    section = (ROOT / "README.md").read_text(encoding="utf-8").split("## A first pose")[1]
+    section = PAGES[ROOT / "README.md"].split("## A first pose")[1]
     command = re.search(r"^    dgc-pose (.*?)\n\n", section, re.DOTALL | re.MULTILINE)
     snippet = re.search(r"```python\n(.*?)```", section, re.DOTALL)
     assert command is not None and snippet is not None
     words = shlex.split(command[1].replace("\\\n", ""))
-    json_text, printed = (
+    by_command, by_python = (
         subprocess.run(
             [sys.executable, *arguments], cwd=ROOT, check=True, capture_output=True, text=True
         ).stdout
@@ -115,6 +97,6 @@ def test_the_first_pose_of_the_readme_runs_as_printed() -> None:
             ["-c", snippet[1] + "print(pose.R.tolist(), pose.t.tolist())"],
         )
     )
-    data = json.loads(json_text)
+    data = json.loads(by_command)
     assert data["success"] and data["probability"] > 0.9
-    assert printed.splitlines()[-1] == f"{data['R']} {data['t']}"
+    assert by_python.splitlines()[-1] == f"{data['R']} {data['t']}"

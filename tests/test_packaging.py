@@ -16,8 +16,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from worlds import K_text, render_views, write_views
 from packaging.requirements import Requirement
+from worlds import K_text, render_views, write_views
 
 from dgc_pose import errors
 from dgc_pose.version import version

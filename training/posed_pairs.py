@@ -16,10 +16,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from dgc_pose.errors import InputError
-from dgc_pose.files.outputs import replaced
 from dgc_pose.geometry.pixels import pixel_grid as centres
 from dgc_pose.images.image import load_image, resize_by
 from dgc_pose.network.weights import load_checkpoint
+from dgc_pose.system.files import replaced
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.plane_sweep import swept_depths

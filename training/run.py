@@ -16,12 +16,11 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
-from dgc_pose.files.inputs import read_as
-from dgc_pose.files.outputs import replaced, write_text, naming_path
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, Pyramid
 from dgc_pose.network.stored import COUNTER, check_state
 from dgc_pose.network.weights import load_checkpoint, load_network, read_state
+from dgc_pose.system.files import naming_path, read_as, replaced, write_text
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.losses import SHAPES, DecoderStage, EncoderStage, StageName
 from dgc_pose.training.options import TrainingOptions

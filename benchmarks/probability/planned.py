@@ -215,9 +215,9 @@ def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
     of the reliefs come in turn."""
     from dgc_pose.benchmarks.probability.planes import RELIEFS, plane_pair
     from dgc_pose.training.draw import Draw
-    from dgc_pose.training.map_pairs import image_arrays
     from dgc_pose.training.photos import SIDE, load_held_back
     from dgc_pose.training.room_pairs import RoomOptions, room_pairs
+    from dgc_pose.training.views import image_arrays
 
     photos = load_held_back(folder, _PLANE_PHOTO if entry.kind == "planes" else SIDE)
     options = RoomOptions(

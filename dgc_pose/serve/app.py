@@ -4,11 +4,14 @@ import asyncio
 import json
 import secrets
 import threading
-from collections.abc import AsyncIterator, Mapping, Sequence
+import traceback
+from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import anyio
+import cv2
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
@@ -17,37 +20,67 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from dgc_pose.errors import DgcPoseError, InputError
-from dgc_pose.serve.cameras import MAX_FILE_BYTES
-from dgc_pose.serve.estimator import Estimator
+from dgc_pose.cameras.pair_list import bundled_photographs
+from dgc_pose.errors import DgcPoseError, ImageError, InputError
+from dgc_pose.images.decoding import image_size
+from dgc_pose.images.image import load_image, picture_url
+from dgc_pose.serve import DECODE_SECONDS, IMAGES, UPLOAD_SECONDS, ServeOptions
+from dgc_pose.serve.estimator import Estimator, StoredImage
 from dgc_pose.serve.guard import Guard
-from dgc_pose.serve.images import SentImages, StoredImage, preview
-from dgc_pose.serve.options import (
-    DECODE_SECONDS,
-    IMAGES,
-    UPLOAD_SECONDS,
-    ServeOptions,
-)
-from dgc_pose.serve.worker import Unavailable, Worker
 from dgc_pose.version import version
+from dgc_pose.viz.figure import shrunk
 
+Value = TypeVar("Value")
 _STATIC = Path(__file__).parent / "static"
-_MAX_JSON = 10_000 + 4 * MAX_FILE_BYTES // 3  # bytes of a request; a file is in base 64
+_PHOTOGRAPHS = bundled_photographs()[0].parent
+_MAX_JSON = 10_000  # bytes of a request
 _MAX_NAME = 200  # characters of an image's name
 
 
-class Server:
-    """The workers, the images, and an ASGI application of them.
+class WorkError(DgcPoseError):
+    """A request that came to no result; the message is one line for the client."""
 
-    example: the images that the page offers, each with its K as the command takes it. folder: for
-    the images; empty, and removed by the caller when the server has ended. token: what the page
-    must know. hosts: see `guard.local_hosts`.
+    status = 422  # of HTTP
+
+
+class Gone(InputError):
+    """An image that the server has dropped, or never had."""
+
+    status = 410  # of HTTP: the page sends the image again
+
+
+async def in_turn(
+    thread: ThreadPoolExecutor, function: Callable[..., Value], *arguments: Any, seconds: float
+) -> Value:
+    """What the function returns, called in a pool's only thread. A call that is cancelled gives up
+    its place; once it has begun it runs to its end, and its result is dropped.
+
+    seconds: of the call, with its wait for those before it. Raises WorkError if the time has passed
+    or the function fails.
+    """
+    try:
+        with anyio.fail_after(seconds):
+            return await asyncio.wrap_future(thread.submit(function, *arguments))
+    except TimeoutError:
+        text = f"stopped after {seconds:g} seconds"
+    except (DgcPoseError, OSError) as error:
+        text = " ".join(str(error).split())
+    except Exception as error:  # of any library
+        traceback.print_exc()
+        text = f"the server failed: {type(error).__name__}"
+    raise WorkError(text)
+
+
+class Server:
+    """The images, the threads that work on them, and an ASGI application.
+
+    folder: for the images; empty, and removed by the caller when the server has ended. token: what
+    the page must know. hosts: see `guard.local_hosts`.
     """
 
     def __init__(
         self,
         estimator: Estimator,
-        example: Sequence[tuple[Path, str]],
         folder: Path,
         *,
         token: str,
@@ -55,27 +88,23 @@ class Server:
         options: ServeOptions,
     ) -> None:
         self.options = options
-        self._example, self._token, self._estimator = example, token, estimator
-        self._bundled_images: list[dict[str, Any]] = []  # of the example, once they are asked for
-        self._store = SentImages(folder, IMAGES)
+        self._token, self._estimator = token, estimator
+        self._folder = folder
+        # By an identifier, which is never part of a path; those used last are the last ones.
+        self._images: dict[str, StoredImage] = {}
         # A photograph need not wait for a pose.
-        self._decoding, self._estimating = Worker(), Worker()
+        self._decoding, self._estimating = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         self.app = Starlette(
             routes=[
                 Route("/", self._page),
+                Mount("/static/photographs", StaticFiles(directory=_PHOTOGRAPHS)),
                 Mount("/static", StaticFiles(directory=_STATIC)),
                 Route("/images", self._image, methods=["POST"]),
-                Route("/example", self._bundled, methods=["POST"]),
                 Route("/poses", self._pose, methods=["POST"]),
             ],
             middleware=[Middleware(Guard, token=token, hosts=hosts)],
             exception_handlers=dict.fromkeys((DgcPoseError, OSError, ClientDisconnect), _refused),
         )
-
-    def close(self) -> None:
-        """End the workers; in the thread of the server's event loop."""
-        self._decoding.close()
-        self._estimating.close()
 
     async def _page(self, request: Request) -> Response:
         text = (_STATIC / "page.html").read_text(encoding="utf-8")
@@ -97,28 +126,34 @@ class Server:
             raise HTTPException(408, text) from None
         name = request.query_params.get("name", "")
         name = "".join(letter for letter in name if letter.isprintable())[:_MAX_NAME] or "image"
-        path = self._store.folder / secrets.token_hex(16)
+        path = self._folder / secrets.token_hex(16)
         try:
             path.write_bytes(content)
-            return JSONResponse(await self._described(path, name))
+            pixels = int(self.options.max_megapixels * 1e6)
+            shown = await in_turn(self._decoding, preview, path, pixels, seconds=DECODE_SECONDS)
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-
-    async def _bundled(self, request: Request) -> Response:
-        """The bundled pair, each image as `_image` describes it, and K of both."""
-        if not self._bundled_images:
-            self._bundled_images = [
-                await self._described(path, path.name) for path, _ in self._example
-            ]
-        return JSONResponse({"images": self._bundled_images, "k": [k for _, k in self._example]})
+        identifier = secrets.token_urlsafe(16)
+        self._images[identifier] = StoredImage(path, name)
+        if len(self._images) > IMAGES:
+            self._images.pop(next(iter(self._images))).path.unlink(missing_ok=True)
+        return JSONResponse({"id": identifier, "name": name, **shown})
 
     async def _pose(self, request: Request) -> Response:
         """Lines of JSON: what is being done, and at last the result or an error."""
         data = await _json(request)
-        image1, image2 = (self._store.get(data.get(key)) for key in ("image1", "image2"))
+        image1, image2 = (self._sent(data.get(key)) for key in ("image1", "image2"))
         lines = self._progress(image1, image2, data.get("camera"))
         return StreamingResponse(lines, media_type="application/x-ndjson")
+
+    def _sent(self, identifier: object) -> StoredImage:
+        """An image by its identifier. Raises Gone if there is none."""
+        image = self._images.pop(str(identifier), None)
+        if image is None:
+            raise Gone("the image is no longer there: send it again")
+        self._images[str(identifier)] = image
+        return image
 
     async def _progress(
         self, image1: StoredImage, image2: StoredImage, camera: object
@@ -129,16 +164,14 @@ class Server:
 
         def report(text: str) -> None:
             if gone.is_set():
-                raise Unavailable("the client has left")
+                raise WorkError("the client has left")
             loop.call_soon_threadsafe(lines.put_nowait, {"progress": text})
 
         async def estimate() -> None:
-            arguments = (report, image1, image2, camera)
+            call = self._estimator.estimate, report, image1, image2, camera
             seconds = self.options.estimate_seconds
             try:
-                result = await self._estimating.call(
-                    self._estimator.estimate, *arguments, seconds=seconds
-                )
+                result = await in_turn(self._estimating, *call, seconds=seconds)
                 lines.put_nowait({"result": result})
             except DgcPoseError as error:
                 lines.put_nowait({"error": str(error)})
@@ -153,11 +186,25 @@ class Server:
             gone.set()
             task.cancel()
 
-    async def _described(self, path: Path, name: str) -> dict[str, Any]:
-        """The image as the page gets it, once it is decoded and kept."""
-        most = int(self.options.max_megapixels * 1e6)
-        shown = await self._decoding.call(preview, path, most, seconds=DECODE_SECONDS)
-        return {"id": self._store.keep(StoredImage(path, name)), "name": name, **shown}
+
+def preview(path: Path, max_pixels: int) -> dict[str, Any]:
+    """Size (width, height) of an upright image, and a picture for the browser, which may not read
+    the file. Raises ImageError, without the path, if it cannot be read or has too many pixels."""
+    try:
+        width, height = image_size(path)
+        if width * height > max_pixels:  # before they are decoded
+            raise ImageError(
+                f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
+                "(--max-megapixels of dgc-pose serve)"
+            )
+        image = load_image(path)
+    except DgcPoseError as error:
+        # The path is none of the client's business.
+        raise ImageError(str(error).replace(str(path), "the file")) from None
+    return {
+        "size": list(image.size),
+        "picture": picture_url(shrunk(image.pixels), "jpeg", cv2.IMWRITE_JPEG_QUALITY, 88),
+    }
 
 
 async def _refused(request: Request, error: Exception) -> Response:

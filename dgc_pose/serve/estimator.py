@@ -1,25 +1,37 @@
 """A pose, estimated and described for the page."""
 
-from collections.abc import Callable
+import shlex
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
+from dgc_pose.cameras.calibration import pair_cameras, parse_camera
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import fundamental_from_essential
-from dgc_pose.images.image import load_image, picture_url
+from dgc_pose.images.image import Image, load_image, picture_url
 from dgc_pose.matching import CorrespondenceMap, Matcher
-from dgc_pose.matching.warp import warp_image
 from dgc_pose.pair_result import PairResult
 from dgc_pose.pose import solve_pair
-from dgc_pose.scene import pose_scene
-from dgc_pose.serve.cameras import command, python_text, requested_cameras
-from dgc_pose.serve.images import StoredImage, shrunk
+from dgc_pose.viz.figure import warp_image
+from dgc_pose.viz.model_page import pose_scene
 
 SHOWN_MATCHES = 3000  # more would slow the page down
 SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
 _COVERED = 0.01  # of image 2 that the map must cover, or there is nothing to see
+_MAX_TEXT = 300  # characters of a K
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An image that a client has sent, and that could be read."""
+
+    path: Path
+    name: str  # of the client; for texts alone, never opened
 
 
 @dataclass(frozen=True)
@@ -109,11 +121,11 @@ def _map(result: PairResult) -> dict[str, Any]:
     image 2, as transparent as it is unmatchable, and the matchability."""
     dense_map = result.correspondence_map
     assert dense_map is not None
-    height, width = shrunk(result.image2.pixels).shape[:2]
-    warped = warp_image(result.image1.pixels, dense_map.map, (width, height))
-    matchability = cv2.resize(dense_map.matchability.astype(np.float32), (width, height))
+    warped = warp_image(result.image1.pixels, dense_map.map, result.image2.size)
+    size = warped.shape[1::-1]
+    matchability = cv2.resize(dense_map.matchability.astype(np.float32), size)
     inside = (dense_map.map >= -0.5) & (dense_map.map <= np.array(dense_map.size1) - 0.5)
-    known = cv2.resize(np.asarray(inside.all(-1), np.float32), (width, height)) * matchability
+    known = cv2.resize(np.asarray(inside.all(-1), np.float32), size) * matchability
     covered = float((known > 0.5).mean())
     if covered < _COVERED:
         return {"covered": covered}
@@ -127,3 +139,65 @@ def _map(result: PairResult) -> dict[str, Any]:
         for name, channels in pictures.items()
     }
     return {"covered": covered, **urls}
+
+
+def requested_cameras(
+    data: object, image1: Image, image2: Image
+) -> tuple[tuple[Camera, Camera], tuple[str, str]]:
+    """The cameras of both images that a client asks for, checked, and each as --K takes it. No path
+    that a client names is opened.
+
+    data: the client's JSON: `kind`; of "k" `k1` and `k2`, texts, the second empty if one camera
+    took both; of "fov" `fov`, the horizontal field of view of both images, degrees. Raises
+    InputError for anything else.
+    """
+    request = data if isinstance(data, Mapping) else {}
+    match request.get("kind"):
+        case "auto":
+            return pair_cameras(None, None, image1, image2), ("auto", "auto")
+        case "fov":
+            if request.get("fov") is None:
+                raise InputError("give the field of view in degrees")
+            cameras = pair_cameras(None, None, image1, image2, fov=request["fov"])
+            Ks = (camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() for camera in cameras)
+            K1, K2 = (",".join(map(repr, K)) for K in Ks)
+            return cameras, (K1, K2)
+        case "k":
+            k1 = _text(request.get("k1", ""))
+            k2 = _text(request.get("k2", "")) or k1
+            if not k1:
+                raise InputError("give K: fx,fy,cx,cy in pixels, or a COLMAP camera")
+            names = ("K", "K") if k1 == k2 else ("K1", "K2")
+            first, second = (
+                k if k == "auto" else parse_camera(k, name, files=False)
+                for k, name in zip((k1, k2), names, strict=True)
+            )
+            return pair_cameras(first, second, image1, image2, names), (k1, k2)
+    raise InputError("camera must have a kind: auto, fov, k")
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str) or len(value) > _MAX_TEXT:
+        raise InputError(f"K must be a text of at most {_MAX_TEXT} characters")
+    return value.strip()
+
+
+def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:
+    """The command that gives the same pose. cameras: as --K takes them."""
+    files = [f"./{name}" if name.startswith("-") else name for name in names]
+    k1, k2 = cameras
+    flags = ["--K", k1] if k1 == k2 else ["--K1", k1, "--K2", k2]
+    return shlex.join(["dgc-pose", "estimate", *files, *flags, *weights])
+
+
+def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:
+    """The Python that gives the same pose."""
+    k1, k2 = cameras
+    ks = f"K1={k1!r}" if k1 == k2 else f"K1={k1!r},\n    K2={k2!r}"
+    return (
+        "from dgc_pose import estimate_relative_pose, load_matcher\n\n"
+        f"pose = estimate_relative_pose(\n"
+        f"    {names[0]!r},\n    {names[1]!r},\n    {ks},\n"
+        f"    matcher=load_matcher({matcher}),\n)\n"
+        f"print(pose.status, pose.R, pose.t)\n"
+    )

@@ -6,28 +6,30 @@ if there is one; a function `plot_...` makes a figure of them. Points are in pix
 images, (0, 0) the centre of the top-left pixel.
 """
 
-from dgc_pose.viz.figure import new_figure, save_figure
-from dgc_pose.viz.model_page import model_page, pose_page
-from dgc_pose.viz.panels import (
+from dgc_pose.viz.figure import (
     draw_curves,
     draw_image,
     draw_matchability,
     draw_matches,
     draw_points,
     draw_warp,
+    new_figure,
     residual_colours,
+    save_figure,
 )
-from dgc_pose.viz.pose_figure import plot_pose
+from dgc_pose.viz.model_page import model_page, pose_page
+from dgc_pose.viz.pose_figure import plot_location, plot_pose
 
 __all__ = [
-    "draw_image",
     "draw_curves",
+    "draw_image",
     "draw_matchability",
     "draw_matches",
     "draw_points",
     "draw_warp",
     "model_page",
     "new_figure",
+    "plot_location",
     "plot_pose",
     "pose_page",
     "residual_colours",

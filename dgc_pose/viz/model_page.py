@@ -11,17 +11,22 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dgc_pose.errors import printable
+from dgc_pose.errors import ArgumentName, InputError, printable
+from dgc_pose.geometry.epipolar import homogeneous
+from dgc_pose.geometry.neighbours import nearest
+from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.model import Model
 from dgc_pose.pair_result import PairResult
-from dgc_pose.scene import frustum, mean_axes, pose_scene, scene_of
 from dgc_pose.system.parallel import in_threads
+from dgc_pose.viz.model_page import frustum, mean_axes, pose_scene, scene_of
 
 _FILES = resources.files("dgc_pose")
 _PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here
 _SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and of its JPEG
-_MOST = 20_000  # points: more would slow a page down
+_MOST, _MOST_OF_PAIR = 20_000, 3000  # points: more would slow a page down
+_NEAR = 0.97  # of the points' distances that are shown: the farthest would shrink all others
+_DEPTHS = 0.1, 0.18  # of a camera's pyramid, over the median distance of the points
 
 
 def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, str]] = ()) -> str:
@@ -78,3 +83,50 @@ def _page(title: str, facts: str, scene: dict[str, Any], photographs: Sequence[s
     parts["content"] = json.dumps(scene).replace("<", r"\u003c")
     page = (_FILES / "viz" / "model.html").read_text(encoding="utf-8")
     return re.sub(r"{{(.*?)}}", lambda match: parts[match[1]], page)
+
+
+def pose_scene(result: PairResult) -> dict[str, Any]:
+    """What scene.js shows of a pair, as values of JSON. Raises InputError without R and t."""
+    if result.pose.R is None or result.pose.t is None:
+        raise InputError(ArgumentName("result"), f"has no R and t: {result.pose.reason}")
+    pose = np.column_stack([result.pose.R, result.pose.t * (result.pose.length or 1.0)])
+    first = frustum(result.camera1.K, result.image1.size, np.eye(3, 4))
+    second = frustum(result.camera2.K, result.image2.size, pose)
+    return scene_of("12", np.stack([first, second]), result.points3d, result.colours, _MOST_OF_PAIR)
+
+
+def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarray:
+    """The centre of a camera and, at a depth of 1, the corners of its view from the top left on
+    (5, 3), world. K: (3, 3). size: (width, height). pose: cam_from_world (3, 4)."""
+    width, height = size
+    pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
+    rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
+    corners: np.ndarray = np.vstack([np.zeros(3), rays]) - pose[:, :3].T @ pose[:, 3]
+    return corners
+
+
+def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:
+    """The axes (3, 3) of the mean camera of cam_from_world poses (3, 4), in rows: of least sum of
+    |R_k - axes|^2."""
+    rows = np.stack(poses)[:, :, :3].transpose(0, 2, 1).reshape(-1, 3)
+    return aligning_rotation(np.tile(np.eye(3), (len(poses), 1)), rows)
+
+
+def scene_of(
+    labels: Sequence[str], frusta: np.ndarray, points: np.ndarray, colours: np.ndarray, most: int
+) -> dict[str, Any]:
+    """Cameras of some frusta (N, 5, 3), as deep as their distances allow, and at most so many of
+    the points (M, 3), of colours (M, 3) uint8, in a random order."""
+    centres = frusta[:, :1]
+    depth = float(np.median(nearest(centres[:, 0], 2)[0][:, 1])) or 1.0
+    away = np.linalg.norm(points - centres.mean(0), axis=1)
+    chosen = np.flatnonzero(np.isfinite(away))
+    if len(chosen):
+        depth = float(np.clip(depth, *np.multiply(_DEPTHS, np.median(away[chosen]))))
+        chosen = chosen[away[chosen] <= np.quantile(away[chosen], _NEAR)]
+    chosen = np.random.default_rng(0).permutation(chosen)[:most]
+    digits = 4 - int(np.floor(np.log10(depth)))
+    corners = (centres + depth * (frusta - centres)).round(digits).tolist()
+    cameras = [{"label": label, "corners": c} for label, c in zip(labels, corners, strict=True)]
+    xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
+    return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}

@@ -1,12 +1,12 @@
-"""One figure that shows what a pose was estimated from."""
+"""Whole figures: what a pose was estimated from, and the place of a query in a model."""
 
 import textwrap
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import printable, shortened
@@ -14,30 +14,34 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.images.image import load_image
+from dgc_pose.localization.location import Location
 from dgc_pose.matching.align import spread
+from dgc_pose.model import Model
 from dgc_pose.pair_result import PairResult
-from dgc_pose.viz.figure import WIDTH, new_figure
-from dgc_pose.viz.panels import (
+from dgc_pose.viz.figure import (
+    WIDTH,
     draw_curves,
     draw_image,
     draw_matchability,
     draw_matches,
     draw_points,
     draw_warp,
+    new_figure,
     residual_colours,
     second_place,
 )
+from dgc_pose.viz.model_page import mean_axes
 
 DRAWN_MATCHES = 150
 DRAWN_LINES = 12
 _CURVE_POINTS = 500  # of an epipolar line through a lens
-# Ends of the rows of panels, the largest panels first.
-_ARRANGEMENTS = ((1, 2, 3, 4, 5), (1, 3, 5), (1, 5), (5,))
-_MAX_HEIGHT = 1.4  # of all rows, as a share of the width
-# Inches: between the panels of a row; around the figure; of a line of text; the mean character of a
-# title; the height of a row at most.
-_GAP, _MARGIN, _LINE, _CHARACTER, _MAX_PANEL = 0.1, 0.08, 0.19, 0.078, 20.0
+_UPRIGHT = 2.0  # sum of the images' width over height: below it four panels stand in a row, not two
+_TALLEST = 10.0  # height of a row at most, inches
+_LINE, _CHARACTER = 0.19, 0.078  # height of a line of text, and width of its mean character, inches
 _NAME = 28  # characters of a file's name
+_LOCATED_MATCHES = 100  # drawn with a database image
+_FAR = 0.02  # share of a model's points at either end of an axis, which may be far away
 
 
 def plot_pose(result: PairResult) -> Figure:
@@ -110,48 +114,37 @@ def _panels(result: PairResult, counts: str, legend: str) -> list[tuple[float, s
     return panels[: 3 if result.correspondence_map is None else 5]
 
 
-def _panels_in_rows(
-    panels: Sequence[tuple[float, str]], headline: str
-) -> tuple[Figure, list[Axes]]:
-    """A figure `WIDTH` wide and the axes of its panels, of which each is given by its aspect and
-    its title. The panels of a row have one height and fill the width, so that no band stays blank.
-    Titles are broken where their panel is narrow; the headline stands above all."""
-    for ends in _ARRANGEMENTS:
-        rows = [panels[i:j] for i, j in zip((0, *ends), ends, strict=False) if panels[i:j]]
-        free = [WIDTH - 2 * _MARGIN - _GAP * (len(row) - 1) for row in rows]
-        wide = [sum(aspect for aspect, _ in row) for row in rows]
-        heights = [min(f / w, _MAX_PANEL) for f, w in zip(free, wide, strict=True)]
-        if sum(heights) <= _MAX_HEIGHT * WIDTH:
-            break
-    head = _wrapped(headline, WIDTH - 2 * _MARGIN)
-    titles = [
-        [_wrapped(title, aspect * height) for aspect, title in row]
-        for row, height in zip(rows, heights, strict=True)
-    ]
-    strips = [0.14 + _LINE * max(map(len, of_row)) for of_row in titles]
-    top = _MARGIN + _LINE * len(head)
-    total = top + sum(heights) + sum(strips) + _MARGIN
-    figure = new_figure(WIDTH, total)
-    figure.set_layout_engine("none")
-    corner = _MARGIN / WIDTH, 1 - _MARGIN / total
+def _panels_in_rows(panels: list[tuple[float, str]], headline: str) -> tuple[Figure, list[Axes]]:
+    """A figure `WIDTH` wide below a headline, and the axes of its panels, each given by its aspect
+    and title: the first in a row of its own, the others two or four in a row of one height."""
+    across = 2 if panels[1][0] + panels[2][0] > _UPRIGHT else 4
+    rows = [panels[:1], *(panels[i : i + across] for i in range(1, len(panels), across))]
+    heights = []
+    for row in rows:
+        wide = sum(aspect for aspect, _ in row)
+        titles = [_wrapped(title, WIDTH * aspect / wide) for aspect, title in row]
+        lines = max(title.count("\n") + 1 for title in titles)
+        heights.append(min(WIDTH / wide, _TALLEST) + _LINE * (lines + 0.7))
+    text = _wrapped(headline, WIDTH)
+    figure = new_figure(WIDTH, sum(heights) + _LINE * (text.count("\n") + 1.5))
     # Without mathematics: the name of a file may be what would be a formula.
-    figure.text(*corner, "\n".join(head), va="top", fontsize=10, parse_math=False)
+    figure.suptitle(text, x=0.01, ha="left", fontsize=10, parse_math=False)
     drawn = []
-    for row, of_row, height, strip in zip(rows, titles, heights, strips, strict=True):
-        top += strip + height
-        sizes = [aspect * height for aspect, _ in row]
-        left = (WIDTH - sum(sizes) - _GAP * (len(row) - 1)) / 2
-        for size, title in zip(sizes, of_row, strict=True):
-            box = (left / WIDTH, 1 - top / total, size / WIDTH, height / total)
-            drawn.append(figure.add_axes(box))
-            drawn[-1].set_title("\n".join(title), fontsize=10, loc="left", parse_math=False, pad=4)
-            left += size + _GAP
+    parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
+    for row, part in zip(rows, parts[:, 0], strict=True):
+        aspects = [aspect for aspect, _ in row]
+        of_row = part.subplots(1, len(row), width_ratios=aspects, squeeze=False)[0]
+        for axes, (aspect, title) in zip(of_row, row, strict=True):
+            words = _wrapped(title, WIDTH * aspect / sum(aspects))
+            axes.set_title(words, fontsize=10, loc="left", parse_math=False)
+            drawn.append(axes)
     return figure, drawn
 
 
-def _wrapped(text: str, width: float) -> list[str]:
+def _wrapped(text: str, width: float) -> str:
+    """A text in lines of a width in inches."""
     most = max(8, int(width / _CHARACTER))
-    return [line for part in text.splitlines() for line in textwrap.wrap(part, most)]
+    return "\n".join(textwrap.fill(line, most) for line in text.splitlines())
 
 
 def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
@@ -177,3 +170,61 @@ def _spread(result: PairResult, chosen: np.ndarray, count: int) -> np.ndarray:
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
     points2, confidence = matches.points2[chosen], matches.confidence[chosen]
     return chosen[spread(points2, confidence, result.image2.size, count)]
+
+
+def plot_location(model: Model, query: str, location: Location) -> Figure:
+    """Draw the model from above, with the query and its error, and the matches with the two
+    database images of most inliers."""
+    figure = new_figure(WIDTH, WIDTH / 2)
+    grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
+    said = location.reason
+    if location.success:
+        said = (
+            f"R within {location.rotation_error_90_deg or 0:.2f}°, centre within "
+            f"{location.position_error_90 or 0:.2g}, nine times in ten if it is right"
+        )
+    figure.suptitle(f"{printable(Path(query).name)}: {said}", parse_math=False)
+    _draw_place(figure.add_subplot(grid[:, 0]), model, location)
+    image = load_image(query)
+    used = [matched for matched in location.database_images if matched.agrees]
+    best = sorted(used or location.database_images, key=lambda m: -m.inliers.sum())[:2]
+    for row, matched in enumerate(best):
+        matches = matched.matches.subset(matched.inliers)
+        drawn = matches.subset(
+            spread(matches.points2, matches.confidence, image.size, _LOCATED_MATCHES)
+        )
+        pixels = load_image(model.root / matched.name).pixels
+        panel = figure.add_subplot(grid[row, 1])
+        draw_matches(panel, pixels, image.pixels, drawn.points1, drawn.points2, drawn.confidence)
+        count = f"{len(matches)} of {len(matched.matches)} matches agree"
+        panel.set_title(f"{matched.name}: {count}")
+    return figure
+
+
+def _draw_place(panel: Axes, model: Model, location: Location) -> None:
+    """Draw the cameras, each an arrow where it looks, and the points, in the mean camera's axes."""
+    names, poses = [*model.poses], [*model.poses.values()]
+    centres = [model.centre(name) for name in names]
+    above = mean_axes(poses)[[0, 2]]  # to the right and ahead
+    points = model.points @ above.T
+    if len(points):
+        low, high = np.quantile(points, (_FAR, 1 - _FAR), axis=0)
+        points = points[((points >= low) & (points <= high)).all(1)]
+    panel.scatter(points[:, 0], points[:, 1], s=2.5, color="0.7", linewidths=0)
+    agree = [centres[names.index(m.name)] @ above.T for m in location.database_images if m.agrees]
+    panel.plot(
+        *np.reshape(agree, (-1, 2)).T, "o", color="black", markersize=4, label="database images"
+    )
+    colours = ["gray"] * len(names)
+    if location.cam_from_world is not None and location.centre is not None:
+        poses, centres = [*poses, location.cam_from_world], [*centres, location.centre]
+        colours.append("tab:blue")
+        middle, radius = above @ location.centre, location.position_error_90 or 0
+        panel.plot(*middle, "o", color="tab:blue", markersize=4, label="the query, and its error")
+        panel.add_patch(Circle(middle, radius, color="tab:blue", alpha=0.3))
+    tails, ahead = np.stack(centres) @ above.T, np.stack(poses)[:, 2, :3] @ above.T
+    panel.quiver(*tails.T, *ahead.T, color=colours, angles="xy", width=0.006, scale=15)
+    panel.margins(0.1)
+    panel.set_aspect("equal", adjustable="datalim")
+    panel.set(title="from above", xlabel="x", ylabel="z")
+    panel.legend(loc="best", fontsize=8)

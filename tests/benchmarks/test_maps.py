@@ -27,7 +27,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matching.flow import scaled_map
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.selection import MatchingOptions, select_matches
-from dgc_pose.training.map_pairs import MapPairs
+from dgc_pose.training.views import MapPairs
 
 CELLS = 60  # of 4 pixels
 SHIFT = np.array([3.0, -1.5])  # pixels

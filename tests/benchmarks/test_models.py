@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from batch_runs import view_folder
 from command_line import assert_refused, run
-from worlds import SIZE, K, View, render_views, write_views
 from scipy.spatial.transform import Rotation
+from worlds import SIZE, K, View, render_views, write_views
 
 from dgc_pose.batch.rows import PairRow, row_of
 from dgc_pose.benchmarks.models import (

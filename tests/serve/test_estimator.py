@@ -11,8 +11,7 @@ from PIL import Image
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.metrics import epipolar_residuals_px, rotation_error_deg, translation_error_deg
-from dgc_pose.serve.estimator import Estimator
-from dgc_pose.serve.images import StoredImage
+from dgc_pose.serve.estimator import Estimator, StoredImage
 
 
 @pytest.fixture(scope="module")

@@ -1,18 +1,21 @@
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import dense_scene
 import numpy as np
 import pytest
+from matplotlib.patches import Circle
 from results import ambiguous_pose
+from world_scene import CAMERA, IMAGE, PHOTO_CAMERA, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
+from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.pose import solve_pair
-from dgc_pose.viz.figure import save_figure
-from dgc_pose.viz.pose_figure import plot_pose
+from dgc_pose.viz import plot_location, plot_pose, save_figure
 
 
 def result_of(correspondence_map):
@@ -43,22 +46,19 @@ def test_all_panels_are_there():
     assert headline.startswith("rotation ")
 
 
-@pytest.mark.parametrize(
-    ("paths", "names"),
-    [
+def test_panels_have_the_names_of_the_files():
+    """As they are: no formula, with the folder if both are alike, shortened if they are long."""
+    result = result_of(dense_scene.true_map())
+    for paths, names in (
         (("a/1.jpg", "b/1.jpg"), ("a/1.jpg", "b/1.jpg")),
         (("$a$.jpg", "long" * 20), ("$a$.jpg", "longlonglonglo ... glonglong")),
-    ],
-)
-def test_panels_have_the_names_of_the_files(paths, names):
-    """As they are: no formula, and shortened if they are long."""
-    result = result_of(dense_scene.true_map())
-    images = (replace(result.image1, name=paths[0]), replace(result.image2, name=paths[1]))
-    figure = plot_pose(replace(result, image1=images[0], image2=images[1]))
-    _, points, lines, *_ = figure.axes
-    assert title(points) == f"{names[0]}: points"
-    assert " ".join(title(lines).split()) == f"{names[1]}: the same, and their epipolar lines"
-    assert not points._left_title.get_parse_math()
+    ):
+        images = (replace(result.image1, name=paths[0]), replace(result.image2, name=paths[1]))
+        figure = plot_pose(replace(result, image1=images[0], image2=images[1]))
+        _, points, lines, *_ = figure.axes
+        assert title(points) == f"{names[0]}: points"
+        assert " ".join(title(lines).split()) == f"{names[1]}: the same, and their epipolar lines"
+        assert not points._left_title.get_parse_math()
 
 
 @pytest.mark.parametrize(
@@ -118,3 +118,35 @@ def test_the_colour_of_a_match_is_its_distance_from_the_epipolar_lines():
     order = np.argsort(result.residuals_px[nearest])
     assert (np.diff(green[order]) <= 1e-6).all()
     assert green[order[0]] > 0.8 and green[order[-1]] == 0
+
+
+def test_a_location_is_drawn_with_its_error(tmp_path: Path) -> None:
+    """The circle lies at the centre, in the mean camera's axes, and has nine tenths of it."""
+    scene = world_scene()
+    for name in (*scene.names, "new.png"):
+        picture = np.random.default_rng(0).integers(0, 256, (*IMAGE[::-1], 3), np.uint8)
+        cv2.imwrite(str(tmp_path / name), picture)
+    model = replace(scene.model(), root=tmp_path, points=scene.points)
+    references = tuple(
+        DatabaseImage(name, scene.matches(i), np.arange(300) % 2 == 0, 0.9, agrees=i != 1)
+        for i, name in enumerate(scene.names)
+    )
+    covariance = np.diag([1e-4] * 3 + [0.04] * 3)
+    location = Location(
+        *("located", "", references, scene.R, scene.centre),
+        covariance=covariance,
+        camera=PHOTO_CAMERA,
+    )
+    figure = plot_location(model, str(tmp_path / "new.png"), location)
+    above, first, second = figure.axes
+    (circle,) = above.patches
+    assert isinstance(circle, Circle) and circle.radius == location.position_error_90
+    (place,) = (line for line in above.lines if "query" in line.get_label())
+    np.testing.assert_allclose(np.ravel(place.get_data()), circle.center)
+    filled = next(line for line in above.lines if line.get_label() == "database images")
+    assert len(filled.get_xdata()) == 4
+    assert "150 of 300 matches agree" in first.get_title() and second.get_title()
+    nowhere = Location("nowhere", "none of 5 database images", references[:1], camera=CAMERA)
+    figure = plot_location(model, str(tmp_path / "new.png"), nowhere)
+    assert not figure.axes[0].patches
+    assert figure.get_suptitle() == "new.png: none of 5 database images"

@@ -5,7 +5,7 @@ import { drawHistogram, drawMap } from "./plots.js";
 import { describe, summary } from "./result.js";
 import { saveJson, savePng } from "./save.js";
 import { Scene } from "./scene.js";
-import { base64, bundledPair, estimated, sendFile } from "./server.js";
+import { bundledPair, estimated, sendFile } from "./server.js";
 import { View } from "./view.js";
 
 const at = (id) => document.getElementById(id);
@@ -39,7 +39,7 @@ function kind() {
 /** What is known of K, as a text. */
 function known() {
   const fields = [...document.querySelectorAll(`[data-kind=${kind()}] input`)];
-  return JSON.stringify([kind(), fields.map(({ value, files }) => [value.trim(), files?.[0]?.size, files?.[0]?.lastModified])]);
+  return JSON.stringify([kind(), fields.map(({ value }) => value.trim())]);
 }
 
 /** All that a result depends on, as a text. */
@@ -81,16 +81,14 @@ async function sendAll(index, files) {
   } else if (sent.length && !failures.length && !images.includes(null)) estimate();
 }
 
-async function camera() {
-  if (kind() !== "file") return { kind: kind(), fov: at("fov").valueAsNumber, k1: at("k1").value, k2: at("k2").value };
-  const [file] = at("kfile").files;
-  return { kind: "file", name: file?.name ?? "", content: file ? await base64(file) : "" };
+function camera() {
+  return { kind: kind(), fov: at("fov").valueAsNumber, k1: at("k1").value, k2: at("k2").value };
 }
 
-async function estimateAll() {
+function estimateAll() {
   pairsKnown = known();
   compare();
-  await camera().then(estimatePairs).catch(fail);
+  estimatePairs(camera());
 }
 
 async function estimate() {
@@ -99,7 +97,7 @@ async function estimate() {
   at("estimate").disabled = true;
   try {
     const [pair, asked, how] = [[...images], inputs(), kind()];
-    for await (const line of estimated(pair, await camera())) {
+    for await (const line of estimated(pair, camera())) {
       if (number !== running) return;
       if (line.progress) at("progress").textContent = line.progress;
       if (line.result) await present(line.result, pair, asked, how);
@@ -176,19 +174,9 @@ for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event
 
 at("estimate").addEventListener("click", estimate);
 at("estimate-pairs").addEventListener("click", estimateAll);
-at("example").addEventListener("click", async () => {
-  endPairs();
-  begin("reading the bundled photographs");
-  try {
-    const example = await bundledPair();
-    example.images.forEach((image, index) => show(index, image));
-    const known = example.k.some((text) => text !== "auto");
-    document.querySelector(`input[name=kind][value=${known ? "k" : "auto"}]`).checked = true;
-    if (known) [at("k1").value, at("k2").value] = example.k;
-    await estimate();
-  } catch (error) {
-    fail(error);
-  }
+at("example").addEventListener("click", () => {
+  document.querySelector("input[name=kind][value=auto]").checked = true;
+  bundledPair().then((files) => sendAll(0, files)).catch(fail);
 });
 at("camera").addEventListener("input", compare);
 at("camera").addEventListener("keydown", (event) => {

@@ -2,12 +2,13 @@
 
 const token = document.querySelector("meta[name=token]").content;
 const GONE = 410; // the status of an image that the server has dropped
+const SILENT = "the server does not answer: is dgc-pose serve still running?";
 
 /** Its answer. Raises an Error with what it says, and the status if there is one. */
 async function ask(path, body, type) {
   const headers = { "x-dgc-pose-token": token, "content-type": type };
   const answer = await fetch(path, { method: "POST", headers, body }).catch(() => null);
-  if (answer === null) throw new Error("the server does not answer: is dgc-pose serve still running?");
+  if (answer === null) throw new Error(SILENT);
   if (answer.ok) return answer;
   throw Object.assign(new Error(await answer.text()), { status: answer.status });
 }
@@ -23,10 +24,12 @@ export async function sendFile(file) {
   }
 }
 
-/** The bundled photographs: both images, which the server keeps, and a text of K for each. */
-export async function bundledPair() {
-  const { images, k } = await (await ask("/example", "", "application/json")).json();
-  return { k, images: images.map((image) => ({ ...image, again: async () => image })) };
+/** The bundled photographs as files. */
+export function bundledPair() {
+  return Promise.all(["image1.jpg", "image2.jpg"].map(async (name) => {
+    const answer = await fetch(`/static/photographs/${name}`).catch(() => { throw new Error(SILENT); });
+    return new File([await answer.blob()], name);
+  }));
 }
 
 /** What is being done, and the result; an Error in its place is raised. Images that the server has
@@ -53,15 +56,10 @@ async function* lines(stream) {
   const reader = stream.pipeThrough(new TextDecoderStream()).getReader();
   let rest = "";
   for (;;) {
-    const { done, value } = await reader.read();
+    const { done, value } = await reader.read().catch(() => { throw new Error(SILENT); });
     if (done) return;
     const parts = (rest + value).split("\n");
     rest = parts.pop();
     for (const part of parts) yield JSON.parse(part);
   }
-}
-
-/** The content of a file in base 64. */
-export async function base64(file) {
-  return btoa(Array.from(new Uint8Array(await file.arrayBuffer()), (byte) => String.fromCharCode(byte)).join(""));
 }
