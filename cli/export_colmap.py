@@ -46,9 +46,8 @@ def export_colmap(
     DIR is the folder of a finished `dgc-pose batch`. Pairs without a pose or a rotation are left
     out. The key points have COLMAP's half-pixel offset.
     """
-    from dgc_pose.adapters.hloc import write_hloc
     from dgc_pose.batch.result import read_batch
-    from dgc_pose.colmap.database import share, write_shared
+    from dgc_pose.colmap.database import share, write_hloc, write_shared
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")
