@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
-from dgc_pose.batch.source import Source
+from dgc_pose.batch.source import PairChoice, Source
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.metrics import folded, pose_auc
 from dgc_pose.benchmarks.summary import Columns, Summary

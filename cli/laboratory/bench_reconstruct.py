@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.source import parse_pair_choice
 from dgc_pose.benchmarks.camera_trial import WithheldCameras
 from dgc_pose.benchmarks.files import finite_data, split_names
 from dgc_pose.benchmarks.reconstructions import (

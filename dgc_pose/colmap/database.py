@@ -10,9 +10,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from dgc_pose.batch.pooling import KNOWN_FOCAL_STD
+from dgc_pose.batch.pairs import PairRow
 from dgc_pose.batch.result import GROUP_BYTES, Batch, group_name
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.workers import KNOWN_FOCAL_STD
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, track_corners
 from dgc_pose.errors import DgcPoseError, InputError, reason

@@ -17,10 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
-from dgc_pose.batch.source import BATCH, PAGE, Source, open_source
+from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source, open_source
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import image_camera, read_calibration
 from dgc_pose.colmap.database import NoPairError

@@ -12,7 +12,7 @@ from command_line import run
 from multi_view import SIZE, K, View
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.batch.rows import PairRow, row_of
+from dgc_pose.batch.pairs import PairRow, row_of
 from dgc_pose.benchmarks.reconstructions import (
     model_figures,
     pair_figures,

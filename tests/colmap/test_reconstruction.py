@@ -16,8 +16,8 @@ from batch_runs import change_result, run_sift, view_folder
 from command_line import assert_refused, run
 from multi_view import K, K_text, View, render_views, write_views
 
+from dgc_pose.batch.pairs import MatchedPair, row_of
 from dgc_pose.batch.result import Batch, read_batch
-from dgc_pose.batch.rows import MatchedPair, row_of
 from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.options import MapperName, ReconstructionOptions
 from dgc_pose.colmap.reconstruction import reconstruct
