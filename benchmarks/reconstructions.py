@@ -22,9 +22,8 @@ from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.reconstruction import DATABASE, reconstruct
+from dgc_pose.colmap.reconstruction import DATABASE, MappingError, map_database, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import image_size

@@ -3,7 +3,7 @@
 import numpy as np
 import pycolmap
 
-from dgc_pose.colmap.mapping import adjust
+from dgc_pose.colmap.reconstruction import adjust
 
 
 def test_the_principal_points_of_some_cameras_are_found() -> None:

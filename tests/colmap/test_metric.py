@@ -13,9 +13,8 @@ from multi_view import K_text
 from scipy.spatial.transform import Rotation
 
 from dgc_pose import InputError
-from dgc_pose.colmap.mapping import MappingError
-from dgc_pose.colmap.metric import known_metres, to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
+from dgc_pose.colmap.reconstruction import MappingError, known_metres, to_metres
 
 LATITUDE, LONGITUDE, ALTITUDE = -33.8568, -70.2153, 1210.0  # south and west
 NAMES = [f"view{n}.png" for n in range(6)]

@@ -18,9 +18,8 @@ from multi_view import K, K_text, View, render_views, write_views
 
 from dgc_pose.batch.pairs import MatchedPair, row_of
 from dgc_pose.batch.result import Batch, read_batch
-from dgc_pose.colmap.mapping import MappingError
 from dgc_pose.colmap.options import MapperName, ReconstructionOptions
-from dgc_pose.colmap.reconstruction import reconstruct
+from dgc_pose.colmap.reconstruction import MappingError, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.metrics import rotation_error_deg
