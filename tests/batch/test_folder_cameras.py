@@ -52,9 +52,8 @@ def test_parameters_that_are_correlated():
     np.testing.assert_allclose(std, np.sqrt(np.diag(together)), rtol=1e-3)
 
 
-@pytest.mark.parametrize("outlier", [0.5, -1.2])
-def test_outliers_do_not_move_it(outlier):
-    right = [_fit(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
+def test_outliers_do_not_move_it():
+    outlier, right = -1.2, [_fit(0.1 + offset, 0.01) for offset in np.linspace(-0.01, 0.01, 9)]
     wrong = [_fit(outlier, 0.005), _fit(outlier, 0.005), _fit(outlier - 0.2, 0.001, weight=0.01)]
     value, std = _pooled(right + wrong, 24)
     assert abs(value - 0.1) < 0.004 and std < 0.02
@@ -252,14 +251,6 @@ def test_a_part_of_another_size_bends_no_camera_of_others(tmp_path):
     assert cameras["0.png"].focal == pytest.approx(FOCAL, rel=0.02)
 
 
-def test_a_part_of_another_width_is_not_a_squeezed_photograph(tmp_path):
-    true = [pinhole(FOCAL, SIZE)] * COUNT
-    true[1] = pinhole(FOCAL, (SIZE[1], SIZE[1]))
-    cameras, listed, _ = _folder(tmp_path, true)
-    assert {*listed[-1].cameras} == {SECOND} and "squeezed" not in listed[-1].why
-    np.testing.assert_allclose(cameras[SECOND].K[[0, 1], [0, 1]], FOCAL, rtol=0.05)
-
-
 def test_the_model_of_most_pairs_is_that_of_the_camera(tmp_path):
     """An action camera's fisheye, of which no file says anything."""
     size = (1280, 960)
@@ -281,22 +272,14 @@ def test_a_stated_camera_stays_that_of_all(tmp_path):
     assert {*one.cameras} == {*priors}
 
 
-@pytest.mark.parametrize(
-    "factors",
-    [pytest.param((1.0, 1.6, 1.0, 1.6), marks=pytest.mark.slow), (0.8, 1.0, 1.3, 1.65)],
-)
-def test_photographs_of_several_zooms_have_no_camera_in_common(tmp_path, factors):
+def test_photographs_of_several_zooms_have_no_camera_in_common(tmp_path):
     """Of one size, without EXIF data, as of a rig of two lenses or a zooming camera: most pairs are
     of two cameras."""
-    true = [pinhole(factor * FOCAL, SIZE) for factor in factors]
+    true = [pinhole(factor * FOCAL, SIZE) for factor in (0.8, 1.0, 1.3, 1.65)]
     cameras, listed, _ = _folder(tmp_path, true)
     for name, camera in zip(sorted(cameras), true, strict=True):
         found = cameras[name]
         assert found.focal == pytest.approx(camera.focal, rel=0.06)
         assert abs(np.log(found.focal / camera.focal)) < 3 * found.focal_std
-    for one in listed:
-        assert len({factors[int(name[0])] for name in one.cameras}) == 1
-        assert one.why or len(one.cameras) > 1
-    if len({*factors}) == COUNT:
-        reason = "most pairs of its size agree with a focal length of each photograph"
-        assert [one.why for one in listed] == COUNT * [reason]
+    reason = "most pairs of its size agree with a focal length of each photograph"
+    assert [one.why for one in listed] == COUNT * [reason]

@@ -58,7 +58,7 @@ def test_right_poses_agree_whatever_the_order_of_their_images():
             assert len({image for k in row for image in pairs[k].images}) == 3
 
 
-@pytest.mark.parametrize("moved", [(1.5, 0, 0), (0, 0, 2.0), (0, -1.2, 0)])
+@pytest.mark.parametrize("moved", [(1.5, 0, 0), (0, 0, 2.0)])
 def test_one_pose_of_another_place_contradicts_two_right_ones(moved):
     """Its rotation is right, and along the way its direction may be, too."""
     pairs = [_placed(0, 1), _placed(1, 2), _placed(0, 2, moved=moved)]
@@ -88,12 +88,6 @@ def test_poses_without_common_points_agree_on_no_scale():
     pairs = ((0, 1), (1, 2), (0, 2))
     pairs = [_placed(*p, points=part[:4]) for p, part in zip(pairs, parts, strict=True)]
     assert len(triples(pairs)[0]) == 0
-
-
-def test_no_triple_among_few_pairs():
-    for pairs in ([], [_placed(0, 1)], [_placed(0, 1), _placed(2, 3)]):
-        found, agree = triples(pairs)
-        assert found.shape == (0, 3) and agree.shape == (0,)
 
 
 def test_cells_of_few_pairs_count():
@@ -168,12 +162,6 @@ def test_an_unlikely_pose_that_triples_agree_with_holds():
     probability = np.where(np.arange(len(PAIRS)) == 5, 0.3, 0.95)
     values = _values(probability, np.zeros(len(PAIRS)))
     assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
-
-
-def test_without_triples_each_pair_is_as_by_itself():
-    values = _values(np.array([0.9, 0.3]), np.zeros(2))
-    after = _in_folder(values, np.zeros((0, 3), np.int64), np.zeros(0, bool))
-    np.testing.assert_allclose(1 / (1 + np.exp(-after)), [0.9, 0.3])
 
 
 def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():

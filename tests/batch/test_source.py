@@ -80,16 +80,6 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path, root):
     )
 
 
-def test_copies_of_photographs_are_left_out(tmp_path):
-    for i, name in enumerate(("1.png", "2.png", "sub/1.png")):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        _save(tmp_path / name, "PNG", i)
-    (tmp_path / "3.png").write_bytes((tmp_path / "1.png").read_bytes())
-    source = open_source(tmp_path)
-    assert source.names == ("1.png", "2.png", "sub/1.png")
-    assert source.left_out == ("1 file left out (first: 3.png): copies of other photographs",)
-
-
 def _two(folder, *sizes, orientations=(1, 1)):
     """Photographs of these sizes as stored, with EXIF orientations."""
     exif = PIL.Image.Exif()
@@ -114,22 +104,6 @@ def test_one_K_serves_photographs_of_one_size_as_stored_or_upright(
     expected = [52, 50, 24, 33] if upright == (48, 64) else [50, 52, 33, 23]
     K = second.K
     np.testing.assert_allclose([K[0, 0], K[1, 1], *K[:2, 2]], expected)
-
-
-def test_a_lens_is_turned_with_its_photograph(tmp_path):
-    """A point of the upright image is a quarter turn around the axis from that as stored."""
-    source = _two(tmp_path, (64, 48), (64, 48), orientations=(1, 6))
-    line = "OPENCV,64,48,50,52,33.5,23.5,0.1,0.02,0.01,-0.03"
-    stored, upright = survey(source, read_calibration(line))[0].values()
-    points = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2))
-    x, y = stored.project(points).T
-    # (x, y) of the stored image is (47 - y, x) of the upright one.
-    np.testing.assert_allclose(
-        upright.project(points @ [[0, 1], [-1, 0]]), np.column_stack([47 - y, x]), atol=1e-9
-    )
-    prism = "THIN_PRISM_FISHEYE,64,48,50,52,33.5,23.5,0,0,0,0,0,0,0.01,0"
-    with pytest.raises(InputError, match="a prism or a cylinder, which are not turned"):
-        survey(source, read_calibration(prism))
 
 
 @pytest.mark.parametrize("size", [(48, 60), (48, 64)])
@@ -166,22 +140,6 @@ def test_the_lines_of_photographs_tell_their_camera(tmp_path):
     assert found == pytest.approx([1.2 * 480, 0.7 * 480], rel=0.1)
     stated, _, _ = survey(_boxes(tmp_path, 1.2), read_calibration("400,400,240,180"))
     assert {camera.focal_source for camera in stated.values()} == {"given"}
-
-
-def test_lines_below_masks_do_not_count(tmp_path):
-    photos, masks = tmp_path / "photos", tmp_path / "masks"
-    photos.mkdir()
-    masks.mkdir()
-    _boxes(photos, 1.2, 1.2)
-    for name in ("0.png", "1.png"):
-        mask = np.zeros((360, 480), np.uint8)
-        mask[:20] = 255
-        cv2.imwrite(str(masks / f"{name}.png"), mask)
-    for folder, kind in ((masks, "size"), (None, "lines")):
-        cameras, _, _ = survey(open_source(photos, None, folder), read_calibration("auto"))
-        for camera in cameras.values():
-            assert camera.focal_source == kind
-            assert kind == "lines" or camera.focal == pytest.approx(0.9 * 480, rel=0.1)
 
 
 def test_the_lines_of_some_photographs_of_a_camera_are_enough(tmp_path, monkeypatch):

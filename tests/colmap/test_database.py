@@ -165,7 +165,7 @@ def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Pa
     assert np.median(epipolar_error_px(pair.row, (first, second), *points)) > 3
 
 
-@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+@pytest.mark.parametrize("orientation", [1, 6])
 def test_a_database_is_of_the_pixels_as_stored(
     tmp_path: Path, orientation: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
