@@ -12,18 +12,16 @@ from typing import Any
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice
 from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import run_batch
-from dgc_pose.batch.source import Source
+from dgc_pose.batch.source import PairChoice, Source
 from dgc_pose.benchmarks.evaluate import folded, pose_auc
 from dgc_pose.benchmarks.report import Columns, Summary
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import read_pairs
-from dgc_pose.colmap.mapping import MappingError, map_database
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.reconstruction import DATABASE, reconstruct
+from dgc_pose.colmap.reconstruction import DATABASE, MappingError, map_database, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.decoding import image_size

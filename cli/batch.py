@@ -22,8 +22,8 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
+    from dgc_pose.batch.pairs import PairRow
     from dgc_pose.batch.result import Batch
-    from dgc_pose.batch.rows import PairRow
     from dgc_pose.batch.source import Source
 
 CAMERAS_SHOWN = 5
@@ -67,8 +67,8 @@ class BatchChoice(KChoice):
 
 def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 2) -> Batch:
     """Run a batch, and show its progress. Raises InputError for fewer than `min_images`."""
-    from dgc_pose.batch.pair_choice import parse_pair_choice
     from dgc_pose.batch.run import run_batch
+    from dgc_pose.batch.source import parse_pair_choice
     from dgc_pose.cameras.calibration import read_calibration
 
     images = choice.open(source, out)
@@ -92,8 +92,8 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
 
 def report(batch: Batch) -> None:
     """Print the summary of a batch, the images that could not be used, and the first warning."""
-    from dgc_pose.batch.beliefs import MOST_PAIRS
-    from dgc_pose.batch.rows import FAILED
+    from dgc_pose.batch.look_alikes import MOST_PAIRS
+    from dgc_pose.batch.pairs import FAILED
     from dgc_pose.cli.output import SOURCES
 
     summary = batch.summary
@@ -187,8 +187,7 @@ def batch(source: str, out: Path, choice: BatchChoice) -> int:
     not stop the batch. A batch that was stopped continues with --resume. Exits with 3 if no pair
     has a pose.
     """
-    from dgc_pose.batch.pooling import CAMERAS
-    from dgc_pose.batch.result import MATCHES, PAIRS
+    from dgc_pose.batch.result import CAMERAS, MATCHES, PAIRS
 
     done = work_through(source, out, choice)
     _echo_pairs(done.rows)

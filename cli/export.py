@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from dgc_pose.adapters.model_formats import FORMATS
 from dgc_pose.cli.batch import OUT
 from dgc_pose.cli.guard import NamedPath, OutputFile, OutputFolder
 from dgc_pose.cli.options import dataclass_options
@@ -14,7 +13,7 @@ from dgc_pose.cli.output import shared_text
 from dgc_pose.cli.process import progress_bars
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.model import read_colmap
+from dgc_pose.model import read_colmap, write_nerfstudio
 from dgc_pose.system.files import replaced_folder, require_no_input
 
 HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
@@ -38,9 +37,8 @@ def export_colmap(
     DIR is the folder of a finished `dgc-pose batch`. Pairs without a pose or a rotation are left
     out. The key points have COLMAP's half-pixel offset.
     """
-    from dgc_pose.adapters.hloc import write_hloc
     from dgc_pose.batch.result import read_batch
-    from dgc_pose.colmap.database import share, write_shared
+    from dgc_pose.colmap.database import share, write_hloc, write_shared
 
     if database is None and hloc is None:
         raise InputError("give --database, or --hloc")
@@ -61,18 +59,17 @@ def export_colmap(
 
 @click.command()
 @click.argument("model", metavar="MODEL", type=NamedPath(path_type=Path))
-@click.option("--to", type=click.Choice([*FORMATS]), required=True, help="The format.")
+@click.option("--to", type=click.Choice(["nerfstudio"]), required=True, help="The format.")
 @click.option("--images", type=NamedPath(path_type=Path), help="Folder of the model's images.")
 @OUT
 def export(model: Path, to: str, images: Path | None, out: Path) -> None:
     """Write a COLMAP model in the format of another tool.
 
-    MODEL is a folder of COLMAP's files or of `dgc-pose reconstruct`. openmvs needs --images. The
-    times of tum are the names of the images if all are numbers, else 0, 1, ... in their order.
+    MODEL is a folder of COLMAP's files or of `dgc-pose reconstruct`.
     """
     if out.exists():
         raise InputError(ArgumentName("out"), f"{out} is there already")
     read = read_colmap(model)
     with replaced_folder(out) as folder:
-        FORMATS[to](read, images, folder, out)
+        write_nerfstudio(read, images, folder, out)
     click.echo(f"{out}: {read.num_images()} images for {to}")

@@ -34,24 +34,17 @@ def reconstruct(
     """
     from dgc_pose.batch.source import BATCH, PAGE, STORE
     from dgc_pose.colmap import reconstruction
-    from dgc_pose.colmap.mapping import MIN_IMAGES
-    from dgc_pose.colmap.metric import known_metres
-    from dgc_pose.model import require_model_folder
     from dgc_pose.viz.model_page import model_page
 
-    known = [name for name in (*reconstruction.OUTPUTS, PAGE) if (out / name).exists()]
-    if known:
-        there = f"{out / known[0]} is there already"
-        if not choice.work.resume:
-            raise InputError(f"{there}: --resume continues the run and replaces it")
-        if not (out / BATCH / STORE).is_file():
-            raise InputError(f"{there}, and {out} holds no batch of this version to continue")
-    require_model_folder(out / reconstruction.MODEL, several=True)
+    names = (*reconstruction.OUTPUTS, PAGE)
+    is_there = reconstruction.require_new(out, names, resume=choice.work.resume)
+    if is_there and not (out / BATCH / STORE).is_file():
+        raise InputError(f"{out} has results, and no batch of this version to continue")
     if options.gps or options.scale:  # refused before the matching
         images = choice.open(source, out / BATCH)
-        known_metres({name: images.root / name for name in images.names}, options)
+        reconstruction.known_metres({name: images.root / name for name in images.names}, options)
     start = time.perf_counter()
-    batch = work_through(source, out / BATCH, choice, MIN_IMAGES)
+    batch = work_through(source, out / BATCH, choice, reconstruction.MIN_IMAGES)
     report(batch)
     matched = time.perf_counter()
     with progress_bars() as progress:

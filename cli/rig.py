@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,7 @@ from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
     from dgc_pose.cameras.by_image import Calibration
+    from dgc_pose.cameras.camera import Camera
     from dgc_pose.rigs.rig import Rig
 
 
@@ -132,21 +134,22 @@ def _names(frames: Path) -> set[str]:
     return {*map(camera_name, frames.iterdir())} if frames.is_dir() else set()
 
 
-def _stated(text: str, frames: Path) -> list[tuple[str, str]]:
-    """The cameras of an option --K by name, each with its K as a text: those of a file that FRAMES
-    has too."""
+def _stated(text: str, frames: Path) -> Sequence[tuple[str, str | Camera]]:
+    """The cameras of an option --K by name, each with its K: those of a file that FRAMES has
+    too."""
     from dgc_pose.cameras.formats.recognise import read_file
 
     name, equals, K = text.partition("=")
     if equals and not os.path.lexists(text):
         return [(name, K)]
     file: Calibration = read_file(Path(text))
-    names = [name for name in (file.parts or file.by_name) if name in _names(frames)]
-    if not names:
+    cameras, names = file.parts or file.by_name, _names(frames)
+    stated = [(name, camera) for name, camera in cameras.items() if name in names]
+    if not stated:
         raise InputError(
             ArgumentName("K"), f"{text} names no camera of {frames}: NAME=K states one"
         )
-    return [(name, f"{text}:{name}") for name in names]
+    return stated
 
 
 def rig_text(found: Rig) -> str:

@@ -27,10 +27,15 @@ from dgc_pose.images.decoding import image_header
 from dgc_pose.images.image import size_in_file
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import naming_path, read_as, read_bytes, replaced_folder
+from dgc_pose.system.texts import write_json
 
 HALF_PIXEL = 0.5  # that COLMAP's pixels are more
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 _NO_POINTS = np.zeros((0, 3))
+# nerfstudio's lenses, and its names of COLMAP's parameters
+_PERSPECTIVE = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
+_FISHEYE = {"SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}
+_NERFSTUDIO = {"f": "fl_x", "fx": "fl_x", "fy": "fl_y", "k": "k1"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,3 +296,34 @@ def write_points(file: Path, points: np.ndarray, colours: np.ndarray) -> None:
     rows = np.hstack([points.astype("<f4", order="C").view(np.uint8), colours])
     with naming_path(file):
         file.write_bytes("\n".join([*lines, "end_header\n"]).encode() + rows.tobytes())
+
+
+def write_nerfstudio(
+    model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path
+) -> None:
+    """Write nerfstudio's transforms.json, with world_from_cam for the axes right, up, backwards,
+    and points.ply into an empty folder `out`, which is moved to `at`.
+
+    images: folder of the photographs, which the frames then name by their paths from `at`. Raises
+    InputError for a lens that nerfstudio does not have, and for fisheyes beside others; OSError.
+    """
+    lenses = {image.camera.model.name for image in model.images.values()}
+    if not (lenses <= _PERSPECTIVE or lenses <= _FISHEYE):
+        raise InputError(ArgumentName("to"), f"nerfstudio cannot hold {', '.join(sorted(lenses))}")
+    frames = []
+    for _, image in sorted(model.images.items()):
+        camera, pose = image.camera, image.cam_from_world().inverse().matrix() * (1, -1, -1, 1)
+        path = image.name
+        if images is not None:
+            path = os.path.join(os.path.realpath(images, strict=True), path)
+            os.stat(path)  # raises OSError if it is not there
+            path = os.path.relpath(path, os.path.realpath(at))
+        frame = {"file_path": path, "transform_matrix": [*pose.tolist(), [0, 0, 0, 1]]}
+        frame |= {"w": camera.width, "h": camera.height, "fl_y": camera.focal_length_y}
+        values = zip(camera.params_info.split(", "), camera.params.tolist(), strict=True)
+        frames.append(frame | {_NERFSTUDIO.get(name, name): value for name, value in values})
+    cloud = Model.of_colmap(model, Path())
+    write_points(out / "points.ply", cloud.points, cloud.colours)
+    lens = "OPENCV" if lenses <= _PERSPECTIVE else "OPENCV_FISHEYE"
+    data = {"camera_model": lens, "ply_file_path": "points.ply", "frames": frames}
+    write_json(out / "transforms.json", data)

@@ -10,9 +10,8 @@ import pytest
 from worlds import SIZE, K_text, render_views, write_views
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import parse_pair_choice
 from dgc_pose.batch.run import run_batch
-from dgc_pose.batch.source import open_source
+from dgc_pose.batch.source import open_source, parse_pair_choice
 from dgc_pose.batch.store import open_store
 from dgc_pose.batch.workers import local_workers
 from dgc_pose.cameras.calibration import read_calibration
@@ -52,6 +51,7 @@ def run_sift(
     matcher=SIFT,
     estimation=QUICK,
     workers=1,
+    engine="local",
     start_workers=local_workers,
 ):
     """A batch, by default with SIFT and the K of the rendered views."""
@@ -64,7 +64,7 @@ def run_sift(
             out,
             matcher=matcher,
             estimation=estimation,
-            options=BatchOptions(workers=workers, resume=resume),
+            options=BatchOptions(workers=workers, engine=engine, resume=resume),
         )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from worlds import SIZE, K
 
-from dgc_pose.batch.rows import PairRow, row_of
+from dgc_pose.batch.pairs import PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import Hypothesis, RelativePose
 from dgc_pose.estimation.evidence import Evidence

@@ -13,7 +13,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose, intrinsics_prior
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.localization.correspondences import PairCorrespondences, WorldPose
+from dgc_pose.localization.fit import PairCorrespondences, WorldPose
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
 

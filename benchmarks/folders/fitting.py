@@ -16,14 +16,18 @@ import numpy as np
 import torch
 from sklearn.metrics import roc_auc_score
 
-from dgc_pose.batch.beliefs import by_itself, gathered, shows_repeats, solutions
+from dgc_pose.batch.look_alikes import (
+    by_itself,
+    evidence_of_pairs,
+    shows_repeats,
+    solutions,
+    triples,
+)
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice
-from dgc_pose.batch.relations import triples
+from dgc_pose.batch.pairs import LEAST_BELIEF, MatchedPair
 from dgc_pose.batch.result import read_batch
-from dgc_pose.batch.rows import LEAST_BELIEF, MatchedPair
 from dgc_pose.batch.run import run_batch
-from dgc_pose.batch.source import Source
+from dgc_pose.batch.source import PairChoice, Source
 from dgc_pose.benchmarks.folders.rendered import KINDS, View, rendered_folder
 from dgc_pose.benchmarks.models import thinned
 from dgc_pose.benchmarks.probability.fitting import regression
@@ -44,8 +48,10 @@ _LANDS_PX = 8.0  # of an inlier from where the truth has it
 _RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the latter over the depth, of a t that counts
 # Folder of images, their cameras by name, and whether a pair that has a pose is right
 Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
-# For the pairs that have a pose the values (n, 3) of `gathered`, and whether they are right, (n,);
-# their triples (M, 3), and whether these agree, (M,)
+
+
+# Of the pairs that have a pose the values (n, 3) of `evidence_of_pairs`, whether they are right,
+# (n,), their triples (M, 3), and whether these agree, (M,)
 Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _photos = cache(load_held_back)
 
@@ -118,7 +124,7 @@ def collected(name: str, data: Path, out: Path) -> Pairs:
         posed = (pair for pair in batch.pairs() if pair.row.pose and pair.row.pose.R is not None)
         np.save(labels, [pair.row.index for pair in posed if is_right(pair)])
     batch = read_batch(folder)
-    rows, relations, values = gathered(batch.pairs(), batch.plan)
+    rows, relations, values = evidence_of_pairs(batch.pairs(), batch.plan)
     right = np.isin([row.index for row in rows], np.load(labels))
     return values, right, *triples(relations)
 

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import parse_pair_choice
+from dgc_pose.batch.source import parse_pair_choice
 from dgc_pose.benchmarks.models import (
     COLMAP_SIFT,
     COLUMNS,

@@ -1,11 +1,13 @@
 """The result of a batch: `pairs.jsonl`, `matches.h5`, `summary.json`, and `cameras.csv` of pooled
-cameras, in the order of the pairs whatever the order in which they were done.
+cameras, in the order of the pairs, not of the work.
 
 `matches.h5` has hloc's layout: a group `name1/name2` ("/" inside a name becomes "-") holds
 `keypoints0`, `keypoints1` (N, 2) float32, pixels of the images, (0, 0) the centre of the top-left
 pixel, `scores` (N,) float32, and `inliers` (N,) bool, which hloc passes over.
 """
 
+import csv
+import io
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,17 +17,23 @@ from typing import Any
 import h5py
 import numpy as np
 
-from dgc_pose.batch.plan import Plan
-from dgc_pose.batch.pooling import PooledCamera, write_cameras
-from dgc_pose.batch.rows import BAD_INPUT, FAILED, MatchedPair, PairRow
+from dgc_pose.batch.folder_cameras import PooledCamera
+from dgc_pose.batch.pairs import BAD_INPUT, FAILED, MatchedPair, PairRow
 from dgc_pose.batch.source import STORE
-from dgc_pose.batch.store import BatchStore, open_store
+from dgc_pose.batch.store import BatchStore, Plan, open_store
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.status import STATUSES
-from dgc_pose.system.files import naming_path, replaced, require_room
+from dgc_pose.system.files import naming_path, replaced, require_room, write_text
 from dgc_pose.system.texts import write_json
 
 PAIRS, MATCHES, SUMMARY = "pairs.jsonl", "matches.h5", "summary.json"
+CAMERAS = "cameras.csv"
+_COLUMNS = (
+    *("name", "fx", "fy", "cx", "cy", "width", "height", "focal_std", "centre_std_px"),
+    *("lens_std", "aspect_std", "camera"),
+    *("model", "coefficients"),  # of the lens
+)
 GROUP_BYTES = 4096  # more than HDF5 takes for a pair beside its arrays
 
 
@@ -78,6 +86,22 @@ def write_files(out: Path, store: BatchStore, plan: Plan, summary: Mapping[str, 
     write_json(out / SUMMARY, summary)
 
 
+def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
+    """Write `cameras.csv`, which `--K` reads: a line for each image."""
+    table = io.StringIO()
+    lines = csv.writer(table, lineterminator="\n")
+    lines.writerow(_COLUMNS)
+    for name, camera in cameras.items():
+        K = camera.K
+        numbers = (K[0, 0], K[1, 1], K[0, 2], K[1, 2], *(camera.size or ("", "")))
+        stds = (camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std)
+        lens = camera.distortion
+        of_lens = ("", "") if lens is None else (lens.model, " ".join(map(repr, lens.coefficients)))
+        lines.writerow([name, *numbers, *stds, camera.identity or "", *of_lens])
+    text = table.getvalue().encode(errors="backslashreplace")  # names need be no UTF-8
+    write_text(out / CAMERAS, text.decode())
+
+
 def summary_of(
     plan: Plan, rows: Sequence[PairRow], cameras: Sequence[PooledCamera]
 ) -> dict[str, Any]:
@@ -89,7 +113,22 @@ def summary_of(
     return {
         "images": len(plan.names),
         "bad_images": dict(sorted(bad.items())),
-        "cameras": [_camera_facts(pooled) for pooled in cameras],
+        "cameras": [
+            {
+                "images": len(one.cameras),
+                "first_image": next(iter(one.cameras)),
+                "focal_px": camera.focal,
+                "focal_std": camera.focal_std,
+                "focal_source": camera.focal_source,
+                "centre_px": camera.K[:2, 2].tolist(),
+                "centre_std_px": camera.centre_std,
+                "lens_std": camera.lens_std,
+                "pairs": one.pairs,
+                "why": one.why,
+            }
+            for one in cameras
+            for camera in [*one.cameras.values()][:1]
+        ],
         "pairs": len(plan.pairs),
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
         "bad_pairs": by_status[BAD_INPUT],
@@ -113,22 +152,6 @@ def _turned_down(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
         {"pairs": count, "groups": sorted(sorted(images) for images in groups)}
         for groups, count in between.most_common()
     ]
-
-
-def _camera_facts(pooled: PooledCamera) -> dict[str, Any]:
-    first, camera = next(iter(pooled.cameras.items()))
-    return {
-        "images": len(pooled.cameras),
-        "first_image": first,
-        "focal_px": camera.focal,
-        "focal_std": camera.focal_std,
-        "focal_source": camera.focal_source,
-        "centre_px": camera.K[:2, 2].tolist(),
-        "centre_std_px": camera.centre_std,
-        "lens_std": camera.lens_std,
-        "pairs": pooled.pairs,
-        "why": pooled.why,
-    }
 
 
 def group_name(name1: str, name2: str) -> str:

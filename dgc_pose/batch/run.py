@@ -1,8 +1,11 @@
 """A batch from the source to the result."""
 
 import hashlib
+import shlex
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from functools import partial
@@ -11,13 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.beliefs import believed
-from dgc_pose.batch.folder_cameras import folder_cameras
+from dgc_pose.batch.folder_cameras import PooledCamera, by_image, folder_cameras
+from dgc_pose.batch.look_alikes import folder_probabilities
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice, most_similar, similarities
-from dgc_pose.batch.plan import Plan, continued
-from dgc_pose.batch.pooling import PooledCamera, by_image
-from dgc_pose.batch.poses import Poses, compared
+from dgc_pose.batch.pairs import FAILED, MatchedPair, PairRow
 from dgc_pose.batch.result import (
     MATCHES,
     PAIRS,
@@ -28,12 +28,14 @@ from dgc_pose.batch.result import (
     summary_of,
     write_files,
 )
-from dgc_pose.batch.rows import FAILED
-from dgc_pose.batch.source import STORE, Source, survey
-from dgc_pose.batch.store import BatchStore, open_store
-from dgc_pose.batch.work import FEATURE_BYTES, Job, Worker
+from dgc_pose.batch.source import STORE, PairChoice, Source, most_similar, similarities, survey
+from dgc_pose.batch.store import BatchStore, Plan, continued, open_store
 from dgc_pose.batch.workers import (
+    FEATURE_BYTES,
+    Job,
+    PoseRunner,
     Run,
+    Worker,
     block_size,
     blocks_of,
     local_workers,
@@ -42,7 +44,7 @@ from dgc_pose.batch.workers import (
 )
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.network.stored import find_weights, shipped
 from dgc_pose.runtime.load import default_runtime, device_type
@@ -51,6 +53,7 @@ from dgc_pose.system.files import only_writer, read_bytes
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
 _EXHAUSTIVE_UP_TO = 20  # images
+_FEW_LEFT = 0.5  # of the inliers of a pair by itself
 
 
 def run_batch(
@@ -87,13 +90,16 @@ def run_batch(
     if choice is None and source.pairs is None:
         many = len(source.names) > _EXHAUSTIVE_UP_TO
         choice = PairChoice("auto", 10) if many else PairChoice("exhaustive")
-    digest, runtime = _weights_hash(matcher.weights), matcher.runtime
+    weights, runtime = matcher.weights, matcher.runtime
+    file = find_weights(weights) if weights in shipped() else Path(weights)
+    digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16] if file.is_file() else None
     if runtime == "auto" and digest is not None:  # it differs from machine to machine
-        runtime = default_runtime(matcher.weights, matcher.device)
+        runtime = default_runtime(weights, matcher.device)
     settings = {
+        "command": shlex.join(sys.argv),
         "pairs": "source" if choice is None else asdict(choice),
         "masks": masks and str(masks),
-        "weights": matcher.weights,
+        "weights": weights,
         "weights_sha256": digest,
         "runtime": runtime,
         "device": device_type(matcher.device),
@@ -103,9 +109,12 @@ def run_batch(
     }
     with _folder_alone(out):
         before: Plan | None = None
+        again: set[int] = set()
         if (out / STORE).is_file():
             with open_store(out) as store:
-                before = store.plan
+                before, is_finished = store.plan, store.summary is not None
+                if before is not None:
+                    again = {row.index for row in store.rows("matched") if row.status == FAILED}
         if before is not None and not options.resume:
             raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
         place = {name: i for i, name in enumerate(source.names)}
@@ -114,14 +123,10 @@ def run_batch(
             chosen = choice.pairs(len(source.names))
         pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
         plan = Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
-        again: set[int] = set()
         if before is not None:
             plan = continued(before, plan, out)
             changed = {n for n in plan.names if plan.states.get(n) != before.states.get(n)}
-            again = {i for i in range(len(plan.pairs)) if changed.intersection(plan.pair(i))}
-            with open_store(out) as store:
-                again |= {row.index for row in store.rows("matched") if row.status == FAILED}
-                is_finished = store.summary is not None
+            again |= {i for i in range(len(plan.pairs)) if changed.intersection(plan.pair(i))}
             is_written = all((out / name).is_file() for name in (PAIRS, MATCHES, SUMMARY))
             if is_finished and is_written and not again:
                 return read_batch(out)
@@ -137,10 +142,10 @@ def run_batch(
                 store.begin(plan, again)
                 (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
                 worked = _match(store, plan, run, options, progress)
-                poses = Poses(store, run, options.worker_count)
+                poses = PoseRunner(store, run, options.worker_count)
                 with store.change():
                     plan, cameras = _pose(store, plan, poses, progress)
-                    store.rewrite(believed(store.pairs("result"), plan))
+                    store.rewrite(folder_probabilities(store.pairs("result"), plan))
                     summary = summary_of(plan, store.rows("result"), cameras)
                     summary["matched_now"] = worked
                     summary["seconds"] = round(time.perf_counter() - start, 2)
@@ -150,7 +155,7 @@ def run_batch(
 
 
 def _pose(
-    store: BatchStore, plan: Plan, poses: Poses, progress: Progress
+    store: BatchStore, plan: Plan, poses: PoseRunner, progress: Progress
 ) -> tuple[Plan, list[PooledCamera]]:
     """Store the pairs of the result, with the poses by the cameras of the folder. Returns the plan
     with these cameras, and them one by one."""
@@ -161,15 +166,55 @@ def _pose(
         plan = replace(plan, pooled=by_image(cameras))
         flipped = [row.index for row in alone if row.status == "mirrored"]
         others = [row.index for row in alone if row.status != "mirrored"]
-        first = list(poses.estimated(plan.final_cameras, fit=False, only=flipped))
+        first = list(poses.estimate(plan.final_cameras, fit=False, only=flipped))
         for pair in first:  # perhaps not by the folder's cameras
             alone[pair.row.index] = pair.row
-        pairs = chain(first, poses.estimated(plan.final_cameras, fit=False, only=others))
-    for done, pair in enumerate(compared(pairs, alone), start=1):
+        pairs = chain(first, poses.estimate(plan.final_cameras, fit=False, only=others))
+    for done, pair in enumerate(_compared(pairs, alone), start=1):
         store.add("result", [pair])
         if plan.uncertain:
             progress("poses", done, len(plan.pairs))
     return plan, cameras
+
+
+def _compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterator[MatchedPair]:
+    """The pairs, in which no pose is of a mirrored photograph and one that is not; and where few
+    inliers are left, a warning. alone: the rows of the pairs by themselves."""
+    mirrored = _mirrored(alone)
+    inliers = {row.names: row.num_inliers if row.success else 0 for row in alone}
+    for pair in pairs:
+        row, pose = pair.row, pair.row.pose
+        one = mirrored.intersection(row.names)
+        if pose is not None and pose.t is not None and len(one) == 1:
+            why = f"by most pairs {one.pop()} is a mirror image of the other photographs"
+            none = np.zeros_like(pose.inliers)
+            pose = RelativePose("mirrored", why, none, pose.num_matches)
+            row = replace(row, status=pose.status, reason=why, pose=pose)
+        elif pose is not None and row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
+            few = f"the folder's cameras leave {row.num_inliers} of {before} inliers"
+            row = replace(row, pose=replace(pose, warnings=(*pose.warnings, few)))
+        yield replace(pair, row=row)
+
+
+def _mirrored(rows: Sequence[PairRow]) -> set[str]:
+    """The photographs on one of two sides, by which fewest pairs are contradicted: those with a
+    pose are of one side, and those that are `mirrored` of both."""
+    signs: dict[str, list[tuple[str, int]]] = defaultdict(list)
+    for row in rows:
+        if row.success or row.status == "mirrored":
+            for name, other in (row.names, row.names[::-1]):
+                signs[name].append((other, 1 if row.success else -1))
+    side = dict.fromkeys(signs, 1)
+    while side:
+        agreement = {
+            name: side[name] * sum(sign * side[other] for other, sign in of_name)
+            for name, of_name in signs.items()
+        }
+        worst = min(agreement, key=lambda name: agreement[name])
+        if agreement[worst] >= 0:
+            break
+        side[worst] = -side[worst]
+    return {name for name in side if side[name] < 0}
 
 
 @contextmanager
@@ -229,8 +274,3 @@ def _match(
         done += len(pairs)
         progress("pairs", done, len(plan.pairs))
     return len(left)
-
-
-def _weights_hash(weights: str) -> str | None:
-    path = find_weights(weights) if weights in shipped() else Path(weights)
-    return hashlib.sha256(read_bytes(path)).hexdigest()[:16] if path.is_file() else None

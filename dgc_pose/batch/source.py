@@ -1,22 +1,26 @@
-"""The source of a batch: photographs, their cameras and sizes, and the pairs if they are given."""
+"""The source of a batch: photographs, their cameras and sizes, and which of them are paired: as a
+list has them, all, neighbours in a sequence, or the most similar."""
 
 import os
+import re
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Literal, cast
 
 import numpy as np
 
-from dgc_pose.cameras.by_image import Calibration, may_be_of, times
+from dgc_pose.cameras.by_image import Calibration, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.lines import log_likelihoods
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import by_lines
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
-from dgc_pose.geometry.pixels import Size, exif_turn
+from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.decoding import Header, image_header
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.image import load_image, size_in_file
@@ -30,6 +34,7 @@ _DATABASES = (".db", ".sqlite", ".sqlite3")
 # Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
 FileState = tuple[int, ...]
 _ROOT = ArgumentName("root")
+Way = Literal["exhaustive", "sequential", "auto"]
 
 
 @dataclass(frozen=True)
@@ -108,7 +113,7 @@ def survey(
     cannot be used; and the states of the files, absent for a file without one.
 
     Raises InputError if an image has no camera or one for another size, or if one K is given for
-    images of several sizes, unless these are turned by 90 degrees, see `Camera.turned_either_way`.
+    images that have several sizes both as stored and upright.
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
@@ -128,20 +133,19 @@ def survey(
             bad[name] = f"{path}: its pixels as stored are a mirror image, by EXIF"
         else:
             headers[name] = header
-    common = {n: h for n, h in headers.items() if calibration.named(source.root, n) is None}
-    size = _size_of_common(calibration, common.values())
+    common = [h for n, h in headers.items() if calibration.named(source.root, n) is None]
+    stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
+    if calibration.common is not None and len(stored) > 1 and len(upright) > 1:
+        first, second, *_ = map(times, stored)
+        sizes = f"one K for images of several sizes ({first} and {second})"
+        raise InputError(f"{sizes}: give a file with a K for each image")
     for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)
         if listed is not None and calibration.lacks(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
-        of_K = size if size is not None and name in common else header.size
-        if of_K in (header.size, size_in_file(header)):
-            camera = of_image.camera(source.root, name, header)
-        else:  # stored turned, without an EXIF orientation that does it
-            unturned = replace(header, size=of_K, exif=replace(header.exif, orientation=1))
-            camera = of_image.camera(source.root, name, unturned).turned_either_way(of_K)
+        camera = of_image.camera(source.root, name, header)
         cameras[name] = replace(camera, size=header.size)
     return _with_lines(source, cameras), bad, states
 
@@ -166,21 +170,82 @@ def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Came
     return dict(zip(cameras, with_lines, strict=True))
 
 
-def _size_of_common(calibration: Calibration, headers: Collection[Header]) -> Size | None:
-    """The size of the images, as stored or upright, that the K of all is for; None without such a
-    K. Raises InputError for images of several sizes that are not turned by 90 degrees."""
-    if calibration.common is None or not headers:
-        return None
-    sizes = sorted({size_in_file(header) for header in headers})
-    K, stated = calibration.common, calibration.details.size
-    known = [
-        size
-        for size in {*sizes, *(header.size for header in headers)}
-        if may_be_of(K, size, stated) and not may_be_of(K, size[::-1], stated)
-    ]
-    if len({tuple(sorted(size)) for size in sizes}) > 1 or (len(sizes) > 1 and not known):
-        raise InputError(
-            f"one K for images of several sizes ({' and '.join(map(times, sizes[:2]))}): give a "
-            "file with a K for each image"
-        )
-    return known[0] if known else sizes[0]
+@dataclass(frozen=True)
+class PairChoice:
+    """A way to choose pairs."""
+
+    way: Way
+    # sequential: pairs of images at most so far apart. auto: most similar images of each image.
+    number: int = 1
+
+    def pairs(self, count: int) -> list[tuple[int, int]]:
+        """The pairs (i, j), i < j, of so many images; none for "auto", which needs their scores."""
+        widest = {"exhaustive": count, "sequential": self.number, "auto": 0}[self.way]
+        return [(i, j) for i in range(count) for j in range(i + 1, min(i + widest + 1, count))]
+
+
+def parse_pair_choice(text: str) -> PairChoice:
+    """`exhaustive`, `sequential:W` or `auto:K`. Raises InputError for another text."""
+    if text == "exhaustive":
+        return PairChoice("exhaustive")
+    if match := re.fullmatch("(sequential|auto):([1-9][0-9]{0,8})", text):
+        return PairChoice(cast(Way, match[1]), int(match[2]))
+    allowed = f"must be exhaustive, sequential:W or auto:K, W and K from 1, not {text!r}"
+    raise InputError(ArgumentName("pairs"), allowed)
+
+
+@one_blas_thread()
+def similarities(
+    features: Sequence[np.ndarray], progress: Callable[[int, int], None] = lambda done, of: None
+) -> np.ndarray:
+    """Scores (N, N) float32 of all pairs, within -1 and 1; the diagonal is 1.
+
+    features: for each image its coarsest cells (cells, C), of unit length. progress: takes how many
+    pairs are compared, of how many.
+    """
+    cells = [feature.astype(np.float32) for feature in features]
+    scores, count = np.eye(len(cells), dtype=np.float32), len(cells)
+    for i in range(1, count):
+        row = in_threads(partial(similarity, cells[i]), cells[:i])
+        scores[i, :i] = scores[:i, i] = row
+        progress(i * (i + 1) // 2, count * (count - 1) // 2)
+    return scores
+
+
+def similarity(cells1: np.ndarray, cells2: np.ndarray) -> float:
+    """The score of two images: the mean, over the cells of both, (cells, C) of unit length, of the
+    largest cosine with a cell of the other image."""
+    cosines = cells1 @ cells2.T
+    return float((cosines.max(0).sum() + cosines.max(1).sum()) / sum(cosines.shape))
+
+
+def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:
+    """The pairs (i, j), i < j, in which one image is among the `most` most similar ones of the
+    other, and those of a spanning tree of largest similarity, so that all images are connected.
+
+    scores: (N, N), symmetric, the larger the more similar; its diagonal does not count.
+    """
+    count = len(scores)
+    others = scores.astype(np.float64).copy()
+    np.fill_diagonal(others, -np.inf)
+    chosen = np.zeros((count, count), dtype=bool)
+    nearest = np.argsort(-others, axis=1, kind="stable")[:, : min(most, count - 1)]
+    chosen[np.arange(count)[:, None], nearest] = True
+    for edge in _spanning_tree(others):
+        chosen[edge] = True
+    chosen |= chosen.T
+    return [(int(i), int(j)) for i, j in zip(*np.nonzero(np.triu(chosen, 1)), strict=True)]
+
+
+def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
+    """The edges of the tree of largest scores (N, N) that reaches every node (Prim 1957)."""
+    count = len(scores)
+    outside, nearest = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64)
+    outside[:1] = False
+    best = scores[0].copy() if count else np.zeros(0)
+    for _ in range(count - 1):
+        node = int(np.where(outside, best, -np.inf).argmax())
+        yield int(nearest[node]), node
+        outside[node] = False
+        closer = outside & (scores[node] > best)
+        best[closer], nearest[closer] = scores[node][closer], node

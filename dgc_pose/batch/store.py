@@ -11,19 +11,24 @@ import math
 import sqlite3
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from dgc_pose.batch.plan import Plan, parse_plan, plan_data
-from dgc_pose.batch.rows import MatchedPair, PairRow, parse_row
-from dgc_pose.batch.source import STORE
+from dgc_pose.batch.pairs import MatchedPair, PairRow, parse_row
+from dgc_pose.batch.source import STORE, FileState
+from dgc_pose.cameras.calibration import camera_data, parse_camera_data
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.matches import Matches
 from dgc_pose.system.arrays import unpacked
 from dgc_pose.system.files import read_as
 
+_VERSION = 8
+_BY_PHOTOGRAPHS = ("K", "focal_std", "focal_source")
+_RESUME = ArgumentName("resume")
 _TABLES = (
     "facts (name TEXT PRIMARY KEY, value TEXT)",
     "matched (pair INTEGER PRIMARY KEY, row TEXT, pose BLOB, matches BLOB)",  # each by itself
@@ -39,6 +44,117 @@ _REWRITE = "UPDATE result SET row = ? WHERE pair = ?"
 _WHAT = "the store of a batch"
 _FIELDS = ("points1", "points2", "confidence")
 Table = Literal["matched", "result"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The work of a batch."""
+
+    root: Path  # of the image names
+    cameras: Mapping[str, Camera]  # by name, with the image's size; absent for bad images
+    bad: Mapping[str, str]  # the reason by name, of images that are not matched
+    states: Mapping[str, FileState]  # of the photographs' files, by name
+    names: tuple[str, ...]
+    pairs: np.ndarray  # (P, 2) int64, indices of `names`
+    # All that the result depends on besides, and the `command` that made the batch; JSON
+    settings: Mapping[str, Any]
+    # The cameras with the focal lengths that all pairs determine; None before the result is there,
+    # and where all cameras are exact.
+    pooled: Mapping[str, Camera] | None = None
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether a part of a camera is estimated from the pairs."""
+        return any(not camera.exact for camera in self.cameras.values())
+
+    @property
+    def final_cameras(self) -> Mapping[str, Camera]:
+        """The cameras that the poses of the result are of."""
+        return {**self.cameras, **(self.pooled or {})}
+
+    def pair(self, index: int) -> tuple[str, str]:
+        """The names of a pair."""
+        first, second = self.pairs[index]
+        return self.names[first], self.names[second]
+
+
+def plan_data(plan: Plan) -> dict[str, Any]:
+    """A plan as values of JSON."""
+    cameras, pooled = (
+        {name: camera_data(camera) for name, camera in (of or {}).items()}
+        for of in (plan.cameras, plan.pooled)
+    )
+    return {
+        "version": _VERSION,
+        "root": str(plan.root.resolve()),
+        "settings": dict(plan.settings),
+        "names": plan.names,
+        "cameras": cameras,
+        "pooled": pooled,
+        "bad": dict(plan.bad),
+        "states": dict(plan.states),
+        "pairs": plan.pairs.tolist(),
+    }
+
+
+def parse_plan(data: Mapping[str, Any]) -> Plan:
+    """The plan of `plan_data`. Raises anything for other data."""
+    if data["version"] != _VERSION:
+        raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
+    cameras, pooled = (
+        {name: parse_camera_data(values) for name, values in data[key].items()}
+        for key in ("cameras", "pooled")
+    )
+    plan = Plan(
+        Path(data["root"]),
+        cameras,
+        dict(data["bad"]),
+        {name: tuple(map(int, state)) for name, state in data["states"].items()},
+        tuple(map(str, data["names"])),
+        np.array(data["pairs"], dtype=np.int64).reshape(-1, 2),
+        dict(data["settings"]),
+        pooled or None,
+    )
+    if len(plan.pairs) and not 0 <= plan.pairs.min() <= plan.pairs.max() < len(plan.names):
+        raise ValueError("pairs of images that are not listed")
+    return plan
+
+
+def continued(before: Plan, now: Plan, out: Path) -> Plan:
+    """The plan `now` with the pairs of the batch `before`, which is to be resumed in `out`.
+
+    Photographs may have changed: their pairs are matched again.
+
+    Raises InputError, naming the batch's command, if it had other settings, images, pairs, or other
+    cameras of photographs that have not changed.
+    """
+    changed = sorted({*now.names} ^ {*before.names})
+    if changed and now.root == before.root:
+        what = "is new" if changed[0] in now.names else "has gone"
+        raise InputError(
+            f"{now.root / changed[0]} {what} since that batch:", _RESUME, "needs the same"
+        )
+    unchanged = [n for n in now.names if now.states.get(n) == before.states.get(n)]
+    old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
+    if old != new:
+        other = "had another folder, other options, pairs or cameras; it was made by"
+        command = before.settings.get("command", "another version")
+        raise InputError(f"{out / STORE} {other} `{command}`:", _RESUME, "needs the same")
+    bad = {name: before.bad[name] for name in unchanged if name in before.bad}
+    return replace(now, names=before.names, pairs=before.pairs, bad=bad | dict(now.bad))
+
+
+def _facts(plan: Plan, names: Collection[str], *, pairs: bool) -> Any:
+    """What must be the same to go on with a batch. names: of the images whose cameras count; pairs:
+    whether the pairs do."""
+    cameras = []
+    for data in (camera_data(plan.cameras[name]) for name in names if name in plan.cameras):
+        # What no K states is of the photographs, and the lines of one count for all of a camera.
+        open_ = _BY_PHOTOGRAPHS if data["focal_source"] != "given" else ()
+        cameras.append({k: v for k, v in data.items() if k not in ("warnings", *open_)})
+    settings = {k: v for k, v in plan.settings.items() if k != "command"}
+    named = [plan.pair(i) for i in range(len(plan.pairs))] if pairs else []
+    return json.loads(json.dumps([str(plan.root), settings, named, cameras]))
 
 
 @contextmanager

@@ -1,28 +1,169 @@
-"""Workers of a batch: in this process, in processes of this machine, or on a Ray cluster; and the
-order of their tasks, in which each image is loaded few times."""
+"""Workers of a batch, which match pairs and estimate poses: in this process, in processes of this
+machine, or on a Ray cluster; and the order of their tasks, in which each image is loaded few times.
+"""
 
 import logging
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 
-from dgc_pose.batch.work import Job, Worker
-from dgc_pose.errors import ArgumentName, DgcPoseError, reason, require
+from dgc_pose.batch.pairs import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
+from dgc_pose.batch.store import BatchStore
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, reason, require
+from dgc_pose.estimation import EstimationOptions, estimate_pose, of_stated
+from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.images.image import Image
+from dgc_pose.images.store import ImageStore
+from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.cache import image_cache
+from dgc_pose.pose import solve_pair
 from dgc_pose.system.parallel import process_pool
 
-Item = TypeVar("Item")
+# Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), for refinement
+# (12 MiB for each part of the image that is matched), and of copies for the search of views (4).
+FEATURE_BYTES = 24 * 2**20
+# Of ln f: below, a pooled camera is better than one that a single pair fits.
+KNOWN_FOCAL_STD = 0.05
 BLOCK = 32  # pairs handed to a worker at a time, and stored together
+_BLOCKS_HELD = 4  # of matches in memory, for each worker
+Item = TypeVar("Item")
+Cameras = Mapping[str, Camera]  # by image name
 # A method of `Worker`, and its arguments: what is done.
 Work = Callable[..., Any]
 Task = tuple[Any, ...]
 # Does tasks, several times; the outcomes come in any order and are the same whatever the workers.
 Run = Callable[[Work, Sequence[Task]], Iterator[Any]]
+
+
+@dataclass(frozen=True)
+class Job:
+    """The settings that all pairs of a batch share; it is sent to each worker once."""
+
+    root: Path  # of the image names
+    cameras: Cameras  # with the size of the image
+    bad: Mapping[str, str]  # reasons by name, of images that are known to be unusable
+    matcher: MatcherOptions
+    estimation: EstimationOptions
+    memory_bytes: int  # of images and features that a worker keeps
+    masks: Path | None = None  # folder of the images' masks
+
+
+class Worker:
+    """Loads the matcher once, and does tasks. Images and features stay in memory within the bound
+    of the job, the least recently used are dropped. A bad image makes its pairs bad, and stops
+    nothing.
+
+    Raises what `load_matcher` raises.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self.job, self.bad = job, dict(job.bad)
+        self.cache = image_cache(job.memory_bytes)
+        self.matcher = job.matcher.load(self.cache)
+        self._images = ImageStore(
+            job.root,
+            job.masks,
+            job.memory_bytes,
+            beside_bytes=FEATURE_BYTES,
+            dropped=self.matcher.forget,  # features keep their image in memory
+        )
+
+    def describe(self, names: Sequence[str]) -> dict[str, np.ndarray | str]:
+        """The coarsest features of images (cells, C) float16 by name, or why an image is bad."""
+        described: dict[str, np.ndarray | str] = {}
+        for name in names:
+            if (image := self._image(name)) is None:
+                described[name] = self.bad[name]
+            else:
+                described[name] = self.matcher.coarse_features(image).astype(np.float16)
+        return described
+
+    def match(self, pairs: Sequence[tuple[int, tuple[str, str]]]) -> list[MatchedPair]:
+        """Pairs, each by its index and its names, as they are by themselves."""
+        cameras = self.job.cameras
+        return [_done(index, names, self._matched, names, cameras) for index, names in pairs]
+
+    def estimate(
+        self, pairs: Sequence[MatchedPair], cameras: Cameras, fit_cameras: bool
+    ) -> list[MatchedPair]:
+        """Pairs that are matched, with their poses by other cameras than before.
+
+        fit_cameras: whether each pair fits them anew, also those that are known already.
+        """
+        return [
+            _done(pair.row.index, pair.row.names, self._estimated, pair, cameras, fit_cameras)
+            for pair in pairs
+        ]
+
+    def _matched(self, names: tuple[str, str], cameras: Cameras) -> MatchedPair:
+        image1, image2 = (self._image(name) for name in names)
+        if image1 is None or image2 is None:
+            bad = {name: self.bad[name] for name in names if name in self.bad}
+            return MatchedPair(PairRow(*names, BAD_INPUT, "; ".join(bad.values()), bad_images=bad))
+        pair = cameras[names[0]], cameras[names[1]]
+        solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
+        dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
+        row = row_of(names, of_stated(solved.pose, pair), solved.matches.error_px)
+        return MatchedPair(row, solved.matches, None if dense is None or exact else dense.sample)
+
+    def _estimated(self, pair: MatchedPair, cameras: Cameras, fit_cameras: bool) -> MatchedPair:
+        row, names = pair.row, pair.row.names
+        if row.pose is None or all(self.job.cameras[name].exact for name in names):
+            return pair
+        both = camera1, camera2 = cameras[names[0]], cameras[names[1]]
+        if row.status == "mirrored":  # perhaps by wrong cameras
+            exact = camera1.exact and camera2.exact
+            return pair if exact else self._matched(names, cameras)
+        # Two cameras err each by itself, and so does each without an identity.
+        known = camera1.identity is not None and camera1.identity == camera2.identity
+        known &= all(c.focal_std <= KNOWN_FOCAL_STD and not is_of_part(c) for c in both)
+        matches = replace(pair.matches, weights=self.matcher.fingerprint)
+        pose = estimate_pose(
+            *(matches, *both, self.job.estimation),
+            map_matches=pair.map_matches,
+            fit_cameras=fit_cameras or not known,
+        )
+        return MatchedPair(row_of(names, pose, matches.error_px), matches, pair.map_matches)
+
+    def _image(self, name: str) -> Image | None:
+        """An image; None if it cannot be used, with the reason in `bad`."""
+        if name in self.bad:
+            return None
+        try:
+            image = self._images.get(name)
+            size = self.job.cameras[name].size
+            if size is not None and tuple(size) != image.size:
+                path = self.job.root / name
+                raise ImageError(f"{path}: the size in its header is not that of its pixels")
+            return image
+        except DgcPoseError as error:
+            self.bad[name] = str(error)
+            return None
+
+
+def _done(
+    index: int, names: tuple[str, str], work: Callable[..., MatchedPair], *arguments: Any
+) -> MatchedPair:
+    """The outcome of work on a pair, or the pair with its error."""
+    try:
+        pair = work(*arguments)
+    except MemoryError:  # every further pair would meet it too
+        raise
+    except DgcPoseError as error:
+        pair = MatchedPair(PairRow(*names, BAD_INPUT, str(error)))
+    except Exception as error:  # one pair of a million must not end the batch
+        pair = MatchedPair(PairRow(*names, FAILED, f"{type(error).__name__}: {error}"))
+    return replace(pair, row=replace(pair.row, index=index))
 
 
 @contextmanager
@@ -118,6 +259,31 @@ def _start(job: Job) -> None:
 
 def _do(work: Work, *task: Any) -> Any:
     return _of_process[0].do(work, *task)
+
+
+@dataclass(frozen=True)
+class PoseRunner:
+    """Estimates the poses of stored pairs by workers."""
+
+    store: BatchStore  # of the pairs as they are matched
+    run: Run
+    workers: int
+
+    def estimate(
+        self, cameras: Cameras, *, fit: bool, only: Collection[int] | None = None
+    ) -> Iterator[MatchedPair]:
+        """The pairs with their poses by these cameras, in any order. fit: whether each pair fits
+        its cameras; otherwise those alone do whose cameras are not known. only: some pairs."""
+        indices = self.store.indices("matched") if only is None else only
+        size = block_size(len(indices), self.workers)
+        pairs = self.store.pairs("matched", indices)
+        while held := list(islice(pairs, size * _BLOCKS_HELD * self.workers)):
+            tasks = []
+            for block in blocks_of(held, size):
+                names = {name for pair in block for name in pair.row.names}
+                tasks.append((block, {n: cameras[n] for n in names if n in cameras}, fit))
+            for outcome in self.run(Worker.estimate, tasks):
+                yield from outcome
 
 
 def tile_order(pairs: np.ndarray, capacity: int) -> np.ndarray:

@@ -1,17 +1,18 @@
-"""From a finished batch to key points that its pairs share, and a COLMAP database through pycolmap.
+"""From a finished batch to key points that its pairs share, in a COLMAP database or hloc's files.
 
-A batch is of upright images; COLMAP reads the pixels as stored, and the database is of these.
+A batch is of upright images; COLMAP reads the pixels as stored, and the files are of these.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 
-from dgc_pose.batch.pooling import KNOWN_FOCAL_STD
-from dgc_pose.batch.result import Batch
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.pairs import PairRow
+from dgc_pose.batch.result import GROUP_BYTES, Batch, group_name
+from dgc_pose.batch.workers import KNOWN_FOCAL_STD
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, track_corners
 from dgc_pose.errors import DgcPoseError, InputError, reason
@@ -22,7 +23,7 @@ from dgc_pose.images.decoding import image_header
 from dgc_pose.images.store import ImageStore
 from dgc_pose.model import HALF_PIXEL, colmap_camera
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import replaced, require_room
+from dgc_pose.system.files import replaced, require_room, save_text, staged
 
 # More than a database takes: empty, and for each key point and match, with SQLite's log.
 _EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32
@@ -179,3 +180,36 @@ def _write_images(
         frame.add_data_id(image.data_id)
         database.write_frame(frame, use_frame_id=True)
     return ids
+
+
+def write_hloc(folder: Path, shared: SharedMatches) -> None:
+    """Write hloc's three files of shared key points, over what is there.
+
+    `features.h5` has `<image>/keypoints` (float32, (0, 0) the centre of the first pixel) and
+    `scores`; `matches.h5` has `name0/name1` with `matches0` (int32, -1 for none) and
+    `matching_scores0` (float16); `pairs.txt` has two names a line. Raises InputError for a name
+    with a blank, which a pairs file cannot hold.
+    """
+    for names in shared.pairs:
+        if any(len(name.split()) != 1 for name in names):
+            raise InputError(f"hloc's pairs file cannot hold the names {names}: no blanks")
+    folder.mkdir(parents=True, exist_ok=True)
+    counts = {name: len(points) for name, points in shared.key_points.items()}
+    size = 12 * sum(counts.values()) + 6 * sum(counts[name0] for name0, _ in shared.pairs)
+    groups = GROUP_BYTES * (len(counts) + len(shared.pairs))
+    require_room(folder / "features.h5", size + groups)  # HDF5 ends the process on a full disk
+    paths = [str(folder / name) for name in ("features.h5", "matches.h5", "pairs.txt")]
+    with staged(*paths) as stage:
+        features, matches, pairs = map(stage, paths)
+        with h5py.File(features, "w") as file:
+            for name, points in shared.key_points.items():
+                file[f"{name}/keypoints"] = points.astype(np.float32)
+                file[f"{name}/scores"] = np.ones(len(points), np.float32)
+        with h5py.File(matches, "w") as file:
+            for names, index in shared.pairs.items():
+                matches0 = np.full(len(shared.key_points[names[0]]), -1, np.int32)
+                matches0[index[:, 0]] = index[:, 1]
+                file[f"{group_name(*names)}/matches0"] = matches0
+                scores = (matches0 >= 0).astype(np.float16)
+                file[f"{group_name(*names)}/matching_scores0"] = scores
+        save_text(pairs, "".join(f"{name0} {name1}\n" for name0, name1 in shared.pairs))

@@ -1,24 +1,47 @@
-"""From a finished batch to its models, points and a summary in one folder."""
+"""From a finished batch to its models, points and a summary in one folder: by pycolmap's mappers,
+and in metres by GPS positions of photographs, the distance of two cameras, or markers."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dgc_pose.batch.result import Batch
 from dgc_pose.colmap.database import share, write_shared
-from dgc_pose.colmap.mapping import MIN_IMAGES, adjust, map_database
-from dgc_pose.colmap.metric import to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
+from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.estimation.markers import marker_side
+from dgc_pose.images.decoding import image_header, read_pixels
+from dgc_pose.images.markers import find_markers
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import only_writer, replaced, replaced_folder
+from dgc_pose.system.files import (
+    only_writer,
+    replaced,
+    replaced_folder,
+    scratch_folder,
+)
+from dgc_pose.system.parallel import in_threads
 from dgc_pose.system.texts import write_json
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
+MIN_IMAGES = 3  # of a model
+_KEY_POINT_BYTES, _POINT_BYTES = 40, 120  # more than a model and its point file take for each
+_SEED = 0
+_MAX_ERROR_M = 15.0  # of a GPS position that agrees with the model
+_AS_WELL = 1.5  # times the median residual, up to which another similarity fits as well
+_OWN_FRAME = "the model's own"
+_MIN_WIDTH = 0.02  # of GPS positions, as a share of their length: less is a line
+
+
+class MappingError(DgcPoseError):
+    """COLMAP made no model."""
 
 
 def reconstruct(
@@ -53,14 +76,32 @@ def reconstruct(
             if cut:
                 adjust(model, cut, centres=True)
         metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options)
-        with replaced_folder(out / MODEL) as folder:
-            for number, model in enumerate(found):
-                (folder / str(number or "")).mkdir(exist_ok=True)
-                model.write_binary(folder / str(number or ""))
-        models = [load_model(out / MODEL / str(n or ""), plan.root) for n in range(len(found))]
-        with replaced(out / POINTS) as temporary:
-            write_points(temporary, models[0].points, models[0].colours)
+        models = write_models(out, found, plan.root)
     return models, shared, metric
+
+
+def write_models(out: Path, found: Sequence[pycolmap.Reconstruction], root: Path) -> list[Model]:
+    """Write `sparse/`, `sparse/1/`, ... and the points of the first model, over what is there, and
+    read the models. root: of their image names."""
+    with replaced_folder(out / MODEL) as folder:
+        for number, model in enumerate(found):
+            (folder / str(number or "")).mkdir(exist_ok=True)
+            model.write_binary(folder / str(number or ""))
+    models = [load_model(out / MODEL / str(n or ""), root) for n in range(len(found))]
+    with replaced(out / POINTS) as temporary:
+        write_points(temporary, models[0].points, models[0].colours)
+    return models
+
+
+def require_new(out: Path, names: Sequence[str], *, resume: bool) -> bool:
+    """Whether a result of these names is in `out`. Raises InputError if it is, and a run shall not
+    resume; and if `sparse` holds other files than a model's."""
+    there = [out / name for name in names if (out / name).exists()]
+    if there and not resume:
+        hint = "continues that run and replaces its result"
+        raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
+    require_model_folder(out / MODEL, several=True)
+    return bool(there)
 
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
@@ -84,6 +125,10 @@ def write_summary(
     names, largest = batch.plan.names, models[0]
     colmap = largest.colmap
     assert colmap is not None
+    taken: dict[int, list[str]] = {}  # the images of each camera
+    for image in colmap.images.values():
+        if image.has_pose:
+            taken.setdefault(image.camera_id, []).append(image.name)
     left_out = {}
     for name in names:
         if not any(name in model.poses for model in models):
@@ -109,7 +154,19 @@ def write_summary(
         "key_points": sum(map(len, shared.key_points.values())),
         "matches": sum(map(len, shared.pairs.values())),
         "bad_images": batch.summary["bad_images"],
-        "cameras": _camera_facts(colmap),
+        "cameras": [
+            {
+                "model": camera.model.name,
+                "width": camera.width,
+                "height": camera.height,
+                "params": camera.params.tolist(),
+                "focal_px": float(camera.mean_focal_length()),
+                "images": len(taken[number]),
+                "first_image": min(taken[number]),
+            }
+            for number in sorted(taken)
+            for camera in [colmap.cameras[number]]
+        ],
         **metric,
         "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
     }
@@ -117,22 +174,160 @@ def write_summary(
     return data
 
 
-def _camera_facts(colmap: pycolmap.Reconstruction) -> list[dict[str, Any]]:
-    """The cameras that took an image of a model, as COLMAP has them."""
-    taken: dict[int, list[str]] = {}
-    for image in colmap.images.values():
-        if image.has_pose:
-            taken.setdefault(image.camera_id, []).append(image.name)
-    cameras = ((colmap.cameras[number], taken[number]) for number in sorted(taken))
-    return [
-        {
-            "model": camera.model.name,
-            "width": camera.width,
-            "height": camera.height,
-            "params": camera.params.tolist(),
-            "focal_px": float(camera.mean_focal_length()),
-            "images": len(names),
-            "first_image": min(names),
-        }
-        for camera, names in cameras
-    ]
+def map_database(database: Path, images: Path, options: ReconstructionOptions) -> list[Any]:
+    """COLMAP's models, that with the most images first. Raises MappingError if there is none.
+
+    One thread alone: with more, models differ in their last digits.
+    """
+    pycolmap.set_random_seed(_SEED)
+    with scratch_folder() as folder:
+        try:
+            run: Any = getattr(pycolmap, f"{options.mapper}_mapping")
+            models = run(database, images, folder, _pipeline_options(options))
+        except (RuntimeError, ValueError) as error:
+            raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
+    if not models:
+        raise MappingError(
+            f"{database}: pycolmap's {options.mapper} mapper made no model of {options.min_images} "
+            "images"
+        )
+    return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
+
+
+def adjust(
+    model: pycolmap.Reconstruction, names: Collection[str], *, centres: bool = False
+) -> None:
+    """Bundle adjustment of a model, which changes the cameras of these images, and keeps all other
+    cameras. centres: whether it changes their principal points too."""
+    images = [image for image in model.images.values() if image.has_pose]
+    cameras = {image.camera_id for image in images if image.name in names}
+    config = pycolmap.BundleAdjustmentConfig()
+    for image in images:
+        config.add_image(image.image_id)
+    for camera in {*model.cameras} - cameras:
+        config.set_constant_cam_intrinsics(camera)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    options = pycolmap.BundleAdjustmentOptions(refine_principal_point=centres, print_summary=False)
+    options.ceres.solver_options.num_threads = 1
+    options.ceres.use_gpu = False
+    pycolmap.create_default_bundle_adjuster(options, config, model).solve()
+    model.update_point_3d_errors()
+
+
+def _pipeline_options(options: ReconstructionOptions) -> Any:
+    settings: Any
+    refine = options.refine_intrinsics
+    if options.mapper == "incremental":
+        settings = pycolmap.IncrementalPipelineOptions()
+        if options.min_images < MIN_IMAGES:  # a pair whose pose holds is a model
+            settings.mapper.init_min_num_inliers = settings.mapper.abs_pose_min_num_inliers
+            settings.mapper.init_min_tri_angle = settings.mapper.filter_min_tri_angle
+            settings.triangulation.ignore_two_view_tracks = False
+        settings.ba_refine_focal_length = settings.ba_refine_extra_params = refine
+        settings.mapper.abs_pose_refine_focal_length = refine
+        settings.mapper.abs_pose_refine_extra_params = refine
+    else:
+        settings = pycolmap.GlobalPipelineOptions()
+        settings.mapper.bundle_adjustment.refine_focal_length = refine
+        settings.mapper.bundle_adjustment.refine_extra_params = refine
+        settings.mapper.bundle_adjustment.ceres.use_gpu = False
+        settings.mapper.global_positioning.use_gpu = False
+    settings.min_model_size, settings.num_threads = options.min_images, 1
+    settings.random_seed = settings.mapper.random_seed = _SEED
+    return settings
+
+
+def known_metres(
+    paths: Mapping[str, Path], options: ReconstructionOptions
+) -> tuple[dict[str, Any], str]:
+    """What is known before the matching, and the frame: of GPS the positions (3,) by name, metres
+    from the first; of `scale` the distance, by both names.
+
+    Raises InputError for fewer than three positions or a line of them, and for an unknown name.
+    """
+    if options.scale:
+        *pair, metres = options.scale.split(",")
+        with suppress(ValueError):
+            if len({*paths} & {*pair}) == len(pair) == 2 and float(metres) > 0:
+                return dict.fromkeys(pair, float(metres)), _OWN_FRAME
+        needed = f"must be two of the {len(paths)} images and metres"
+        raise InputError(ArgumentName("scale"), f"{needed}, not {options.scale!r}")
+    if not options.gps:
+        return {}, _OWN_FRAME
+    tags = {}
+    for name, path in paths.items():
+        with suppress(ImageError):
+            tags[name] = image_header(path).exif.position
+    tags = {name: position for name, position in tags.items() if position}
+    places = np.array([*tags.values()]).reshape(-1, 3)
+    if len(tags) < MIN_IMAGES:
+        count = f"{len(tags)} of {len(paths)} photographs have a GPS position"
+        raise InputError(ArgumentName("gps"), f"needs {MIN_IMAGES} positions, and {count}")
+    frame = "east, north, up; origin at {:.7f}, {:.7f}, {:.2f} m".format(*places[0])
+    places = pycolmap.GPSTransform().ellipsoid_to_enu(places, *places[0])
+    length, width, _ = np.linalg.svd(places - places.mean(0), compute_uv=False)
+    if width <= _MIN_WIDTH * length:
+        raise InputError(ArgumentName("gps"), f"has {len(tags)} positions on one line")
+    return dict(zip(tags, places, strict=True)), frame
+
+
+def to_metres(
+    model: pycolmap.Reconstruction, paths: Mapping[str, Path], options: ReconstructionOptions
+) -> dict[str, Any]:
+    """Bring a model into metres, by a scale or, by GPS, a similarity of RANSAC; for the summary the
+    unit, the frame and the errors, nothing without an option for it.
+
+    Raises MappingError if GPS does not agree with the model, InputError as `known_metres`, as
+    `marker_side` and for a camera of `scale` that is not in the model; ImageError.
+    """
+    known, frame = known_metres(paths, options)
+    centres = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
+    both = [name for name in known if name in centres]
+    errors: dict[str, Any] = {}
+    if options.scale:
+        for name in known.keys() - centres.keys():
+            raise InputError(ArgumentName("scale"), f"{name} is not in the model")
+        apart = np.linalg.norm(np.subtract(*(centres[name] for name in both)))
+        similarity = pycolmap.Sim3d(known[both[0]] / apart, pycolmap.Rotation3d(), np.zeros(3))
+    elif options.gps:
+        places = np.array([known[name] for name in both]).reshape(-1, 3)
+        ransac = pycolmap.RANSACOptions(max_error=_MAX_ERROR_M, random_seed=0)
+        args = model, both, places, MIN_IMAGES, ransac
+        aligned = pycolmap.align_reconstruction_to_locations(*args)
+        if aligned is None:
+            cameras = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
+            raise MappingError(f"pycolmap has no similarity that brings {cameras}")
+        similarity = _upright(aligned, model, np.array([centres[n] for n in both]), places)
+        off = [np.linalg.norm(similarity * centres[name] - known[name]) for name in both]
+        errors["median_gps_residual_m"] = round(float(np.median(off)), 3)
+        errors["largest_gps_residual_m"] = round(float(max(off)), 3)
+    elif options.marker:
+        posed = Model.of_colmap(model, Path())
+        corners = in_threads(lambda name: find_markers(read_pixels(paths[name])), [*posed.poses])
+        found = marker_side(corners, [*posed.cameras.values()], [*posed.poses.values()])
+        similarity = pycolmap.Sim3d(options.marker / found.side, pycolmap.Rotation3d(), np.zeros(3))
+        errors = {"scale_relative_std": round(found.std, 5), "marker_images": found.images}
+    else:
+        return {}
+    model.transform(similarity)
+    return {"unit": "m", "frame": frame, **errors}
+
+
+def _upright(
+    aligned: pycolmap.Sim3d, model: pycolmap.Reconstruction, centres: np.ndarray, places: np.ndarray
+) -> pycolmap.Sim3d:
+    """A similarity, or if it turns cameras in a plane at `centres`, (N, 3), upside down, it and 180
+    degrees about their length, where that brings them as near to `places`, (N, 3) metres: of a
+    narrow survey the noise of the altitudes would decide. One of cameras on a line is kept.
+    """
+    at = aligned * centres
+    _, (length, width, _), (axis, _, normal) = np.linalg.svd(at - at.mean(0), full_matrices=False)
+    posed = [image.cam_from_world().rotation for image in model.images.values() if image.has_pose]
+    # Down is y of an upright photograph, and z of one from above.
+    lower = aligned.rotation * np.sum([(0, 2, 1) @ turn.matrix() for turn in posed], 0)
+    half = 2 * np.outer(axis, axis) - np.eye(3)
+    by_half = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(half), at.mean(0) - half @ at.mean(0))
+    off, off_turned = (np.median(np.linalg.norm(p - places, axis=1)) for p in (at, by_half * at))
+    is_down = (lower @ normal) * normal[2] <= 0
+    is_kept = is_down or width <= _MIN_WIDTH * length or off_turned > _AS_WELL * off
+    return aligned if is_kept else by_half * aligned

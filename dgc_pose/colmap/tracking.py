@@ -15,8 +15,7 @@ from itertools import permutations
 import cv2
 import numpy as np
 
-from dgc_pose.batch.poses import epipolar_error_px
-from dgc_pose.batch.rows import PairRow
+from dgc_pose.batch.pairs import PairRow, epipolar_error_px
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.images.image import Image

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.batch.pair_choice import similarity
+from dgc_pose.batch.source import similarity
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.cameras.prior import with_lines

@@ -18,12 +18,14 @@ from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.localization.correspondences import (
+from dgc_pose.localization.fit import (
     PairCorrespondences,
     PointCorrespondences,
     WorldPose,
+    fitted,
+    located,
+    world_covariance,
 )
-from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model

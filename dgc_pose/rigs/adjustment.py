@@ -1,13 +1,16 @@
-"""Fixed cameras in the model of a walk, by one bundle adjustment of the walk and the cameras."""
+"""Located cameras in their final model: of a walk, by one bundle adjustment of the walk and the
+cameras; of the cameras alone, by their batch; and in metres."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.camera import matrix_camera
-from dgc_pose.colmap.mapping import adjust
+from dgc_pose.batch.result import Batch
+from dgc_pose.cameras.camera import Camera, matrix_camera
+from dgc_pose.colmap.reconstruction import adjust
 from dgc_pose.localization.location import Location
 from dgc_pose.model import HALF_PIXEL, Model
 from dgc_pose.system.colmap_library import pycolmap
@@ -85,13 +88,49 @@ def adjusted(
         image, camera = whole.images[numbers[name]], location.camera
         assert camera is not None  # of a location
         grown = np.diag(np.repeat(_EXACT if camera.exact else _FITTED, 3))
-        poses[name] = replace(
-            location.with_pose(image.cam_from_world().matrix(), grown),
-            camera=replace(
-                matrix_camera(image.camera),
-                focal_std=camera.focal_std,
-                centre_std=camera.centre_std,
-                focal_source=camera.focal_source,
-            ),
-        )
+        placed = location.with_pose(image.cam_from_world().matrix(), grown)
+        adjusted_camera = _with_stds(matrix_camera(image.camera), camera)
+        poses[name] = replace(placed, camera=adjusted_camera)
     return whole, numbers, poses
+
+
+def _with_stds(camera: Camera, of: Camera) -> Camera:
+    """A camera with the deviations of another one."""
+    stds = {"focal_std": of.focal_std, "centre_std": of.centre_std}
+    return replace(camera, **stds, focal_source=of.focal_source)
+
+
+def in_model_of_batch(
+    cameras: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
+) -> dict[str, Location]:
+    """The locations of pictures in the model of the batch of them: its poses and cameras, and
+    errors of at least those of a picture's best pair, since the located pictures determine the
+    points."""
+    found = dict(cameras)
+    for name, of in cameras.items():
+        if not of.success:
+            continue
+        if (file := files[name]) not in model.poses:
+            reason = "it has a pose, and COLMAP did not take it into the model"
+            found[name] = Location("nowhere", reason, of.database_images)
+            continue
+        errors: list[tuple[float, float]] = []
+        for row in batch.rows:
+            if row.success and row.pose and file in row.names and {*row.names} <= {*model.poses}:
+                apart = float(np.linalg.norm(np.subtract(*map(model.centre, row.names))))
+                angle = math.radians(row.pose.translation_error_90_deg or 0.0)
+                errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
+        stated = np.array([of.rotation_error_90_deg, of.position_error_90])
+        least = np.array(errors or [(0.0, 0.0)]).min(0)
+        grown = np.diag(np.repeat(np.maximum(least / stated, 1.0), 3))
+        camera = _with_stds(model.cameras[file], batch.plan.final_cameras[file])
+        found[name] = replace(of.with_pose(model.poses[file], grown), camera=camera)
+    return found
+
+
+def in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:
+    """A location as its pose (3, 4) in a frame that is `scale` times as large."""
+    assert location.R is not None
+    turn = np.eye(6)
+    turn[3:, 3:] = scale * pose[:, :3].T @ location.R
+    return location.with_pose(pose, turn)

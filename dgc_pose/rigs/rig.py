@@ -6,7 +6,6 @@ Without a walk the cameras' own pictures become the model.
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,17 +16,23 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pair_choice import PairChoice
-from dgc_pose.batch.result import Batch
 from dgc_pose.batch.run import Progress, run_batch
-from dgc_pose.batch.source import BATCH, PAGE, Source, open_source
+from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source, open_source
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import image_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.database import NoPairError
-from dgc_pose.colmap.mapping import MappingError
-from dgc_pose.colmap.metric import known_metres, to_metres
 from dgc_pose.colmap.options import ReconstructionOptions
-from dgc_pose.colmap.reconstruction import MODEL, POINTS, reconstruct
+from dgc_pose.colmap.reconstruction import (
+    MODEL,
+    POINTS,
+    MappingError,
+    known_metres,
+    reconstruct,
+    require_new,
+    to_metres,
+    write_models,
+)
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.pixels import exif_turn
@@ -38,13 +43,13 @@ from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching.cache import image_cache
-from dgc_pose.model import Model, colmap_camera, load_model, require_model_folder, write_points
+from dgc_pose.model import Model, colmap_camera
 from dgc_pose.pose import solve_pair
-from dgc_pose.rigs.adjustment import WALK, adjusted, extended
+from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import replaced, replaced_folder
+from dgc_pose.system.files import replaced_folder
 
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
@@ -107,43 +112,32 @@ def estimate_rig(
     """
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
-    pair_estimation = estimation
     options = reconstruction or ReconstructionOptions()
     walk = Path(walk) if isinstance(walk, str) else walk
     given = {"frames": frames} | ({"walk": walk} if isinstance(walk, Path) else {})
-    _require_free(out, given, work)
+    require_new(out, (BATCH, MODEL, POINTS, PAGE, *FILES), resume=work.resume)
+    for argument, path in given.items():
+        inner, outer = (out / _OWN).resolve(), path.resolve()
+        if outer in inner.parents or inner in (outer, *outer.parents):
+            neither = f"{path} must neither hold the results ({out}) nor lie in {out / _OWN}"
+            raise InputError(ArgumentName(argument), neither)
     found, left_out = camera_frames(frames, out / _CAMERAS, [*given.values()])
-    if unknown := sorted({*(K or {})} - {*found}):
-        names = ", ".join(found)
-        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
-    exact = {
-        name: image_camera(value, load_image(found[name][0]), f"K of {name}")
-        for name, value in (K or {}).items()
-    }
-    for name, camera in exact.items():
-        colmap_camera(camera, name)  # raises for a skew
-    up_to_scale = replace(options, gps=False, scale=None, marker=None)
-    models, source, walked = [], None, dict[str, Path]()
+    exact = _exact_cameras(K or {}, found)
+    source, calibration, walked = None, None, dict[str, Path]()
     if isinstance(walk, Model):
-        models, left_out = [walk], (*left_out, *walk.warnings)
+        left_out = (*left_out, *walk.warnings)
         walked = {name: walk.root / name for name in walk.poses}
     elif walk is not None:
-        video = out / f"{_WALK_OF}{walk.name}"
-        source = open_source(frames_folder(walk, _WALK_FRAMES, video))
+        source = open_source(frames_folder(walk, _WALK_FRAMES, out / f"{_WALK_OF}{walk.name}"))
         left_out += source.left_out
         walked = {name: source.root / name for name in source.names}
         calibration = read_calibration(walk_K, "walk_K")
-        few = len(source.names) <= _SIMILAR + 1
-        choice = PairChoice("exhaustive") if few else PairChoice("auto", _SIMILAR)
-        up_to_scale = replace(up_to_scale, refine_centres=True)
-        if estimation.effort == "auto":  # corners are aligned at full resolution after the matching
-            pair_estimation = replace(estimation, effort="fast")
     if options.scale or options.gps:  # refused before the matching
-        pictures = {name: paths[0] for name, paths in found.items()}
-        known_metres(pictures if options.scale else walked or pictures, options)
+        first = {name: paths[0] for name, paths in found.items()}
+        known_metres(first if options.scale else walked or first, options)
 
-    for name in (*FILES, PAGE):  # of the run before
-        (out / name).unlink(missing_ok=True)
+    for file in (*FILES, PAGE):  # of the run before
+        (out / file).unlink(missing_ok=True)
     (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
         files = {name: still_picture(paths, name, folder).name for name, paths in found.items()}
@@ -151,45 +145,48 @@ def estimate_rig(
     if options.scale:
         *pair, metres = options.scale.split(",")
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
-    if walk is None:
-        every = tuple(sorted(files.values()))
-        source = Source(out / PICTURES, every, None, {}, masks=out / PICTURES)
-        by_file = {files[name]: camera for name, camera in exact.items()}
-        calibration = Calibration("K", by_file, auto="two")
-        up_to_scale, choice = replace(up_to_scale, min_images=2), PairChoice("exhaustive")
     batch = None
-    if source is not None:
+    if isinstance(walk, Model):
+        models = [walk]
+    else:
+        own, pairs, fast = walk is None, PairChoice("exhaustive"), estimation
+        if source is None or calibration is None:
+            source = Source(out / PICTURES, tuple(sorted(files.values())), None, {})
+            source = replace(source, masks=out / PICTURES)
+            by_file = {files[name]: camera for name, camera in exact.items()}
+            calibration = Calibration("K", by_file, auto="two")
+        else:
+            if len(source.names) > _SIMILAR + 1:
+                pairs = PairChoice("auto", _SIMILAR)
+            if estimation.effort == "auto":  # corners are aligned at full resolution later
+                fast = replace(estimation, effort="fast")
         batch = run_batch(
-            source,
-            calibration,
-            choice,
-            out / BATCH,
+            *(source, calibration, pairs, out / BATCH),
             matcher=matcher,
-            estimation=pair_estimation,
+            estimation=fast,
             options=work,
             progress=progress,
         )
+        up_to_scale = replace(options, gps=False, scale=None, marker=None, refine_centres=not own)
+        up_to_scale = replace(up_to_scale, min_images=2) if own else up_to_scale
         try:
             models, *_ = reconstruct(batch, out, up_to_scale)
         except (MappingError, NoPairError):
-            if walk is not None:
+            if not own:
                 raise
             reason = "the cameras' own pictures make no model; photographs between them would"
             none = {name: Location("nowhere", reason, ()) for name in pictures}
             return Rig(none, warnings=left_out)
 
-    each: list[dict[str, Location]] = []
-    loaded = matcher.load(image_cache())
-    for number, of in enumerate(models):
-        locator = Locator(of, loaded, estimation, out / PICTURES)
+    loaded, each = matcher.load(image_cache()), list[dict[str, Location]]()
+    for number, of_model in enumerate(models):
+        locator = Locator(of_model, loaded, estimation, out / PICTURES)
         each.append({})
         for name, picture in pictures.items():
-            own = [] if walk else [picture.name]  # in a model of the cameras themselves
-            location = locator.locate(picture, exact.get(name), left_out=own, whole=True)
-            each[-1][name] = _checked(location, name, len(of.poses))
-            if each[-1][name].success and _is_mirrored(each[-1][name], picture, locator):
-                reason = "its mirror image has more inliers than the picture itself"
-                each[-1][name] = Location("nowhere", reason, location.database_images)
+            alone = [] if walk else [picture.name]  # in a model of the cameras themselves
+            camera = exact.get(name)
+            location = locator.locate(picture, camera, left_out=alone, whole=True)
+            each[-1][name] = _checked(location, name, picture, locator)
             done = number * len(pictures) + len(each[-1])
             progress("cameras", done, len(models) * len(pictures))
     best, cameras = _most_placed(each)
@@ -197,7 +194,7 @@ def estimate_rig(
     if (count := len(model.poses)) < len(walked):
         left_out += (f"{count} of {len(walked)} photographs of the walk are in its model",)
     if walk is None and batch is not None:
-        cameras = _of_batch(cameras, files, model, batch)
+        cameras = in_model_of_batch(cameras, files, model, batch)
     placed = {name: of for name, of in cameras.items() if of.success}
     if not placed:
         return Rig(cameras, warnings=left_out)
@@ -216,45 +213,23 @@ def estimate_rig(
     metric = to_metres(whole, paths, options)
     scale = _spread(whole) / before
     poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
-    placed = {name: _in_metres(of, poses[name], scale) for name, of in placed.items()}
+    placed = {name: in_metres(of, poses[name], scale) for name, of in placed.items()}
     model, warnings = _written(whole, paths, out), (*left_out, *_same_poses(placed))
     return Rig({**cameras, **placed}, model, metric, warnings)
 
 
-def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
-    """Whether the mirror image has more inliers with the picture of the model that has most: a
-    mirrored stream may have a pose where the scene is symmetric."""
-    assert location.camera is not None
-    agreeing = [of for of in location.database_images if of.agrees]
-    name = max(agreeing, key=lambda of: int(of.inliers.sum())).name
-    reference, image, model = locator.image(name), load_image(picture), locator.model
-    try:
-        mirrored = location.camera.turned(exif_turn(2), image.size)
-    except InputError:  # a lens that is not turned
-        return False
-    options = replace(locator.options, effort="fast")
-    direct, flip = (
-        solve_pair(reference, of, (model.cameras[name], camera), locator.matcher, options).pose
-        for of, camera in ((image, location.camera), (flipped(image, 1), mirrored))
-    )
-    locator.matcher.forget(image)
-    return flip.success and flip.num_inliers > direct.num_inliers
-
-
-def _require_free(out: Path, given: Mapping[str, Path], work: BatchOptions) -> None:
-    """Raise InputError if the folder `out` has results, unless `work` resumes them; and if it lies
-    in an argument, by its name, or the argument in its pictures, which are replaced."""
-    results = (BATCH, MODEL, POINTS, PAGE, *FILES)
-    there = [out / name for name in results if (out / name).exists()]
-    if there and not work.resume:
-        hint = "continues that run and replaces its result"
-        raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
-    for name, path in given.items():
-        inner, outer = (out / _OWN).resolve(), path.resolve()
-        if outer in inner.parents or inner in (outer, *outer.parents):
-            neither = f"{path} must neither hold the results ({out}) nor lie in {out / _OWN}"
-            raise InputError(ArgumentName(name), neither)
-    require_model_folder(out / MODEL, several=True)
+def _exact_cameras(
+    K: Mapping[str, CameraSource], found: Mapping[str, Sequence[Path]]
+) -> dict[str, Camera]:
+    """The cameras whose K is given, by name. found: the frames of each camera."""
+    if unknown := sorted({*K} - {*found}):
+        names = ", ".join(found)
+        raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
+    exact = {}
+    for name, value in K.items():
+        exact[name] = image_camera(value, load_image(found[name][0]), f"K of {name}")
+        colmap_camera(exact[name], name)  # raises for a skew
+    return exact
 
 
 def _most_placed(each: Sequence[Mapping[str, Location]]) -> tuple[int, dict[str, Location]]:
@@ -270,56 +245,39 @@ def _most_placed(each: Sequence[Mapping[str, Location]]) -> tuple[int, dict[str,
     return best, cameras
 
 
-def _checked(location: Location, name: str, images: int) -> Location:
-    """A location that rests on enough pictures of a model of so many; or the reason against it,
-    with the picture that is most similar."""
-    matched = location.database_images
-    agreeing = sum(image.agrees for image in matched)
-    if location.success and agreeing >= min(_LEAST_AGREEING, images - 1):
-        return location
-    reason = location.reason
+def _checked(location: Location, name: str, picture: Path, locator: Locator) -> Location:
+    """A location that rests on enough pictures of the model; or the reason against it, with the
+    picture that is most similar."""
+    matched, reason = location.database_images, location.reason
+    agreeing = [image for image in matched if image.agrees]
+    if location.success and len(agreeing) >= min(_LEAST_AGREEING, len(locator.model.poses) - 1):
+        if not _is_mirrored(location, picture, locator):
+            return location
+        reason = "its mirror image has more inliers than the picture itself"
+        return Location("nowhere", reason, matched)
     if location.success:
-        reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
+        reason = f"its pose agrees with {len(agreeing)} of {len(matched)} pictures"
     if matched:
         reason += f"; pictures between {name} and {matched[0].name} would connect it"
     return Location("nowhere", reason, matched, warnings=location.warnings)
 
 
-def _of_batch(
-    cameras: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
-) -> dict[str, Location]:
-    """The locations of pictures in the model of the batch of them: its poses and cameras, and
-    errors of at least those of a picture's best pair, since the located pictures determine the
-    points."""
-    found = dict(cameras)
-    for name, of in cameras.items():
-        if not of.success:
-            continue
-        if (file := files[name]) not in model.poses:
-            reason = "it has a pose, and COLMAP did not take it into the model"
-            found[name] = Location("nowhere", reason, of.database_images)
-            continue
-        errors: list[tuple[float, float]] = []
-        for row in batch.rows:
-            if row.success and row.pose and file in row.names and {*row.names} <= {*model.poses}:
-                apart = float(np.linalg.norm(np.subtract(*map(model.centre, row.names))))
-                angle = math.radians(row.pose.translation_error_90_deg or 0.0)
-                errors.append((row.pose.rotation_error_90_deg or 0.0, angle * apart))
-        stated = np.array([of.rotation_error_90_deg, of.position_error_90])
-        least = np.array(errors or [(0.0, 0.0)]).min(0)
-        grown = np.diag(np.repeat(np.maximum(least / stated, 1.0), 3))
-        camera, final = model.cameras[file], batch.plan.final_cameras[file]
-        camera = replace(camera, focal_std=final.focal_std, centre_std=final.centre_std)
-        found[name] = replace(of.with_pose(model.poses[file], grown), camera=camera)
-    return found
-
-
-def _in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:
-    """A location as its pose (3, 4) in a frame that is `scale` times as large."""
-    assert location.R is not None
-    turn = np.eye(6)
-    turn[3:, 3:] = scale * pose[:, :3].T @ location.R
-    return location.with_pose(pose, turn)
+def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
+    """Whether the mirror image has more inliers than a camera's picture with the picture of the
+    model that agrees best: a mirrored stream may have a pose where the scene is symmetric."""
+    assert location.camera is not None
+    agreeing = [of for of in location.database_images if of.agrees]
+    best = max(agreeing, key=lambda of: int(of.inliers.sum()))
+    image = load_image(picture)
+    try:
+        cameras = locator.model.cameras[best.name], location.camera.turned(exif_turn(2), image.size)
+    except InputError:  # a lens that is not turned
+        return False
+    mirrored, options = flipped(image, 1), replace(locator.options, effort="fast")
+    pair = locator.image(best.name), mirrored
+    pose = solve_pair(*pair, cameras, locator.matcher, options).pose
+    locator.matcher.forget(mirrored)
+    return pose.success and pose.num_inliers > best.inliers.sum()
 
 
 def _spread(whole: pycolmap.Reconstruction) -> float:
@@ -336,11 +294,7 @@ def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Pat
     for image in whole.images.values():
         if image.name in every:
             image.name = Path(os.path.relpath(every[image.name], root)).as_posix()
-    with replaced_folder(out / MODEL) as folder:
-        whole.write_binary(folder)
-    model = load_model(out / MODEL, root)
-    with replaced(out / POINTS) as file:
-        write_points(file, model.points, model.colours)
+    (model,) = write_models(out, [whole], Path(root))
     return model
 
 
@@ -348,14 +302,14 @@ def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
     """A warning for each two cameras whose poses differ by less than their expected errors."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
-        pose1, pose2 = one.cam_from_world, two.cam_from_world
-        assert pose1 is not None and pose2 is not None and one.centre is not None
-        angle = rotation_angle_deg(pose1[:, :3] @ pose2[:, :3].T)
-        apart = float(np.linalg.norm(one.centre - two.centre))
-        errors = [
-            (of.rotation_error_90_deg or 0.0, of.position_error_90 or 0.0) for of in (one, two)
-        ]
-        if angle < sum(r for r, _ in errors) and apart < sum(c for _, c in errors):
+        assert one.R is not None and two.R is not None  # they are located
+        angle = rotation_angle_deg(one.R @ two.R.T)
+        apart = float(np.linalg.norm(np.subtract(one.centre, two.centre)))
+        turn, shift = (
+            sum(getattr(of, error) or 0.0 for of in (one, two))
+            for error in ("rotation_error_90_deg", "position_error_90")
+        )
+        if angle < turn and apart < shift:
             differ = f"{angle:.2g} degrees and {apart:.2g} apart"
             warnings.append(f"{name1} and {name2} have the same pose: they are {differ}")
     return tuple(warnings)

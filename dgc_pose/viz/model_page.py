@@ -19,7 +19,6 @@ from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.model import Model
 from dgc_pose.pair_result import PairResult
 from dgc_pose.system.parallel import in_threads
-from dgc_pose.viz.model_page import frustum, mean_axes, pose_scene, scene_of
 
 _FILES = resources.files("dgc_pose")
 _PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here

@@ -51,39 +51,24 @@ def test_masks_in_the_folder_of_the_photographs_are_no_photographs(photos, insid
     assert open_source(photos, masks=photos / inside).names == tuple(NAMES)
 
 
-@pytest.mark.parametrize("command", ["batch", "reconstruct"])
-def test_a_folder_without_any_mask_is_refused(photos, tmp_path, command):
+def test_a_folder_without_any_mask_is_refused(photos, tmp_path):
     (tmp_path / "empty").mkdir()
     write_masks(tmp_path / "flat", ["view0.png"])  # the photograph is sub/view0.png
     for folder in ("nowhere", "empty", "flat"):
         masks, out = tmp_path / folder, tmp_path / "out"
         words = ["--K", K_text(), "--weights", "sift", "--masks", masks, "--out", out]
         reason = f"--masks {masks}: no {NAMES[0]}.png there, and no mask of another image"
-        assert_refused(run(command, photos, *words), reason)
+        assert_refused(run("batch", photos, *words), reason)
         assert not out.exists()
 
 
-def test_a_reconstruction_takes_masks(photos, tmp_path):
-    out, masks = tmp_path / "out", tmp_path / "masks"
-    write_masks(masks, NAMES, share=0.3)
-    words = ["--K", K_text(), "--weights", "sift", "--workers", "1", "--out", out, "--masks", masks]
-    result = run("reconstruct", photos, *words)
-    assert result.exit_code == 0, result.output
-    import pycolmap
-
-    model = pycolmap.Reconstruction(str(out / "sparse"))
-    left = [point.xy[0] for image in model.images.values() for point in image.points2D]
-    assert len(model.images) == 3 and min(left) >= 0.3 * SIZE[0]
-
-
-@pytest.mark.parametrize("K", [K_text(), "auto"])
 @pytest.mark.parametrize("shape", [(180, 240), (50, 240)], ids=["empty", "of another shape"])
-def test_a_bad_mask_spoils_its_photograph_alone(photos, tmp_path, K, shape):
+def test_a_bad_mask_spoils_its_photograph_alone(photos, tmp_path, shape):
     """A mask that leaves no pixel, or has another shape."""
     masks = tmp_path / "masks"
     write_masks(masks, NAMES)
     level = 255 if shape[0] == 50 else 0
     cv2.imwrite(str(masks / f"{NAMES[0]}.png"), np.full(shape, level, np.uint8))
-    batch = run_sift(photos, tmp_path / "out", masks=masks, K=K)
+    batch = run_sift(photos, tmp_path / "out", masks=masks)
     bad = [row.status == "bad_input" for row in batch.rows]
     assert bad == [NAMES[0] in row.names for row in batch.rows]

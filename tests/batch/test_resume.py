@@ -43,26 +43,31 @@ def _masked(photos):
 
 
 CHANGES = {
-    "K": (None, {"K": "300,300,119.5,89.5"}, "had of view0.png the K [["),
-    "folder": (lambda p: shutil.copytree(p, p.with_name("other")), {}, "had the folder "),
-    "masks": (_masked, {"masks": "masks"}, "had the option masks null, not "),
+    "K": (None, {"K": "300,300,119.5,89.5"}),
+    "folder": (lambda p: shutil.copytree(p, p.with_name("other")), {}),
+    "masks": (_masked, {"masks": "masks"}),
+    "seed": (None, {"estimation": EstimationOptions(seed=9)}),
     "added": (_added, {}, "photos/added.png is new since that batch: "),
     "removed": (
         lambda p: (p / "view2.png").unlink() or p,
         {},
         "photos/view2.png has gone since that batch: ",
     ),
-    "seed": (None, {"estimation": EstimationOptions(seed=9)}, "had the option estimation "),
 }
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_what_differs_is_named_and_nothing_changes(photos, tmp_path, change):
+def test_what_differs_is_refused_with_the_command_and_nothing_changes(
+    photos, tmp_path, change, monkeypatch
+):
+    monkeypatch.setattr("sys.argv", ["dgc-pose", "batch", "my photos"])
     out = tmp_path / "out"
     with pytest.raises(Killed):
         run_sift(photos, out, start_workers=killed_after(1))
     before = {path: path.read_bytes() for path in out.iterdir()}
-    apply, options, words = CHANGES[change]
+    apply, options, *words = CHANGES[change]
+    made = "had another folder, other options, pairs or cameras; it was made by"
+    (words,) = words or [f"batch.db {made} `dgc-pose batch 'my photos'`: "]
     source = photos if apply is None else apply(photos)
     options = {k: tmp_path / "masks" if k == "masks" else v for k, v in options.items()}
     with pytest.raises(InputError, match=": resume needs the same") as raised:

@@ -1,13 +1,21 @@
-"""The images that a batch works on, and what of a folder is left out."""
+"""The images that a batch works on, what of a folder is left out, and which images are paired."""
 
 import cv2
+import networkx as nx
 import numpy as np
 import PIL.Image
 import pytest
 from boxes import box_picture
 
 from dgc_pose.batch import source as of_batch
-from dgc_pose.batch.source import Source, open_source, survey
+from dgc_pose.batch.source import (
+    Source,
+    most_similar,
+    open_source,
+    parse_pair_choice,
+    similarities,
+    survey,
+)
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.errors import InputError
@@ -72,16 +80,6 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path, root):
     )
 
 
-def test_copies_of_photographs_are_left_out(tmp_path):
-    for i, name in enumerate(("1.png", "2.png", "sub/1.png")):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        _save(tmp_path / name, "PNG", i)
-    (tmp_path / "3.png").write_bytes((tmp_path / "1.png").read_bytes())
-    source = open_source(tmp_path)
-    assert source.names == ("1.png", "2.png", "sub/1.png")
-    assert source.left_out == ("1 file left out (first: 3.png): copies of other photographs",)
-
-
 def _two(folder, *sizes, orientations=(1, 1)):
     """Photographs of these sizes as stored, with EXIF orientations."""
     exif = PIL.Image.Exif()
@@ -90,67 +88,31 @@ def _two(folder, *sizes, orientations=(1, 1)):
     return Source(folder, ("a.jpg", "b.jpg"), None, {})
 
 
-# fx, fy, cx, cy of an image of 64 x 48, and the same in COLMAP's line and for twice the size.
-K = (50.0, 52.0, 33.0, 23.0)
-KS = {
-    "numbers": ("50,52,33,23", None),
-    "line": ("RADIAL,64,48,50,33.5,23.5,0.1,0.01", None),
-    "size": ("100,104,66.5,46.5", (128, 96)),
-}
-
-
-@pytest.mark.parametrize("form", KS)
-@pytest.mark.parametrize("orientation", [1, 6, 8])
-def test_one_K_serves_photographs_that_are_turned(tmp_path, form, orientation):
-    """Of those with an EXIF orientation the upright image has this K; without one the principal
-    point is the middle and its offset a deviation."""
-    text, size = KS[form]
-    source = _two(tmp_path, (64, 48), (48, 64), orientations=(1, orientation))
-    cameras, bad, _ = survey(source, read_calibration(text, "K", KDetails(size)))
-    fx, fy, cx, cy = K if form != "line" else (50, 50, 33, 23)
-    np.testing.assert_allclose(cameras["a.jpg"].K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    assert cameras["a.jpg"].centre_std == 0 and not bad
-    turned = cameras["b.jpg"]
-    if orientation == 1:
-        assert (turned.size, turned.K[0, 0], turned.K[1, 1]) == ((48, 64), fy, fx)
-        assert turned.K[:2, 2].tolist() == [23.5, 31.5]
-        assert turned.centre_std == pytest.approx(np.hypot(1.5, 0.5))
-        assert turned.identity is None and not turned.exact
-    else:
-        assert (turned.size, turned.centre_std) == ((64, 48), 0)
-        np.testing.assert_array_equal(turned.K, cameras["a.jpg"].K)
-    assert turned.warnings == () and turned.distortion == cameras["a.jpg"].distortion
-
-
-def test_a_lens_is_turned_with_its_photograph(tmp_path):
-    """A point of the upright image is a quarter turn around the axis from that as stored."""
-    source = _two(tmp_path, (64, 48), (64, 48), orientations=(1, 6))
-    line = "OPENCV,64,48,50,52,33.5,23.5,0.1,0.02,0.01,-0.03"
-    stored, upright = survey(source, read_calibration(line))[0].values()
-    points = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2))
-    x, y = stored.project(points).T
-    # (x, y) of the stored image is (47 - y, x) of the upright one.
-    np.testing.assert_allclose(
-        upright.project(points @ [[0, 1], [-1, 0]]), np.column_stack([47 - y, x]), atol=1e-9
-    )
-    prism = "THIN_PRISM_FISHEYE,64,48,50,52,33.5,23.5,0,0,0,0,0,0,0.01,0"
-    with pytest.raises(InputError, match="a prism or a cylinder, which are not turned"):
-        survey(source, read_calibration(prism))
-
-
 @pytest.mark.parametrize(
-    ("K", "size", "words"),
-    [
-        ("50,52,33,23", (48, 60), "one K for images of several sizes .48x60 and 64x48."),
-        ("50,52,27,27", (48, 64), "one K for images of several sizes .48x64 and 64x48."),
-        ("OPENCV,64,48,50,52,33.5,23.5,0,0,0.01,0", (48, 64), "another lens in turned photographs"),
-    ],
+    ("size", "orientation", "upright"),
+    [((64, 48), 1, (64, 48)), ((48, 64), 8, (64, 48)), ((64, 48), 6, (48, 64))],
 )
-def test_what_one_K_does_not_serve(tmp_path, K, size, words):
-    """Images of another shape; a K that may be of either; a lens with a direction."""
+def test_one_K_serves_photographs_of_one_size_as_stored_or_upright(
+    tmp_path, size, orientation, upright
+):
+    """It is turned with the pixels of one that is stored as all others."""
+    source = _two(tmp_path, (64, 48), size, orientations=(1, orientation))
+    cameras, bad, _ = survey(source, read_calibration("50,52,33,23", "K", KDetails()))
+    first, second = cameras["a.jpg"], cameras["b.jpg"]
+    np.testing.assert_allclose(first.K, [[50, 0, 33], [0, 52, 23], [0, 0, 1]])
+    assert not bad and second.size == upright and second.exact
+    expected = [52, 50, 24, 33] if upright == (48, 64) else [50, 52, 33, 23]
+    K = second.K
+    np.testing.assert_allclose([K[0, 0], K[1, 1], *K[:2, 2]], expected)
+
+
+@pytest.mark.parametrize("size", [(48, 60), (48, 64)])
+def test_one_K_does_not_serve_several_sizes(tmp_path, size):
+    """Nor photographs that are turned without an EXIF orientation."""
     source = _two(tmp_path, (64, 48), size)
+    words = f"one K for images of several sizes .48x{size[1]} and 64x48.: give a file with a K"
     with pytest.raises(InputError, match=words):
-        survey(source, read_calibration(K))
+        survey(source, read_calibration("50,52,33,23"))
 
 
 def _boxes(folder, *focals):
@@ -180,22 +142,6 @@ def test_the_lines_of_photographs_tell_their_camera(tmp_path):
     assert {camera.focal_source for camera in stated.values()} == {"given"}
 
 
-def test_lines_below_masks_do_not_count(tmp_path):
-    photos, masks = tmp_path / "photos", tmp_path / "masks"
-    photos.mkdir()
-    masks.mkdir()
-    _boxes(photos, 1.2, 1.2)
-    for name in ("0.png", "1.png"):
-        mask = np.zeros((360, 480), np.uint8)
-        mask[:20] = 255
-        cv2.imwrite(str(masks / f"{name}.png"), mask)
-    for folder, kind in ((masks, "size"), (None, "lines")):
-        cameras, _, _ = survey(open_source(photos, None, folder), read_calibration("auto"))
-        for camera in cameras.values():
-            assert camera.focal_source == kind
-            assert kind == "lines" or camera.focal == pytest.approx(0.9 * 480, rel=0.1)
-
-
 def test_the_lines_of_some_photographs_of_a_camera_are_enough(tmp_path, monkeypatch):
     """And a damaged one has a reason elsewhere."""
     seen = []
@@ -213,3 +159,65 @@ def test_the_lines_of_some_photographs_of_a_camera_are_enough(tmp_path, monkeypa
     assert 10 < len(seen) <= 16 and len({*seen}) == len(seen)
     assert len({camera.focal for camera in cameras.values() if camera.size == (64, 48)}) == 1
     assert len(cameras) >= 39
+
+
+@pytest.mark.parametrize(
+    ("text", "count", "pairs"),
+    [
+        ("exhaustive", 3, [(0, 1), (0, 2), (1, 2)]),
+        ("sequential:1", 3, [(0, 1), (1, 2)]),
+        ("sequential:2", 4, [(0, 1), (0, 2), (1, 2), (1, 3), (2, 3)]),
+        ("auto:7", 3, []),
+    ],
+)
+def test_the_pairs_of_a_choice(text, count, pairs):
+    assert parse_pair_choice(text).pairs(count) == pairs
+
+
+@pytest.mark.parametrize("text", ["all", "auto:0", "sequential:x"])
+def test_another_text_is_refused(text):
+    with pytest.raises(InputError, match="^pairs"):
+        parse_pair_choice(text)
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_the_most_similar_ones_and_a_spanning_tree(most):
+    """Each image has its `most` best partners; networkx' maximum spanning tree is there too."""
+    rng = np.random.default_rng(5)
+    scores = rng.random((12, 12))
+    scores[:6, 6:] *= 0.01  # two groups, which only the tree connects
+    scores = np.triu(scores, 1)
+    scores += scores.T
+    found = set(most_similar(scores, most))
+    for i in range(12):
+        best = sorted((j for j in range(12) if j != i), key=lambda j: -scores[i, j])[:most]
+        assert {(min(i, j), max(i, j)) for j in best} <= found
+    graph = nx.from_numpy_array(scores)
+    tree = {tuple(sorted(edge)) for edge in nx.maximum_spanning_edges(graph, data=False)}
+    assert tree <= found
+    assert len(found) <= 12 * most + 11
+    assert nx.is_connected(nx.Graph(list(found)))
+
+
+def _cells(rng, count):
+    cells = rng.standard_normal((count, 32))
+    return cells / np.linalg.norm(cells, axis=1, keepdims=True)
+
+
+def _score(one, other):
+    """Cell by cell."""
+    best = [max(float(a @ b) for b in other) for a in one]
+    best += [max(float(a @ b) for a in one) for b in other]
+    return sum(best) / len(best)
+
+
+def test_scores_are_those_of_a_plain_loop():
+    """Also of images of different shapes; the progress counts pairs."""
+    rng = np.random.default_rng(0)
+    features = [_cells(rng, count) for count in (20, 20, 12, 30)]
+    told = []
+    scores = similarities(features, lambda done, of: told.append((done, of)))
+    assert told == [(1, 6), (3, 6), (6, 6)]
+    np.testing.assert_array_equal(scores, scores.T)
+    for i, j in ((0, 1), (0, 2), (3, 2)):
+        assert abs(scores[i, j] - _score(features[i], features[j])) < 1e-6

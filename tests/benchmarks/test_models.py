@@ -13,7 +13,7 @@ from command_line import assert_refused, run
 from scipy.spatial.transform import Rotation
 from worlds import SIZE, K, View, render_views, write_views
 
-from dgc_pose.batch.rows import PairRow, row_of
+from dgc_pose.batch.pairs import PairRow, row_of
 from dgc_pose.benchmarks.models import (
     location_report,
     model_figures,

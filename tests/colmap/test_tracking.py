@@ -9,7 +9,7 @@ from scenes import project
 from scipy.spatial import cKDTree
 from worlds import SIZE, K, render_views
 
-from dgc_pose.batch.poses import epipolar_error_px
+from dgc_pose.batch.pairs import epipolar_error_px
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, one_to_one, track_corners
 from dgc_pose.images.image import Image
 from dgc_pose.images.maps import masked

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from worlds import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import CYLINDER, Distortion
 from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import MAX_IMAGES, LocationSearch
@@ -116,15 +115,7 @@ def test_unrelated_images_end_the_search_early() -> None:
     assert location.reason == "none of 5 database images has a pose that is likely"
 
 
-def test_pairs_that_contradict_each_other_are_nowhere() -> None:
-    scene = world_scene(BESIDE[:2])
-    other = world_scene(np.array([[0.5, 3, 4.0], [-3, 0.4, 2.0]]), seed=7)
-    search = _search_of(scene, [scene.pair_pose(0)])
-    search.add("r1.jpg", other.pair_pose(1), other.matches(1), *NO_POINTS)
-    assert search.location().status == "nowhere"
-
-
-@pytest.mark.parametrize("probability", [0.05, 0.9, None])
+@pytest.mark.parametrize("probability", [0.05, None])
 def test_improbable_pairs_place_nothing(probability: float | None) -> None:
     """Those whose probability is not known do, if they agree."""
     scene = world_scene(BESIDE[:2])
@@ -138,13 +129,12 @@ def test_improbable_pairs_place_nothing(probability: float | None) -> None:
         assert location.probability is None and location.to_dict()["probability"] is None
 
 
-@pytest.mark.parametrize(("width", "height"), [(1.0, 1.0), (1.25, 1.0)])
-def test_the_camera_of_a_part_of_a_picture_is_fitted(width: float, height: float) -> None:
+def test_the_camera_of_a_part_of_a_picture_is_fitted() -> None:
     """The principal point of a picture without EXIF data may be far from its middle, and its pixels
     need not be square: database images of known cameras determine both."""
     scene = world_scene()
     f, x, y = PHOTO_CAMERA.focal, *PHOTO_CAMERA.K[:2, 2]
-    middle = np.array([[f * width, 0, x + 110], [0, f * height, y - 80], [0, 0, 1]])
+    middle = np.array([[1.25 * f, 0, x + 110], [0, f, y - 80], [0, 0, 1]])
     stds = {"focal_std": 0.45, "centre_std": 5.0, "lens_std": 0.1}
     assumed = Camera(middle, IMAGE, focal_source="size", **stds).with_focal(1.1 * f)
     search = LocationSearch(scene.model(), assumed, OPTIONS, scene.names)
@@ -159,7 +149,7 @@ def test_the_camera_of_a_part_of_a_picture_is_fitted(width: float, height: float
     np.testing.assert_allclose(location.camera.K, PHOTO_CAMERA.K, atol=20)
 
 
-@pytest.mark.parametrize(("right", "status"), [(0, "nowhere"), (2, "nowhere"), (5, "located")])
+@pytest.mark.parametrize(("right", "status"), [(2, "nowhere"), (5, "located")])
 def test_mirror_images_that_have_a_pose_are_against_the_location(right: int, status: str) -> None:
     scene = world_scene()
     location = _search_of(scene, _poses(scene)[:right] + [MIRRORED] * (5 - right)).location()
@@ -191,12 +181,3 @@ def test_a_model_that_contradicts_its_images_is_told() -> None:
     unknown = replace(PHOTO_CAMERA, focal_std=0.4, focal_source="size")
     assert _search_of(scene, _poses(scene), unknown, wrong).pair_camera is unknown
     assert _search_of(scene, _poses(scene), unknown).pair_camera is not unknown
-
-
-def test_a_pair_may_have_a_lens_without_coefficients() -> None:
-    scene = world_scene()
-    unknown = replace(PHOTO_CAMERA, focal_std=0.4, lens_std=0.1, focal_source="size")
-    fitted = replace(PHOTO_CAMERA, distortion=Distortion(CYLINDER), focal_std=0.02)
-    poses = [replace(pose, camera2=fitted) for pose in _poses(scene)[:2]]
-    search = _search_of(scene, poses, unknown)
-    assert search.camera.distortion == fitted.distortion and search.camera.focal_std == 0.4

@@ -135,14 +135,12 @@ def test_a_walk_becomes_the_model_and_is_adjusted_with_the_cameras(tmp_path: Pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("known", ["south", "north south west"])
-def test_without_a_walk_the_pictures_are_the_model(tmp_path: Path, known: str) -> None:
+def test_without_a_walk_the_pictures_are_the_model(tmp_path: Path) -> None:
     """A K that is given stays, also beside others that are not."""
     names = ("north", "south", "west")
     frames = write_cameras(tmp_path / "frames", *names)
-    rig = estimate_rig(frames, tmp_path / "out", K=dict.fromkeys(known.split(), K), **QUICK)
+    rig = estimate_rig(frames, tmp_path / "out", K={"south": K}, **QUICK)
     true = {n: np.column_stack([TRUE[n][0], -TRUE[n][0] @ TRUE[n][1]]) for n in names}
     poses = {name: rig.cameras[name].cam_from_world for name in names}
     assert_true(rig, "north south west", frame_of(poses, true))
-    for name in known.split():
-        np.testing.assert_allclose(rig.cameras[name].camera.K, K, atol=1e-9)
+    np.testing.assert_allclose(rig.cameras["south"].camera.K, K, atol=1e-9)

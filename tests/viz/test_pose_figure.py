@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.patches import Circle
 from results import ambiguous_pose
-from world_scene import CAMERA, IMAGE, PHOTO_CAMERA, world_scene
+from worlds import CAMERA, IMAGE, PHOTO_CAMERA, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion

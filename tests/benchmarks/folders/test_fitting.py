@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose.batch.rows import MatchedPair, row_of
+from dgc_pose.batch.pairs import MatchedPair, row_of
 from dgc_pose.benchmarks.folders.fitting import (
     fit,
     folder_names,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from results import INLIERS, PROBABILITIES, ambiguous_pose
 
-from dgc_pose.batch.rows import BAD_INPUT, PairRow, parse_row, row_of
+from dgc_pose.batch.pairs import BAD_INPUT, PairRow, parse_row, row_of
 from dgc_pose.errors import InputError
 
 ROW = PairRow("a.jpg", "b.jpg", BAD_INPUT, "corrupt", bad_images={"a.jpg": "corrupt"}, index=7)

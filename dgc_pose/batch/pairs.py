@@ -1,7 +1,7 @@
-"""A pair of a batch: its pose, a line of JSON, and its matches."""
+"""A pair of a batch: its pose, a line of JSON, its matches, and their errors."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.evidence import ModelName
+from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.matches import Matches
 from dgc_pose.system.files import read_as
 
@@ -129,3 +130,16 @@ class MatchedPair:
     matches: Matches = _NO_MATCHES
     # Even sample of the map; None without a map, and where the pose is not estimated again.
     map_matches: Matches | None = None
+
+
+def epipolar_error_px(
+    row: PairRow, cameras: Sequence[Camera], points1: np.ndarray, points2: np.ndarray
+) -> np.ndarray:
+    """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
+    where distortion cannot be undone, and 0 without a translation. cameras: that the pose is of."""
+    if row.pose is None or row.pose.E is None:
+        return np.zeros(len(points1))
+    camera1, camera2 = cameras
+    normalised = camera1.normalise(points1), camera2.normalise(points2)
+    distance = sampson_distance(*normalised, row.pose.E) * (camera1.focal + camera2.focal) / 2
+    return np.where(np.isfinite(distance), distance, np.inf)

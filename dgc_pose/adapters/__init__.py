@@ -1,1 +1,0 @@
-"""dgc-pose in the shapes that other tools expect of a matcher."""

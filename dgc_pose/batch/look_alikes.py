@@ -1,0 +1,341 @@
+"""Which pairs of a folder show one place, and which two places that look alike.
+
+A pair of two places that look alike has a pose as good as any. It shows in the folder: three poses
+between three images agree if all are right, or if two are of the same deception, and never if one
+alone is wrong; and images of one place have more in common than what many images show.
+
+Triples of pairs exchange messages, a loopy belief propagation (Pearl 1988). Most folders show no
+place twice. Each is solved as such a one, in which pairs begin with their own probabilities; and as
+one with repeats, in which they begin with the context of their matches and with what no other pair
+matches, too, compared with the folder's. The solution holds that explains the pairs better.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, islice
+
+import numpy as np
+
+from dgc_pose.batch.pairs import LEAST_BELIEF, MatchedPair, PairRow
+from dgc_pose.batch.store import Plan
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.evidence import alikeness
+from dgc_pose.estimation.status import CONFIGURATIONS
+from dgc_pose.geometry.pixels import Size
+from dgc_pose.geometry.triangulation import depths
+
+MOST_PAIRS = 2000  # with a pose, of a folder
+CELLS = 80  # along the longer side of an image
+_LEAST_SHARED = 8  # cells with depths of two pairs, that their scale is measured by
+# Of three poses that agree: between rotations, degrees; and of the gap that their translations
+# leave, over the longest. Or so many times their expected errors.
+_ROTATION_DEG, _GAP, _ERRORS = 4.0, 0.2, 2.0
+_CLEAR = 2.5  # times as much: of three that do not
+_FEW = 2  # pairs of an image that have a cell
+_MOST = 0.999  # probability of a pair
+_UNKNOWN = 0.9  # probability of a pose whose own is not known
+_MOST_LOG_ODDS = 5.0
+# Of a pair in a folder with repeats: for a unit of each of the values of `evidence_of_pairs`
+_WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
+_QUANTILE = 0.75  # of a folder's pairs, that each is compared with
+# Log-odds, for each of its pairs, by which a folder is likelier without repeats: the least with
+# which no posed folder of `fit-folders`, left out of the fit, is taken for one with repeats
+_ORDINARY = 0.3
+# Of three poses of which 0 to 3 are right, how likely they are to agree, and not to, each up to a
+# factor
+_AGREE, _DISAGREE = np.array([[0.8, 1.0, 0.02, 1.0], [0.8, 1.0, 1.0, 0.02]])
+_FULL_TRIPLES = 4  # of a pair; of more each counts less, as they are not independent
+_ROUNDS, _DAMPING = 60, 0.5
+_MOST_SENT = 8.0  # log-odds
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedPair:
+    """The pose of a pair, and where its inliers are.
+
+    Attributes:
+        images: Numbers of both images, the lower first.
+        R: Rotation (3, 3) from the camera of the first to that of the second.
+        t: Direction (3,) of the translation; NaN with a rotation alone.
+        error_deg: Expected errors of R and t, nine times in ten.
+        cells: Of each image, the cells (n,) int that have inliers, in order.
+        log_depths: Their logarithms of depth (n,), in units of |t|; NaN where there is none.
+    """
+
+    images: tuple[int, int]
+    R: np.ndarray
+    t: np.ndarray
+    error_deg: tuple[float, float]
+    cells: tuple[np.ndarray, np.ndarray]
+    log_depths: tuple[np.ndarray, np.ndarray]
+
+    @classmethod
+    def of(
+        cls, pair: MatchedPair, images: tuple[int, int], cameras: Sequence[Camera]
+    ) -> PlacedPair:
+        """Of a pair of these images that has a pose or a rotation. cameras: that it is of."""
+        pose = pair.row.pose
+        assert pose is not None and pose.R is not None
+        matches = pair.matches.subset(pose.inliers)
+        points, cells, log_depths = (matches.points1, matches.points2), [], []
+        along, t = [np.full(len(matches), np.nan)] * 2, np.full(3, np.nan)
+        if pose.t is not None:
+            rays1, rays2 = (c.normalise(p) for c, p in zip(cameras, points, strict=True))
+            t, along = pose.t, list(depths(rays1, rays2, pose.R, pose.t))
+            front = (along[0] > 0) & (along[1] > 0)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                along = [np.where(front & np.isfinite(z), np.log(z), np.nan) for z in along]
+        for camera, of_image, values in zip(cameras, points, along, strict=True):
+            assert camera.size is not None
+            unique, first = np.unique(_cells(of_image, camera.size), return_index=True)
+            cells.append(unique)
+            log_depths.append(values[first].astype(np.float32))
+        errors = pose.rotation_error_90_deg or 0.0, pose.translation_error_90_deg or 0.0
+        order, R = (0, 1), pose.R
+        if images[0] > images[1]:
+            order, R, t = (1, 0), R.T, -R.T @ t
+        a, b = order
+        sides = (cells[a], cells[b]), (log_depths[a], log_depths[b])
+        return cls((images[a], images[b]), R, t, errors, *sides)
+
+
+def folder_probabilities(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairRow]:
+    """The rows of the pairs that have a pose or a rotation, with the probability that it is right
+    given all others; none of more than `MOST_PAIRS` pairs."""
+    rows, placed, values = evidence_of_pairs(pairs, plan, MOST_PAIRS + 1)
+    if not 0 < len(rows) <= MOST_PAIRS:
+        return []
+    found, agree = triples(placed)
+    solved = solutions(values[:, 0], by_itself(values), found, agree)
+    log_odds = solved[shows_repeats(solved, values)]
+    if log_odds is solved[0]:  # a pair in no triple has its own
+        alone = ~np.isin(np.arange(len(rows)), found)
+        own = [_UNKNOWN if r.probability is None else r.probability for r in rows]
+        own_odds = _log_odds(np.clip(own, LEAST_BELIEF, _MOST))
+        log_odds = np.where(alone, own_odds, log_odds)
+    belief = np.round(1 / (1 + np.exp(-log_odds)), 4)
+    counts = np.zeros((len(rows), 2), np.int64)  # of triples that agree, and that do not
+    for k in range(3):
+        pair, *others = np.roll(found, k, axis=1).T
+        holds = (belief[others] >= LEAST_BELIEF).all(0)
+        np.add.at(counts, (pair[holds], 1 - agree[holds].astype(np.int64)), 1)
+    return [
+        replace(row, folder_probability=value, folder_triples=(agreeing, differing))
+        for row, value, (agreeing, differing) in zip(
+            rows, belief.tolist(), counts.tolist(), strict=True
+        )
+    ]
+
+
+def evidence_of_pairs(
+    pairs: Iterable[MatchedPair], plan: Plan, most: int | None = None
+) -> tuple[list[PairRow], list[PlacedPair], np.ndarray]:
+    """The first `most` pairs that have a pose or a rotation, as rows and placed, and the evidence
+    for each pair on its own, (n, 3): log-odds, context of the matches and `log_unshared_cells`, the
+    latter two less the folder's; NaN of what is not known."""
+    number = {name: k for k, name in enumerate(plan.names)}
+    cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
+    values = list[tuple[float, float]]()
+    posed = (p for p in pairs if p.row.pose is not None and p.row.pose.status in CONFIGURATIONS)
+    for pair in islice(posed, most):
+        row, pose = pair.row, pair.row.pose
+        assert pose is not None and pose.R is not None  # by its status
+        name1, name2 = row.names
+        of_pair = row.fitted_cameras or (cameras[name1], cameras[name2])
+        placed.append(PlacedPair.of(pair, (number[name1], number[name2]), of_pair))
+        # What is claimed holds unless other pairs speak against it. Most rotations that are of an
+        # unlikely pose are wrong.
+        known = pose.one_place_probability if pose.success else pose.any_probability
+        least = LEAST_BELIEF if pose.success else 1 - _MOST
+        known = _UNKNOWN if known is None else min(max(known, least), _MOST)
+        around = pair.matches.surroundings
+        values.append((known, math.nan if around is None else alikeness(around, pose.R)))
+        rows.append(row)
+    found = np.column_stack([np.array(values).reshape(-1, 2), log_unshared_cells(placed)])
+    found[:, 0] = _log_odds(found[:, 0])
+    for column in found.T[1:]:
+        known_ones = column[np.isfinite(column)]
+        column -= np.quantile(known_ones, _QUANTILE) if len(known_ones) else 0.0
+    return rows, placed, found
+
+
+def by_itself(
+    values: np.ndarray, weights: np.ndarray = _WEIGHTS, intercept: float = _INTERCEPT
+) -> np.ndarray:
+    """Log-odds (n,) of pairs before the triples, by the values (n, 3) of `evidence_of_pairs`."""
+    return (intercept + np.nan_to_num(values) @ weights).clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+
+
+def _log_odds(probability: np.ndarray) -> np.ndarray:
+    return np.log(probability / (1 - probability))
+
+
+def shows_repeats(solved: tuple[np.ndarray, np.ndarray, float], values: np.ndarray) -> bool:
+    """Whether a folder is one with repeats, by its `solutions` and the values (n, 3) of
+    `evidence_of_pairs`: not if the context of the matches is not known of half of the pairs."""
+    known = np.isfinite(values[:, 1]).mean() > 0.5
+    return bool(known and solved[2] > _ORDINARY * len(values))
+
+
+def solutions(
+    probable: np.ndarray, with_repeats: np.ndarray, found: np.ndarray, agree: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Log-odds (n,) of pairs in a folder without repeats and in one with repeats, and by how much
+    the latter explain the pairs better, log-odds.
+
+    probable: of their probabilities (n,); with_repeats: of `by_itself` (n,); found: triples (M, 3);
+    agree: whether these do (M,).
+    """
+    count = np.bincount(found.ravel(), minlength=len(probable))
+    weight = np.minimum(1, _FULL_TRIPLES / np.maximum(count, 1))
+    likely, solved = np.where(agree[:, None], _AGREE, _DISAGREE), []
+    for before in (probable.clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS), with_repeats):
+        after = _after_messages(before, found, likely, weight)
+        right = after > 0
+        of_triples = np.log(likely[np.arange(len(found)), right[found].sum(1)])
+        solved.append((after, weight[found].mean(1) @ of_triples - before[~right].sum()))
+    (ordinary, explained), (repeating, with_them) = solved
+    return ordinary, repeating, float(with_them - explained)
+
+
+def _after_messages(
+    before: np.ndarray, found: np.ndarray, likely: np.ndarray, weight: np.ndarray
+) -> np.ndarray:
+    """The log-odds (n,) that the triples' messages make of those before. likely: (M, 4), of 0 to 3
+    right poses of a triple; weight: (n,), of the messages to a pair."""
+
+    def total(messages: np.ndarray) -> np.ndarray:
+        sums = np.bincount(found.ravel(), messages.ravel(), minlength=len(before))
+        return before + weight * sums
+
+    messages = np.zeros(found.shape)
+    for _ in range(_ROUNDS):
+        sent = total(messages)[found] - weight[found] * messages
+        right = 1 / (1 + np.exp(-sent.clip(-_MOST_SENT, _MOST_SENT)))
+        new = np.empty_like(messages)
+        for k in range(3):
+            a, b = right[:, k - 1], right[:, k - 2]
+            others = np.stack([(1 - a) * (1 - b), a + b - 2 * a * b, a * b], 1)  # 0 to 2 are right
+            new[:, k] = np.log((likely[:, 1:] * others).sum(1) / (likely[:, :3] * others).sum(1))
+        messages = _DAMPING * messages + (1 - _DAMPING) * new
+    return total(messages)
+
+
+def _cells(points: np.ndarray, size: Size) -> np.ndarray:
+    """Numbers (N,) of the cells of points (N, 2) of an image, row by row, with a cell around it."""
+    x, y = np.floor((points + 0.5) * (CELLS / max(size))).astype(np.int64).T.clip(0, CELLS - 1)
+    return (y + 1) * (CELLS + 2) + x + 1
+
+
+def _pairs_by_image(pairs: Sequence[PlacedPair]) -> dict[int, list[tuple[int, int]]]:
+    """The pairs of each image, by their number, and which of their images it is."""
+    found: dict[int, list[tuple[int, int]]] = defaultdict(list)
+    for number, pair in enumerate(pairs):
+        for side, image in enumerate(pair.images):
+            found[image].append((number, side))
+    return found
+
+
+def triples(pairs: Sequence[PlacedPair]) -> tuple[np.ndarray, np.ndarray]:
+    """Triples (M, 3) int of pairs between three images; and (M,) bool, whether their poses agree.
+    Those of which it is not clear are left out."""
+    number = {pair.images: k for k, pair in enumerate(pairs)}
+    near: dict[int, set[int]] = defaultdict(set)
+    for first, second in number:
+        near[first].add(second)
+    images = np.array(
+        [
+            (first, second, third)
+            for first in sorted(near)
+            for second, third in combinations(sorted(near[first]), 2)
+            if third in near[second]
+        ],
+        dtype=np.int64,
+    ).reshape(-1, 3)
+    found = np.array(
+        [[number[a, b], number[b, c], number[a, c]] for a, b, c in images.tolist()], dtype=np.int64
+    ).reshape(-1, 3)
+    R, t = np.array([p.R for p in pairs]).reshape(-1, 3, 3), np.array([p.t for p in pairs])
+    errors = np.array([p.error_deg for p in pairs]).reshape(-1, 2)
+    t = t.reshape(-1, 3)
+    e12, e23, e13 = found.T
+    turned = R[e23] @ R[e12] @ R[e13].transpose(0, 2, 1)
+    cosine = (np.trace(turned, axis1=1, axis2=2) - 1) / 2
+    angle = np.degrees(np.arccos(cosine.clip(-1, 1)))
+    limit = np.maximum(_ROTATION_DEG, _ERRORS * np.linalg.norm(errors[found, 0], axis=1))
+    lengths = _lengths(found, images, _log_ratios(pairs))
+    gap = _gaps(np.einsum("nij,nj->ni", R[e23], t[e12]), t[e23], t[e13], *lengths)
+    gap_limit = np.radians(np.linalg.norm(errors[found, 1], axis=1))
+    gap_limit = np.maximum(_GAP, _ERRORS * gap_limit)
+    apart = np.fmax(angle / limit, gap / gap_limit)
+    clear = (np.isfinite(gap) & (apart < 1)) | (apart > _CLEAR)
+    return found[clear], apart[clear] < 1
+
+
+def _log_ratios(pairs: Sequence[PlacedPair]) -> dict[tuple[int, int, int], float]:
+    """By an image and two of its pairs, the logarithm of the second one's baseline over that of
+    the first, by the depths of the cells that they share."""
+    ratios = {}
+    for image, those in _pairs_by_image(pairs).items():
+        for (first, side1), (second, side2) in combinations(those, 2):
+            a, b = pairs[first], pairs[second]
+            _, in_a, in_b = np.intersect1d(
+                a.cells[side1], b.cells[side2], assume_unique=True, return_indices=True
+            )
+            difference = a.log_depths[side1][in_a] - b.log_depths[side2][in_b]
+            difference = difference[np.isfinite(difference)]
+            if len(difference) >= _LEAST_SHARED:
+                ratio = float(np.median(difference))
+                ratios[image, first, second], ratios[image, second, first] = ratio, -ratio
+    return ratios
+
+
+def _lengths(
+    found: np.ndarray, images: np.ndarray, ratios: dict[tuple[int, int, int], float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """The baselines 23 and 13 of triples, (M,) each, over 12; NaN where the images do not
+    determine them."""
+    logs = np.full((len(found), 2), np.nan)
+    for row, ((e12, e23, e13), (i1, i2, i3)) in enumerate(
+        zip(found.tolist(), images.tolist(), strict=True)
+    ):
+        by1, by2, by3 = (
+            ratios.get(key, np.nan) for key in ((i1, e12, e13), (i2, e12, e23), (i3, e23, e13))
+        )
+        logs[row, 0] = by1 - by3 if np.isnan(by2) else by2
+        logs[row, 1] = by2 + by3 if np.isnan(by1) else by1
+    length23, length13 = np.exp(logs).T
+    return length23, length13
+
+
+def _gaps(
+    leg12: np.ndarray, leg23: np.ndarray, leg13: np.ndarray, long23: np.ndarray, long13: np.ndarray
+) -> np.ndarray:
+    """The gap (M,) that directions (M, 3) of three baselines leave, over the longest. long23,
+    long13: over baseline 12; of one that is not known, what leaves the least. NaN if none is."""
+    along23 = np.einsum("ni,ni->n", leg13 * long13[:, None] - leg12, leg23)
+    long23 = np.where(np.isnan(long23), along23.clip(0), long23)
+    along13 = np.einsum("ni,ni->n", leg12 + leg23 * long23[:, None], leg13)
+    long13 = np.where(np.isnan(long13), along13.clip(0), long13)
+    left = leg12 + leg23 * long23[:, None] - leg13 * long13[:, None]
+    return np.linalg.norm(left, axis=1) / np.maximum(np.maximum(long23, long13), 1.0)
+
+
+def log_unshared_cells(pairs: Sequence[PlacedPair]) -> np.ndarray:
+    """The log number (n,) of each pair's grid cells in which at most `_FEW` pairs of the image have
+    inliers, there or in a cell beside; mean of both images."""
+    few = np.zeros((len(pairs), 2))
+    for those in _pairs_by_image(pairs).values():
+        has = np.zeros((len(those), CELLS + 2, CELLS + 2), bool)
+        for grid, (number, side) in zip(has, those, strict=True):
+            grid.reshape(-1)[pairs[number].cells[side]] = True
+        for axis in (1, 2):
+            has = has | np.roll(has, 1, axis) | np.roll(has, -1, axis)
+        by_few = has.sum(0) <= _FEW
+        for grid, (number, side) in zip(has, those, strict=True):
+            few[number, side] = np.log1p((grid & by_few).sum())
+    return few.mean(1)

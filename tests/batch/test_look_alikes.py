@@ -1,0 +1,181 @@
+"""What a folder says of its pairs: poses that agree in threes, and places that look alike."""
+
+from dataclasses import replace
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from results import camera, true_row
+from scipy.spatial.transform import Rotation
+from worlds import SIZE, K
+
+from dgc_pose.batch.look_alikes import (
+    PlacedPair,
+    by_itself,
+    folder_probabilities,
+    log_unshared_cells,
+    shows_repeats,
+    solutions,
+    triples,
+)
+from dgc_pose.batch.pairs import MatchedPair
+from dgc_pose.matches import Matches
+
+POINTS = np.random.default_rng(0).uniform((-2, -1.5, 4), (2, 1.5, 7), (400, 3))
+CENTRES = np.array([[-0.6, 0, 0], [-0.1, 0.1, 0.2], [0.5, -0.1, 0], [0.9, 0.2, 0.1]])
+TURNS = Rotation.from_rotvec([[0, 0.1, 0], [0.02, 0, 0], [0, -0.1, 0.05], [0, -0.2, 0]]).as_matrix()
+
+
+def _seen(points: np.ndarray, image: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, 2) of points of the world in an image, and their depths (N,)."""
+    x = (points - CENTRES[image]) @ TURNS[image].T
+    pixels = x / x[:, 2:] @ K.T
+    return pixels[:, :2], x[:, 2]
+
+
+def _placed(
+    first: int, second: int, *, moved=(0.0, 0.0, 0.0), status="ok", points=POINTS
+) -> PlacedPair:
+    """The true pose of two images; moved: by how much what image 2 shows is another place."""
+    points1, _ = _seen(points, first)
+    points2, _ = _seen(points + moved, second)
+    inside = [((p > 0) & (np.array(SIZE) > p)).all(1) for p in (points1, points2)]
+    kept = inside[0] & inside[1]
+    R = TURNS[second] @ TURNS[first].T
+    t = TURNS[second] @ (CENTRES[first] + moved - CENTRES[second])
+    row = true_row((str(first), str(second)), R, t, status, int(kept.sum()))
+    matches = Matches(points1[kept], points2[kept], np.ones(kept.sum()), error_px=0.5)
+    return PlacedPair.of(MatchedPair(row, matches), (first, second), (camera(), camera()))
+
+
+def test_right_poses_agree_whatever_the_order_of_their_images():
+    for order in (1, -1):
+        pairs = [_placed(*pair[::order]) for pair in combinations(range(4), 2)]
+        found, agree = triples(pairs)
+        assert len(found) == 4 and agree.all()
+        for row in found:
+            assert len({image for k in row for image in pairs[k].images}) == 3
+
+
+@pytest.mark.parametrize("moved", [(1.5, 0, 0), (0, 0, 2.0)])
+def test_one_pose_of_another_place_contradicts_two_right_ones(moved):
+    """Its rotation is right, and along the way its direction may be, too."""
+    pairs = [_placed(0, 1), _placed(1, 2), _placed(0, 2, moved=moved)]
+    found, agree = triples(pairs)
+    assert found.tolist() == [[0, 1, 2]] and not agree.any()
+
+
+def test_two_poses_of_one_deception_agree_with_a_right_one():
+    """Image 2 shows another place, alike, to both others."""
+    moved = (1.5, 0, 0)
+    pairs = [_placed(0, 1), _placed(1, 2, moved=moved), _placed(0, 2, moved=moved)]
+    assert triples(pairs)[1].tolist() == [True]
+
+
+def test_a_rotation_alone_contradicts_by_its_rotation_and_never_agrees():
+    still = _placed(0, 2, status="rotation_only")
+    assert np.isnan(still.t).all() and np.isnan(still.log_depths[0]).all()
+    assert len(triples([_placed(0, 1), _placed(1, 2), still])[0]) == 0
+    turned = Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    wrong = replace(still, R=turned @ still.R)
+    assert triples([_placed(0, 1), _placed(1, 2), wrong])[1].tolist() == [False]
+
+
+def test_poses_without_common_points_agree_on_no_scale():
+    """Of each pair other points: nothing tells the lengths, and nothing is clear."""
+    parts = np.array_split(POINTS, 3)
+    pairs = ((0, 1), (1, 2), (0, 2))
+    pairs = [_placed(*p, points=part[:4]) for p, part in zip(pairs, parts, strict=True)]
+    assert len(triples(pairs)[0]) == 0
+
+
+def test_cells_of_few_pairs_count():
+    """Image 0 shows one half to images 1 to 3, and the other to image 1 alone."""
+    left, right = POINTS[POINTS[:, 0] < -0.3], POINTS[POINTS[:, 0] > 0.3]
+    pairs = [_placed(0, 1), *(_placed(0, k, points=left) for k in (2, 3))]
+    whole, *parts = log_unshared_cells(pairs)
+    alone = log_unshared_cells([_placed(0, 1, points=right), *pairs[1:]])[0]
+    assert whole > max(parts) and alone > max(parts)
+    assert log_unshared_cells([]).shape == (0,)
+
+
+IMAGES = 8
+PAIRS = list(combinations(range(IMAGES), 2))
+NUMBER = {pair: k for k, pair in enumerate(PAIRS)}
+TRIPLES = np.array(
+    [[NUMBER[a, b], NUMBER[b, c], NUMBER[a, c]] for a, b, c in combinations(range(IMAGES), 3)]
+)
+
+
+def _agree(right: np.ndarray) -> np.ndarray:
+    """Whether the triples of pairs agree: all but those with one wrong pose alone."""
+    return right[TRIPLES].sum(1) != 2
+
+
+def _values(probability: np.ndarray, around: np.ndarray) -> np.ndarray:
+    """Those of `evidence_of_pairs`; around: of surroundings and unshared cells alike."""
+    log_odds = np.log(probability / (1 - probability))
+    return np.column_stack([log_odds, around, around])
+
+
+def _in_folder(values: np.ndarray, found: np.ndarray, agree: np.ndarray) -> np.ndarray:
+    solved = solutions(values[:, 0], by_itself(values), found, agree)
+    return solved[shows_repeats(solved, values)]
+
+
+def test_two_rooms_that_look_alike_are_parted():
+    """Images 0 to 3 and 4 to 7. Poses between them are as probable and agree with all others; less
+    surrounds them that is alike, but for some."""
+    right = np.array([(a < 4) == (b < 4) for a, b in PAIRS])
+    around = np.where(right, 0.0, -0.6) + np.random.default_rng(0).normal(0, 0.25, len(PAIRS))
+    values = _values(np.full(len(PAIRS), 0.98), around)
+    assert ((by_itself(values) > 0) != right).any() and _agree(right).all()
+    assert np.array_equal(_in_folder(values, TRIPLES, _agree(right)) > 0, right)
+
+
+def test_an_ordinary_folder_keeps_its_pairs():
+    """Of which a third has surroundings that are less alike, and nothing contradicts them."""
+    right = np.ones(len(PAIRS), bool)
+    around = np.random.default_rng(1).normal(-0.1, 0.2, len(PAIRS))
+    values = _values(np.full(len(PAIRS), 0.97), around)
+    assert 5 < (by_itself(values) < 0).sum() < 20
+    assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
+
+
+def test_what_surrounds_no_match_tells_of_no_repeats():
+    """The same two rooms by matches whose surroundings are not known."""
+    right = np.array([(a < 4) == (b < 4) for a, b in PAIRS])
+    values = _values(np.full(len(PAIRS), 0.98), np.where(right, 0.0, -0.9))
+    values[:, 1] = np.nan
+    assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
+
+
+def test_a_wrong_pose_that_triples_contradict_is_turned_down():
+    right = np.arange(len(PAIRS)) != 5
+    values = _values(np.full(len(PAIRS), 0.95), np.zeros(len(PAIRS)))
+    assert np.array_equal(_in_folder(values, TRIPLES, _agree(right)) > 0, right)
+
+
+def test_an_unlikely_pose_that_triples_agree_with_holds():
+    right = np.ones(len(PAIRS), bool)
+    probability = np.where(np.arange(len(PAIRS)) == 5, 0.3, 0.95)
+    values = _values(probability, np.zeros(len(PAIRS)))
+    assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
+
+
+def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():
+    """A claim, one that `min_probability` alone allows, and a rotation of an unlikely pose."""
+    points = np.random.default_rng(0).uniform(10, 170, (100, 2))
+    matches = Matches(points, points + (5.0, 0.0), np.ones(100), error_px=0.5)
+    pairs = []
+    for k, (status, probability) in enumerate((("ok", 0.8), ("ok", 0.3), ("rotation_only", 0.1))):
+        row = true_row(("a", "bcd"[k]), np.eye(3), np.array([1.0, 0, 0]), status)
+        own = 0.0 if status == "rotation_only" else probability
+        pose = replace(row.pose, probability=own, any_probability=probability)
+        pairs.append(MatchedPair(replace(row, pose=pose, index=k), matches))
+    plan = SimpleNamespace(names="abcd", final_cameras=dict.fromkeys("abcd", camera()))
+    rows = folder_probabilities(pairs, plan)
+    assert [row.folder_probability for row in rows] == [0.8, 0.6, 0.6]
+    assert not any(row.turned_down for row in rows)
+    assert [row.folder_triples for row in rows] == 3 * [(0, 0)]
