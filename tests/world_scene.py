@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import SIZE
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.localization.correspondences import PairCorrespondences, WorldPose
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model

@@ -22,9 +22,8 @@ from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import MIN_MATCHES, TwoViewProblem
 from dgc_pose.estimation.relative_pose import gathered, uncertainty
-from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.header import Header
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.threads import in_threads
@@ -101,7 +100,7 @@ def record(pair: StoredPair, options: EstimationOptions, cameras: CameraCase = "
     poses: tuple[PoseRecord, ...] = ()
     found, evidence, focal_error = None, None, math.nan
     if len(problem) >= MIN_MATCHES:
-        found = candidates(problem, matches, stated, options, pair.map_matches)
+        found = candidates(problem, pair.map_matches)
     if found is not None:
         known = uncertainty(found)
         evidence, focal_error = gathered(found, known), _focal_error(known.cameras, truth)

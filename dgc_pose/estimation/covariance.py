@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior, error_slopes
 from dgc_pose.estimation.least_squares import (
     CORRELATED,
@@ -25,7 +24,7 @@ from dgc_pose.estimation.least_squares import (
     jackknife,
     loss_terms,
 )
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.estimation.robust_fit import MINIMAL
 
 NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
@@ -58,7 +57,7 @@ def pose_covariance(
     variance = CORRELATED * (width / EFFICIENT) ** 2  # of a match: the information is in its unit
     information = variance * np.diag([*np.zeros(5), *np.ones(slopes.shape[1] - 5)])
     # The blocks show all of the errors of key points, which err independently of their neighbours.
-    kept = REGULAR if problem.key_points else KEPT
+    kept = REGULAR if problem.matches.key_points else KEPT
     terms, count = loss_terms(error, slopes, width), slopes.shape[1]
     total = terms[:, : count**2].sum(0).reshape(count, count)
     try:
@@ -69,7 +68,7 @@ def pose_covariance(
             ],
             axis=0,
         )
-        beside = information if problem.key_points else information + total
+        beside = information if problem.matches.key_points else information + total
         inverse = np.linalg.inv(total + information)
         covariance += variance * inverse @ beside @ inverse
         if len(prior) and not fitted:  # the pose moves with the cameras

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.hypothesis import DISTINCT_DEG, Hypothesis
 from dgc_pose.estimation.intrinsics_prior import (
     SIZE,
     IntrinsicsPrior,
@@ -20,7 +19,7 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised,
     renormalised_slopes,
 )
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import DISTINCT_DEG, Hypothesis, TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance, skew
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg

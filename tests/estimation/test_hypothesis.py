@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scenes import two_view_scene
 
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
+from dgc_pose.estimation.problem import Hypothesis, pose_loss_width
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 
 THRESHOLD = 2e-3

@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import estimate_pose
-from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.plane import best_planar, fit_plane, still_camera
+from dgc_pose.estimation.problem import Hypothesis
+from dgc_pose.estimation.robust_fit import best_planar, fit_plane, still_camera
 from dgc_pose.geometry.homography import fit_homography
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg

@@ -11,13 +11,12 @@ from ransac_oracles import ORACLES
 from scenes import normalised_problem, two_view_scene
 
 from dgc_pose.estimation import EstimationOptions, robust_fit
-from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.problem import Hypothesis
 from dgc_pose.estimation.robust_fit import essential_matrix, refine, refit, sample
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.metrics import translation_error_deg
 
 THRESHOLD = 2e-3  # of the scenes
-OPTIONS = EstimationOptions(iterations=200)
 
 
 def _inliers(problem, E):
@@ -34,7 +33,7 @@ def _unit(E):
 def test_a_run_has_as_many_inliers_as_other_libraries(oracle):
     problem = two_view_scene(seed=4, count=300, sigma_px=1.0, outliers=0.3).problem()
     theirs = oracle(problem.points1, problem.points2, problem.threshold)
-    ours = essential_matrix(problem, OPTIONS, 1)
+    ours = essential_matrix(problem, 1)
     assert _inliers(problem, ours).sum() > 0.97 * _inliers(problem, theirs).sum() > 150
 
 
@@ -49,7 +48,7 @@ def test_a_run_is_as_long_as_its_inliers_ask_for(monkeypatch):
     monkeypatch.setattr(robust_fit, "poselib", SimpleNamespace(estimate_relative_pose=counted))
     for outliers in (0.0, 0.2, 0.6):
         problem = two_view_scene(seed=4, count=300, sigma_px=0.2, outliers=outliers).problem()
-        essential_matrix(problem, EstimationOptions(), 1)
+        essential_matrix(problem, 1)
     clean, some, many = iterations
     assert 50 <= clean < 100 < some < 900 < many <= 1001
 
@@ -57,31 +56,30 @@ def test_a_run_is_as_long_as_its_inliers_ask_for(monkeypatch):
 def test_a_seed_repeats_to_the_bit_and_every_other_seed_differs():
     # So few iterations that no two runs can end at the same matrix but by the same samples.
     problem = two_view_scene(seed=5, count=400, sigma_px=3.0, outliers=0.5).problem()
-    few = EstimationOptions(iterations=30)
-    first, again = ([essential_matrix(problem, few, seed) for seed in range(6)] for _ in "ab")
+    first, again = ([essential_matrix(problem, seed, 30) for seed in range(6)] for _ in "ab")
     assert np.array_equal(first, again)
     assert len({_unit(E).round(9).tobytes() for E in first}) == 6
 
 
 def test_five_matches_are_enough_and_four_are_not():
     problem = two_view_scene(seed=3, count=5, sigma_px=0.0, outliers=0.0).problem()
-    E = essential_matrix(problem, OPTIONS, 1)
+    E = essential_matrix(problem, 1)
     assert sampson_distance(problem.points1, problem.points2, E).max() < 1e-6
-    assert sample(problem.subset(np.arange(5) < 4), OPTIONS) == []
+    assert sample(problem.subset(np.arange(5) < 4)) == []
 
 
 def test_the_runs_differ_are_scored_on_all_matches_and_ordered_by_their_inliers():
     """Of 5000 matches each run draws 3000."""
     scene = two_view_scene(seed=1, count=5000, sigma_px=1.0, outliers=0.6)
-    problem = scene.problem()
-    poses = sample(problem, replace(OPTIONS, runs=6, iterations=20))
+    problem = replace(scene.problem(), options=EstimationOptions(runs=6, iterations=20))
+    poses = sample(problem)
     assert len({_unit(pose.E).round(9).tobytes() for pose in poses}) == 6
     counts = [pose.num_inliers for pose in poses]
     assert counts == sorted(counts, reverse=True)
     for pose in poses:
         again = Hypothesis.of_pose(problem, pose.R, pose.t)
         assert pose.inliers.shape == (5000,) and np.array_equal(pose.inliers, again.inliers)
-    other = sample(problem, replace(OPTIONS, runs=1, iterations=20, seed=1))
+    other = sample(replace(problem, options=replace(problem.options, seed=1)), 1)
     assert _unit(other[0].E).tobytes() not in {_unit(pose.E).tobytes() for pose in poses}
 
 
