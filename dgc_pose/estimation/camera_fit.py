@@ -111,11 +111,10 @@ class JointFit:
 
     def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
         """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        of_prior = np.diag([*np.zeros(5), *np.ones(len(self.prior))])
         damping, cost = 1e-4, self._loss(pose, width)
         for _ in range(iterations):
             hessian, gradient, tangent = self._slopes(pose, width, self.prior)
-            hessian += of_prior
+            hessian += self.prior.information
             gradient[5:] += pose.z
             before = cost
             while damping < 1e6:

@@ -24,7 +24,7 @@ from dgc_pose.estimation.camera_fit import (
     start_at,
 )
 from dgc_pose.estimation.camera_model import OF_STATED, WIDE, CameraModel, other_models
-from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior, of_pose
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
 from dgc_pose.estimation.problem import TwoViewProblem, image_size
@@ -224,9 +224,8 @@ class _Sample:
         basis = np.zeros((len(gradient), 5 + len(prior)))
         basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis
         hessian, gradient = basis.T @ hessian @ basis, basis.T @ gradient
-        of_prior = np.diag([*np.zeros(5), *np.ones(len(prior))])
         gradient[5:] += pose.z
-        step = -np.linalg.lstsq(hessian + of_prior, gradient, rcond=None)[0]
+        step = -np.linalg.lstsq(hessian + prior.information, gradient, rcond=None)[0]
         R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
         moved = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
         cost = self.weight * float(cauchy_losses(self.error, self.width).sum())
@@ -256,12 +255,11 @@ def _with_evidence(
     """The model with a fit; without one if that is no minimum, and for focal lengths beside those
     of K that the matches do not determine. loss: of the matches; hessian (5 + M, 5 + M): of that.
     """
-    total = hessian + np.diag([*np.zeros(5), *np.ones(len(pose.z))])
+    total = hessian + prior.information
     sign, log_determinant = np.linalg.slogdet(total)
     if sign <= 0:
         return model
-    inverse, expand = np.linalg.inv(total), np.zeros((6, 5))
-    expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
+    inverse = np.linalg.inv(total)
     evidence = -loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2
     of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
     variances, before = of_cameras.diagonal(), (prior.basis**2).sum(1)
@@ -278,7 +276,7 @@ def _with_evidence(
         model,
         pose=pose,
         log_evidence=evidence,
-        covariance=expand @ inverse[:5, :5] @ expand.T,
+        covariance=of_pose(inverse[:5, :5], tangent),
         stds=off,
         focal_std=float(np.sqrt(variances[FOCALS].max())),
     )
