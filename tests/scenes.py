@@ -87,8 +87,10 @@ def normalised_problem(
     key_points: bool = False,
 ) -> TwoViewProblem:
     """A problem of normalised points, all of them used."""
-    every = np.arange(len(points1)), np.ones(len(points1))
-    return TwoViewProblem(points1, points2, threshold, cells, seed, *every, key_points)
+    matches = Matches(points1, points2, np.ones(len(points1)), 1.0, key_points)
+    cameras = Camera(np.eye(3)), Camera(np.eye(3))
+    every, options = np.arange(len(points1)), EstimationOptions(seed=seed)
+    return TwoViewProblem(matches, cameras, options, points1, points2, every, threshold, cells)
 
 
 def two_view_scene(

@@ -26,8 +26,8 @@ from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.estimation.camera_model import OF_STATED
-from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
+from dgc_pose.estimation.problem import Hypothesis
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
 from dgc_pose.matching.cache import image_cache

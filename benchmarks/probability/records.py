@@ -21,9 +21,8 @@ from dgc_pose.estimation import EstimationOptions, Hypothesis
 from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import MIN_MATCHES, TwoViewProblem
 from dgc_pose.estimation.relative_pose import gathered, uncertainty
-from dgc_pose.estimation.verdict import MIN_MATCHES
 from dgc_pose.images.decoding import Header
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
@@ -140,7 +139,7 @@ def record(
     problem = TwoViewProblem.of(matches, *stated, options)
     found, poses, evidence, focal_error = None, list[Any](), None, math.nan
     if len(problem) >= MIN_MATCHES:
-        found = candidates(problem, matches, stated, options, map_matches)
+        found = candidates(problem, map_matches)
     if found is not None:
         known = uncertainty(found)
         evidence = {

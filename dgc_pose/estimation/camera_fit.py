@@ -19,8 +19,6 @@ from functools import cached_property, partial
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import (
     ASPECTS,
     FOCALS,
@@ -31,8 +29,7 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised_slopes,
 )
 from dgc_pose.estimation.least_squares import CORRELATED, EFFICIENT, cauchy_losses, loss_width
-from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
     draw,
@@ -69,15 +66,14 @@ class JointPose:
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The least squares of one problem, normalised by two cameras that are not exact."""
+    """The least squares of one problem, whose cameras are not exact."""
 
     problem: TwoViewProblem
-    cameras: tuple[Camera, Camera]
 
     @cached_property
     def prior(self) -> IntrinsicsPrior:
         """Of the cameras."""
-        return IntrinsicsPrior.of(*self.cameras)
+        return IntrinsicsPrior.of(*self.problem.cameras)
 
     def parameters(self, pose: JointPose) -> np.ndarray:
         """(2 * SIZE,) of both cameras, see `IntrinsicsPrior`."""
@@ -109,17 +105,16 @@ class JointFit:
             if chosen.sum() <= MINIMAL + len(self.prior):
                 return pose
             width = loss_width(error[chosen], threshold)
-            part = replace(self, problem=self.problem.subset(chosen))
+            part = JointFit(self.problem.subset(chosen))
             pose = part._minimised(pose, width, iterations)
         return pose
 
     def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
         """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        of_prior = np.diag([*np.zeros(5), *np.ones(len(self.prior))])
         damping, cost = 1e-4, self._loss(pose, width)
         for _ in range(iterations):
             hessian, gradient, tangent = self._slopes(pose, width, self.prior)
-            hessian += of_prior
+            hessian += self.prior.information
             gradient[5:] += pose.z
             before = cost
             while damping < 1e6:
@@ -144,7 +139,7 @@ class JointFit:
         not cut off, by the pose and the parameters of a prior, and the axes (3, 2) of t. width: of
         the losses, the problem's unit."""
         counted = self._errors(pose) < MOST_ERROR * self.problem.threshold
-        part = replace(self, problem=self.problem.subset(counted))
+        part = JointFit(self.problem.subset(counted))
         return part._slopes(pose, width, prior)
 
     def _slopes(
@@ -178,7 +173,7 @@ class JointFit:
         ):
             lens, own = self.problem.lenses[number], parameters[SIZE * number :][:SIZE]
             by_shift = renormalised_slopes(seen, lens, own)[:, :, 1:3]
-            by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / self.cameras[number].focal
+            by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / self.problem.cameras[number].focal
             squared += (by_pixel**2).sum(1)
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.abs((homogeneous(points2) * lines2).sum(1)) / np.sqrt(squared)
@@ -192,46 +187,46 @@ class JointFit:
         return (depth1 > 0) & (depth2 > 0)
 
 
-def joint_pose(joint: JointFit, options: EstimationOptions) -> JointPose | None:
+def joint_pose(joint: JointFit) -> JointPose | None:
     """The most probable pose and cameras, whose prior are those of the fit; None if RANSAC has no
     essential matrix."""
-    starts = [start for start in _starts(joint, options) if start is not None]
+    starts = [start for start in _starts(joint) if start is not None]
     if not starts:
         return None
-    some = replace(joint, problem=draw(joint.problem, options.seed, _FITTED))
+    some = JointFit(draw(joint.problem, joint.problem.options.seed, _FITTED))
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
     fits = in_threads(lambda start: some.fitted(start, LIMITS[:-1]), best)
     return joint.fitted(min(fits, key=joint.cost), LIMITS[-1:])
 
 
-def _starts(joint: JointFit, options: EstimationOptions) -> list[JointPose | None]:
+def _starts(joint: JointFit) -> list[JointPose | None]:
     """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
     stds = np.array([np.linalg.norm(joint.prior.basis[row]) for row in FOCALS])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
     if count <= 1:  # the K of the prior are near enough
         return [
             JointPose(run.R, run.t, np.zeros(len(joint.prior)))
-            for run in sample(joint.problem, options)[:_MAX_STARTS]
+            for run in sample(joint.problem)[:_MAX_STARTS]
         ]
     tried = [stds * z for z in np.linspace(-_REACH, _REACH, count)]
-    seeds = run_seeds(replace(options, runs=count + 1))
-    less = replace(options, iterations=max(1, options.iterations // _SHARE))
+    seeds = run_seeds(joint.problem.options, count + 1)
+    less = max(1, joint.problem.options.iterations // _SHARE)
     runs = [
-        partial(start_at, joint, of_focals(at), less, seed)
+        partial(start_at, joint, of_focals(at), seed, less)
         for at, seed in zip(tried, seeds[:-1], strict=True)
     ]
-    runs.append(partial(solved_start, joint, options, seeds[-1]))
+    runs.append(partial(solved_start, joint, seeds[-1]))
     return in_threads(lambda run: run(), runs[::-1])  # the longest first
 
 
-def solved_start(joint: JointFit, options: EstimationOptions, seed: int) -> JointPose | None:
+def solved_start(joint: JointFit, seed: int) -> JointPose | None:
     """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
     fails, and if a focal length is exact."""
     first, second = joint.prior.basis[FOCALS]
     if not (first.any() and second.any()):
         return None
     shared = bool((first == second).all())  # off by the same factor
-    result = essential_and_focals(draw(joint.problem, seed), options, seed, shared=shared)
+    result = essential_and_focals(draw(joint.problem, seed), seed, shared=shared)
     return None if result is None else _start(joint, result[0], of_focals(np.log(result[1])))
 
 
@@ -243,11 +238,11 @@ def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.n
 
 
 def start_at(
-    joint: JointFit, parameters: np.ndarray, options: EstimationOptions, seed: int
+    joint: JointFit, parameters: np.ndarray, seed: int, iterations: int | None = None
 ) -> JointPose | None:
     """The pose of one RANSAC run on cameras with parameters (2 * SIZE,); None if it fails."""
     drawn = draw(_rescaled(joint.problem, parameters), seed)
-    E = essential_matrix(drawn, options, seed)
+    E = essential_matrix(drawn, seed, iterations)
     return None if E is None else _start(joint, E, parameters)
 
 

@@ -19,25 +19,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
 from dgc_pose.estimation.camera_model import CameraModel
-from dgc_pose.estimation.evidence import map_agreement, measured
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.model_comparison import likeliest_model
-from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.plane import (
+from dgc_pose.estimation.probability import ProbabilityModel, choice_shares, shipped_models, utility
+from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, pose_loss_width
+from dgc_pose.estimation.robust_fit import (
     PLANAR_SHARE,
     best_planar,
     fit_plane,
     planar_hypotheses,
+    refine,
+    refit,
+    sample,
     still_camera,
 )
-from dgc_pose.estimation.probability import ProbabilityModel, choice_shares, shipped_models, utility
-from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.estimation.robust_fit import refine, refit, sample
-from dgc_pose.estimation.verdict import MIN_MATCHES, by_chance
 from dgc_pose.geometry.epipolar import homogeneous, sampson_distance
 from dgc_pose.geometry.triangulation import depths
 from dgc_pose.matches import Matches
@@ -47,7 +44,6 @@ from dgc_pose.matches import Matches
 _MIN_SECOND_SHARE_OF_PLANE, _MIN_SECOND_SHARE_FITTED, _MIN_SECOND_SHARE = 0.1, 0.3, 0.5
 LIKELY_SHARE = 0.75  # of the first one's inliers, at which another explains the matches as well
 _MIN_REFINED_SHARE = 0.3  # of the first one's inliers, in front of both cameras
-_MIN_LEFT = 20  # matches left over that are searched
 _MAX_DEPTH = 1e6  # in baselines: beyond, there is no parallax to mirror
 _MAX_ERROR = 3.0  # thresholds; larger errors, and points behind a camera, count as this
 _MIN_PLANAR_SHARE = 0.5  # of inliers that one homography explains, which has poses that compete
@@ -57,7 +53,7 @@ _MIN_PLANAR_SHARE = 0.5  # of inliers that one homography explains, which has po
 class Candidates:
     """The poses that explain the matches, and what they are compared by."""
 
-    problem: TwoViewProblem  # normalised by the cameras
+    problem: TwoViewProblem  # normalised by the cameras of the model
     map_problem: TwoViewProblem | None  # of an even sample of the dense map
     fitted: bool  # whether the cameras were fitted
     model: CameraModel  # whose cameras have the focal lengths that the matches determine
@@ -71,23 +67,17 @@ class Candidates:
 
 
 def candidates(
-    problem: TwoViewProblem,
-    matches: Matches,
-    stated: tuple[Camera, Camera],
-    options: EstimationOptions,
-    map_matches: Matches | None = None,
-    *,
-    fit_cameras: bool = True,
+    stated: TwoViewProblem, map_matches: Matches | None = None, *, fit_cameras: bool = True
 ) -> Candidates | None:
     """The poses that explain the matches; None if RANSAC has no essential matrix.
 
-    problem: of the matches, normalised by the stated cameras. The others are of `estimate_pose`.
+    stated: the matches, normalised by the stated cameras. The others are of `estimate_pose`.
     """
-    of_stated = problem
+    options = stated.options
     if fit_cameras:
-        problem, model, runs = _runs_by_model(problem, matches, stated, options)
+        problem, model, runs = _runs_by_model(stated)
     else:
-        model, runs = CameraModel("assumed", stated), sample(problem, options)
+        problem, model, runs = stated, CameraModel("assumed", stated.cameras), sample(stated)
     if not runs:
         return None
     fitted = fit_cameras and not all(camera.exact for camera in model.cameras)
@@ -97,13 +87,13 @@ def candidates(
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, *model.cameras, map_options)
     logistic = shipped_models().model(
-        matches.weights,
-        key_points=matches.key_points,
+        stated.matches.weights,
+        key_points=stated.matches.key_points,
         with_map=bool(map_problem),
         fitted=fitted and any(camera.focal_std for camera in model.cameras),
     )
 
-    first = refine(problem, runs[0]) if options.refine else runs[0]
+    first = _refined(problem, runs[0])
     homography_ratio, H = fit_plane(problem, first)
     on_plane = homography_ratio >= PLANAR_SHARE
     if on_plane and H is not None:
@@ -112,82 +102,87 @@ def candidates(
         first = refit(problem, first, adapt_width=True)
     if homography_ratio < _MIN_PLANAR_SHARE:
         H = None
-    others = competitors(problem, first, runs, H, options)
-    hypotheses = compared(problem, first, others, map_problem, options)
+    share = _MIN_SECOND_SHARE_FITTED if fitted else _MIN_SECOND_SHARE
+    share = _MIN_SECOND_SHARE_OF_PLANE if on_plane else share
+    left = _left_over(problem, first, share)
+    others = competitors(problem, first, [*runs, *left], H)
+    hypotheses = compared(problem, first, others, map_problem)
     hypotheses = ranked(hypotheses, None if logistic is None else logistic.choice)
 
     best, still = hypotheses[0], None
-    least = _MIN_SECOND_SHARE_FITTED if fitted else _MIN_SECOND_SHARE
-    least = _MIN_SECOND_SHARE_OF_PLANE if on_plane else least
-    second = _second_motion(problem, best, options, least * best.num_inliers)
+    if best.inliers is not first.inliers:
+        left = _left_over(problem, best, share)
+    second = _second_motion(problem, best, left, share * best.num_inliers)
     if fitted:
-        of_inliers = np.isin(of_stated.index, problem.index[best.inliers])
-        still = still_camera(of_stated.subset(of_inliers))
+        of_inliers = np.isin(stated.index, problem.index[best.inliers])
+        still = still_camera(stated.subset(of_inliers))
     return Candidates(
         *(problem, map_problem, fitted, model, hypotheses, homography_ratio, second, still),
         logistic,
     )
 
 
+def _refined(problem: TwoViewProblem, run: Hypothesis) -> Hypothesis:
+    return refine(problem, run) if problem.options.refine else run
+
+
 def _runs_by_model(
-    problem: TwoViewProblem,
-    matches: Matches,
-    stated: tuple[Camera, Camera],
-    options: EstimationOptions,
+    stated: TwoViewProblem,
 ) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
     """RANSAC, and the cameras by their likeliest model, fitted if they are not exact.
 
     Returns the problem, normalised by the cameras; these; and the hypotheses of the runs, that with
     most inliers first, none if there is no essential matrix.
     """
-    joint, runs = JointFit(problem, stated), list[Hypothesis]()
+    joint, runs = JointFit(stated), list[Hypothesis]()
     if len(joint.prior):
-        pose = joint_pose(joint, options)
-    elif runs := sample(problem, options):
-        best = refine(problem, runs[0]) if options.refine else runs[0]
+        pose = joint_pose(joint)
+    elif runs := sample(stated):
+        best = _refined(stated, runs[0])
         pose = JointPose(best.R, best.t, np.zeros(0))
     else:
         pose = None
     if pose is None:
-        return problem, CameraModel("assumed", stated), []
-    model = likeliest_model(problem, matches, stated, pose, options)
+        return stated, CameraModel("assumed", stated.cameras), []
+    model = likeliest_model(stated, pose)
     if model.name == "assumed" and runs:
-        return problem, model, runs
+        return stated, model, runs
     if model.name != "assumed" and model.pose is not None:
-        joint = JointFit(TwoViewProblem.of(matches, *model.cameras, options), model.cameras)
+        joint = JointFit(stated.of_cameras(model.cameras))
         pose = joint.fitted(model.pose)
-    model = replace(model, cameras=pair_with_parameters(joint.cameras, joint.parameters(pose)))
-    problem = TwoViewProblem.of(matches, *model.cameras, options)
-    rest = replace(options, runs=max(1, options.runs - SEARCH_RUNS))
-    runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *sample(problem, rest)]
+    cameras = pair_with_parameters(joint.problem.cameras, joint.parameters(pose))
+    problem, model = stated.of_cameras(cameras), replace(model, cameras=cameras)
+    runs = sample(problem, max(1, stated.options.runs - SEARCH_RUNS))
+    runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *runs]
     return problem, model, sorted(runs, key=lambda run: -run.num_inliers)
 
 
-def _second_motion(
-    problem: TwoViewProblem, first: Hypothesis, options: EstimationOptions, least: float
-) -> Hypothesis | None:
-    """Another motion, found in the matches that a hypothesis leaves over; None if it has fewer
-    inliers than `least` among these, or if unrelated images could have as many."""
-    left = problem.subset(~first.inliers)
+def _left_over(problem: TwoViewProblem, pose: Hypothesis, share: float) -> list[Hypothesis]:
+    """The hypothesis of a run on the matches that a pose leaves over, as one of all; none if these
+    are too few for another motion of the `share` of its inliers, and for a competitor."""
+    left = problem.subset(~pose.inliers)
+    least = min(_MIN_REFINED_SHARE * pose.num_in_front, share * pose.num_inliers)
     if len(left) < max(MIN_MATCHES, least):
+        return []
+    return [Hypothesis.of_pose(problem, run.R, run.t) for run in sample(left, 1)]
+
+
+def _second_motion(
+    problem: TwoViewProblem, first: Hypothesis, runs: Sequence[Hypothesis], least: float
+) -> Hypothesis | None:
+    """Another motion, by the runs on the matches that a hypothesis leaves over, refined on these;
+    None if it has fewer inliers than `least` among them."""
+    left = problem.subset(~first.inliers)
+    if not runs or len(left) < least:
         return None
-    runs = sample(left, replace(options, runs=1))
-    if not runs:
-        return None
-    second = refine(left, runs[0]) if options.refine else runs[0]
+    second = _refined(left, Hypothesis.of_pose(left, runs[0].R, runs[0].t))
     if second.is_among([first]) or second.num_in_front < least:
-        return None
-    if by_chance(measured(left, second)):
         return None
     return Hypothesis.of_pose(problem, second.R, second.t)
 
 
 def competitors(
-    problem: TwoViewProblem,
-    first: Hypothesis,
-    runs: Sequence[Hypothesis],
-    H: np.ndarray | None,
-    options: EstimationOptions,
+    problem: TwoViewProblem, first: Hypothesis, runs: Sequence[Hypothesis], H: np.ndarray | None
 ) -> list[Hypothesis]:
     """Refined hypotheses more than 10 degrees from the first and from each other, that with most
     inliers in front of both cameras first.
@@ -196,19 +191,12 @@ def competitors(
     least 0.3 of the first one's inliers.
     """
     least = max(_MIN_REFINED_SHARE * first.num_in_front, 1)
-    candidates = [*runs]
-    if H is not None:
-        candidates += planar_hypotheses(problem, H)
-    left = problem.subset(~first.inliers)
-    if len(left) >= max(_MIN_LEFT, least):
-        seconds = sample(left, replace(options, runs=1))
-        candidates += [Hypothesis.of_pose(problem, second.R, second.t) for second in seconds]
     distinct = [first]
-    for candidate in candidates:
+    for candidate in (*runs, *([] if H is None else planar_hypotheses(problem, H))):
         if candidate.num_in_front < least or candidate.is_among(distinct):
             continue
         # A bad fit of a pose that is known becomes that pose.
-        refined = refine(problem, candidate) if options.refine else candidate
+        refined = _refined(problem, candidate)
         if not refined.is_among(distinct):
             distinct.append(refined)
     # The reversal is not refined: the fit could lead back to the first.
@@ -247,7 +235,6 @@ def compared(
     first: Hypothesis,
     others: Sequence[Hypothesis],
     map_problem: TwoViewProblem | None,
-    options: EstimationOptions,
 ) -> list[Hypothesis]:
     """Compare the hypothesis with most inliers, whose errors show how accurate the matches are,
     with others; those that are likely have their last fit, if it is still another pose.
@@ -262,7 +249,7 @@ def compared(
     result: list[Hypothesis] = []
     for number, unfitted in enumerate((first, *others)):
         pose, likely = unfitted, number == 0 or unfitted.num_in_front >= least
-        if likely and number and options.refine:
+        if likely and number and problem.options.refine:
             fitted = refit(problem, pose, adapt_width=True)
             # A fit may lead to another of the hypotheses, or to that with t reversed.
             if fitted.num_in_front >= least and not fitted.is_among([*result, *others[number:]]):
@@ -271,7 +258,7 @@ def compared(
         error = np.where(pose.in_front, np.minimum(error, largest), largest)
         # Of a Cauchy distribution, cut off, up to a constant.
         likelihood = float((-np.log1p((error / width) ** 2)).sum()) / root
-        agreement = None if map_problem is None else map_agreement(map_problem, pose)
+        agreement = None if map_problem is None else pose.agreement(map_problem)
         result.append(replace(pose, likely=likely, likelihood=likelihood, map_agreement=agreement))
     return result
 

@@ -12,8 +12,7 @@ import math
 
 import numpy as np
 
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
-from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior, error_slopes
+from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior, error_slopes, of_pose
 from dgc_pose.estimation.least_squares import (
     CORRELATED,
     EFFICIENT,
@@ -25,7 +24,7 @@ from dgc_pose.estimation.least_squares import (
     jackknife,
     loss_terms,
 )
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.estimation.robust_fit import MINIMAL
 
 NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
@@ -56,9 +55,9 @@ def pose_covariance(
         slopes = slopes[:, :5]
     width = pose_loss_width(inliers, pose.R, pose.t)
     variance = CORRELATED * (width / EFFICIENT) ** 2  # of a match: the information is in its unit
-    information = variance * np.diag([*np.zeros(5), *np.ones(slopes.shape[1] - 5)])
+    information = variance * (prior if fitted else EXACT).information
     # The blocks show all of the errors of key points, which err independently of their neighbours.
-    kept = REGULAR if problem.key_points else KEPT
+    kept = REGULAR if problem.matches.key_points else KEPT
     terms, count = loss_terms(error, slopes, width), slopes.shape[1]
     total = terms[:, : count**2].sum(0).reshape(count, count)
     try:
@@ -69,7 +68,7 @@ def pose_covariance(
             ],
             axis=0,
         )
-        beside = information if problem.key_points else information + total
+        beside = information if problem.matches.key_points else information + total
         inverse = np.linalg.inv(total + information)
         covariance += variance * inverse @ beside @ inverse
         if len(prior) and not fitted:  # the pose moves with the cameras
@@ -78,12 +77,10 @@ def pose_covariance(
             covariance += moved @ moved.T
     except np.linalg.LinAlgError:
         return None
-    expand = np.zeros((6, 5))
-    expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
-    of_pose = expand @ covariance[:5, :5] @ expand.T
+    by_pose = of_pose(covariance[:5, :5], tangent)
     of_cameras = covariance[5:, 5:] if fitted else np.eye(len(prior))
     cameras = prior.basis @ of_cameras @ prior.basis.T
-    return (of_pose, cameras) if np.isfinite(of_pose).all() and np.isfinite(cameras).all() else None
+    return (by_pose, cameras) if np.isfinite(by_pose).all() and np.isfinite(cameras).all() else None
 
 
 def error_radius_deg(covariance: np.ndarray) -> float:

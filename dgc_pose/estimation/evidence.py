@@ -6,8 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from dgc_pose.estimation.hypothesis import Hypothesis
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
@@ -142,7 +141,7 @@ def measured(
 ) -> Evidence:
     """The evidence that the matches have for and against a hypothesis, without what needs other
     hypotheses or cameras. map_problem: an even sample of the dense map."""
-    threshold, is_inlier, around = problem.threshold, pose.inliers, problem.surroundings
+    threshold, is_inlier, around = problem.threshold, pose.inliers, problem.matches.surroundings
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
     chance = chance_ratio(problem, pose.E)
@@ -172,7 +171,7 @@ def measured(
         occupied_cells=min(
             len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells
         ),
-        key_points=problem.key_points,
+        key_points=problem.matches.key_points,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         confidence=_median(inliers.confidence),
@@ -180,13 +179,13 @@ def measured(
     )
     if not map_problem:
         return evidence
-    order = np.random.default_rng(map_problem.seed).permutation(len(map_problem))
+    order = np.random.default_rng(map_problem.options.seed).permutation(len(map_problem))
     wrong = replace(map_problem, points1=map_problem.points1[order])
     return replace(
         evidence,
         map_matchability=float(map_problem.confidence.mean()),
-        map_agreement=map_agreement(map_problem, pose),
-        map_chance=map_agreement(wrong, pose),
+        map_agreement=pose.agreement(map_problem),
+        map_chance=pose.agreement(wrong),
     )
 
 
@@ -205,7 +204,7 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
     count = len(problem)
     if count < 2:
         return 1.0
-    order = np.random.default_rng(problem.seed).permutation(count)[: _PAIRS // _MIN_ROUNDS]
+    order = np.random.default_rng(problem.options.seed).permutation(count)[: _PAIRS // _MIN_ROUNDS]
     count = len(order)
     rounds = min(count - 1, max(_MIN_ROUNDS, math.ceil(_PAIRS / count)))
     ours, theirs = problem.points1[order], problem.points2[order]
@@ -253,14 +252,6 @@ def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
         if np.array_equal(near, before):
             break
     return R
-
-
-def map_agreement(problem: TwoViewProblem, pose: Hypothesis) -> float:
-    """Share of a dense map's sample that agrees with a pose, by the square of the matchability: a
-    cell of little is little evidence."""
-    distance = sampson_distance(problem.points1, problem.points2, pose.E)
-    weight = problem.confidence**2
-    return float(weight @ (distance < problem.threshold)) / max(float(weight.sum()), 1e-9)
 
 
 def _median(values: np.ndarray) -> float:

@@ -49,6 +49,11 @@ class IntrinsicsPrior:
     def __len__(self) -> int:
         return self.basis.shape[1]
 
+    @property
+    def information(self) -> np.ndarray:
+        """(5 + M, 5 + M), of a pose and the normal vector; 0 of the pose."""
+        return np.diag([*np.zeros(5), *np.ones(len(self))])
+
 
 SIZE = 6  # parameters of a camera
 FOCALS, ASPECTS = [0, SIZE], [5, SIZE + 5]  # the rows of ln f and of ln fy / fx
@@ -58,6 +63,14 @@ _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
 _OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
 _SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
+
+
+def of_pose(covariance: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """The covariance (6, 6) of a rotation vector and t, by that (5, 5) along the axes (3, 2) of
+    t."""
+    expand = np.zeros((6, 5))
+    expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
+    return expand @ covariance @ expand.T
 
 
 def is_of_part(camera: Camera) -> bool:

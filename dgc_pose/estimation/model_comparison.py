@@ -24,14 +24,12 @@ from dgc_pose.estimation.camera_fit import (
     start_at,
 )
 from dgc_pose.estimation.camera_model import OF_STATED, WIDE, CameraModel, other_models
-from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior, of_pose
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
-from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
 from dgc_pose.estimation.problem import TwoViewProblem, image_size
 from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.geometry.triangulation import unit_rays
-from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.parallel import in_threads
 
@@ -73,24 +71,18 @@ _BY_SLOPES = ("two", "squeezed", "off_centre", "focal", "focals", "lens", "centr
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
 
 
-def likeliest_model(
-    problem: TwoViewProblem,
-    matches: Matches,
-    stated: tuple[Camera, Camera],
-    pose: JointPose,
-    options: EstimationOptions,
-) -> CameraModel:
-    """The most probable model.
-
-    problem: of the matches, normalised by the cameras as stated. pose: fitted with these.
-    """
-    drawn = matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
+def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
+    """The most probable model. problem: normalised by the cameras as stated. pose: fitted with
+    these."""
+    stated = problem.cameras
+    drawn = problem.matches.subset(np.sort(draw(problem, problem.options.seed, _SAMPLED).index))
     pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
     is_stated = all(camera.focal_source == "given" for camera in stated)
     most = _MOST_WEIGHT if is_stated else 1.0
     weight = min(max(len(problem) / max(len(drawn), 1), 1.0), most)
-    fast = replace(options, iterations=_ITERATIONS)
-    sample = _Sample.of(drawn, pixels, weight, fast, stated, pose)
+    fast = replace(problem.options, iterations=_ITERATIONS)
+    joint = JointFit(TwoViewProblem.of(drawn, *stated, fast))
+    sample = _Sample.of(joint, pose, pixels, weight)
     assumed = sample.valued(CameraModel("assumed", stated), pose)
     if not math.isfinite(assumed.log_evidence):
         return replace(assumed, pose=pose)
@@ -127,11 +119,9 @@ def likeliest_model(
 class _Sample:
     """Some of the matches, and their errors with the assumed cameras."""
 
-    matches: Matches
+    joint: JointFit  # of the assumed cameras
     pixels: float  # the threshold
     weight: float  # of each, as there are others
-    options: EstimationOptions  # of RANSAC
-    joint: JointFit  # of the assumed cameras
     error: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (N,), as of `errors`
     width: float = 1.0  # of the losses
     # Hessian (17, 17) and gradient (17,) at the assumed fit by the pose and by all parameters of
@@ -139,18 +129,9 @@ class _Sample:
     slopes: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     @classmethod
-    def of(
-        cls,
-        matches: Matches,
-        pixels: float,
-        weight: float,
-        options: EstimationOptions,
-        stated: tuple[Camera, Camera],
-        pose: JointPose,
-    ) -> _Sample:
+    def of(cls, joint: JointFit, pose: JointPose, pixels: float, weight: float) -> _Sample:
         """The sample with the errors of the pose of the assumed cameras."""
-        joint = JointFit(TwoViewProblem.of(matches, *stated, options), stated)
-        sample = cls(matches, pixels, weight, options, joint)
+        sample = cls(joint, pixels, weight)
         error = sample.errors(joint, pose)
         near = error[error < 1]
         width = loss_width(near, 1.0) if len(near) else 1.0
@@ -160,7 +141,8 @@ class _Sample:
 
     def errors(self, joint: JointFit, pose: JointPose) -> np.ndarray:
         """Errors in the image of all matches (N,), thresholds, cut off."""
-        error = np.full(len(self.matches), MOST_ERROR)  # also where a distortion cannot be undone
+        # Also where a distortion cannot be undone.
+        error = np.full(len(self.joint.problem.matches), MOST_ERROR)
         error[joint.problem.index] = joint.errors_px(pose) / self.pixels
         return np.minimum(error, MOST_ERROR)
 
@@ -178,9 +160,7 @@ class _Sample:
     def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
         """The model with the likeliest of its fits, or as the slopes at the pose of the assumed
         cameras have it, if that is hopeless."""
-        joint = JointFit(
-            TwoViewProblem.of(self.matches, *model.cameras, self.options), model.cameras
-        )
+        joint = JointFit(self.joint.problem.of_cameras(model.cameras))
         own, others = [_to_middles(cameras) for cameras in (assumed.cameras, model.cameras)]
         turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
         of_both = zip(assumed.cameras, model.cameras, strict=True)
@@ -198,14 +178,11 @@ class _Sample:
             if gain + model.log_odds < -_HOPELESS and not searches:
                 return by_slopes
         starts = _starts(model, self.joint.parameters(pose)) if searches else []
-        seeds = run_seeds(replace(self.options, runs=1 + len(starts)))
+        seeds = run_seeds(joint.problem.options, 1 + len(starts))
         rough, best = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE, None
-        runs = [
-            start_at(joint, at, self.options, seed)
-            for at, seed in zip(starts, seeds[:-1], strict=True)
-        ]
+        runs = [start_at(joint, at, seed) for at, seed in zip(starts, seeds[:-1], strict=True)]
         if searches and model.name in ("two", "focal", "focals"):
-            runs.append(solved_start(joint, self.options, seeds[-1]))
+            runs.append(solved_start(joint, seeds[-1]))
         for run in runs:
             loss = math.inf
             if run is not None:
@@ -247,9 +224,8 @@ class _Sample:
         basis = np.zeros((len(gradient), 5 + len(prior)))
         basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis
         hessian, gradient = basis.T @ hessian @ basis, basis.T @ gradient
-        of_prior = np.diag([*np.zeros(5), *np.ones(len(prior))])
         gradient[5:] += pose.z
-        step = -np.linalg.lstsq(hessian + of_prior, gradient, rcond=None)[0]
+        step = -np.linalg.lstsq(hessian + prior.information, gradient, rcond=None)[0]
         R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
         moved = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
         cost = self.weight * float(cauchy_losses(self.error, self.width).sum())
@@ -279,12 +255,11 @@ def _with_evidence(
     """The model with a fit; without one if that is no minimum, and for focal lengths beside those
     of K that the matches do not determine. loss: of the matches; hessian (5 + M, 5 + M): of that.
     """
-    total = hessian + np.diag([*np.zeros(5), *np.ones(len(pose.z))])
+    total = hessian + prior.information
     sign, log_determinant = np.linalg.slogdet(total)
     if sign <= 0:
         return model
-    inverse, expand = np.linalg.inv(total), np.zeros((6, 5))
-    expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
+    inverse = np.linalg.inv(total)
     evidence = -loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2
     of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
     variances, before = of_cameras.diagonal(), (prior.basis**2).sum(1)
@@ -301,7 +276,7 @@ def _with_evidence(
         model,
         pose=pose,
         log_evidence=evidence,
-        covariance=expand @ inverse[:5, :5] @ expand.T,
+        covariance=of_pose(inverse[:5, :5], tangent),
         stds=off,
         focal_std=float(np.sqrt(variances[FOCALS].max())),
     )

@@ -1,7 +1,9 @@
-"""The problem that all stages of the estimation share: normalised matches and a threshold."""
+"""What all stages of the estimation share: normalised matches, and a hypothesis of their pose."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,8 +11,13 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
+from dgc_pose.estimation.least_squares import loss_width
 from dgc_pose.estimation.options import EstimationOptions
+from dgc_pose.estimation.status import probability_text, short_text
+from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
+from dgc_pose.geometry.triangulation import depths
 from dgc_pose.matches import Matches
+from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 _DEFAULTS = EstimationOptions()
 THRESHOLD_FACTOR = 2.0  # the threshold over the matches' `error_px`
@@ -20,24 +27,24 @@ _SLACK = 1.4  # of the image's sides, where its size is that of a principal poin
 _MOST_OUTSIDE = 0.05  # share of the points
 _LEAST_REACH = 0.5  # of the sides, along one of them; of 172 real pairs 0.63 and more
 _MIN_POINTS = 20  # fewer are no pose
+MIN_MATCHES = 20  # distinct and finite, of a verdict
+DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
 _GRID = 24  # cells along the longer side of an image
 
 
 @dataclass(frozen=True, eq=False)
 class TwoViewProblem:
-    """Matches of two calibrated views in normalised coordinates: x = K^-1 u, distortion undone."""
+    """Matches of two cameras in normalised coordinates: x = K^-1 u, distortion undone."""
 
-    points1: np.ndarray  # (N, 2)
+    matches: Matches  # all of them, pixels
+    cameras: tuple[Camera, Camera]  # that normalise them
+    options: EstimationOptions
+    points1: np.ndarray  # (N, 2), normalised, of the matches used
     points2: np.ndarray  # (N, 2)
+    index: np.ndarray  # (N,) int, the row of each in `matches`
     threshold: float  # Sampson distance below which a match is an inlier, in the points' unit
     cells: tuple[float, float]  # sides of a grid cell in images 1 and 2, in the points' unit
-    seed: int  # of every random draw
-    index: np.ndarray  # (N,) int, the row of each match in `Matches`
-    confidence: np.ndarray  # (N,) of each match, 0 to 1
-    key_points: bool = False  # whether the matches are independent detections
     warnings: tuple[str, ...] = ()  # what was dropped, and why
-    lenses: tuple[Distortion | None, Distortion | None] = (None, None)  # whose distortion is undone
-    surroundings: float | None = None  # of `Matches`
 
     @classmethod
     def of(
@@ -71,16 +78,9 @@ class TwoViewProblem:
             0.0,
         )
         return cls(
-            points1=points1,
-            points2=points2,
+            *(matches, (camera1, camera2), options, points1, points2, index),
             threshold=pixels * (1 / camera1.focal + 1 / camera2.focal) / 2,
             cells=(cell_side(camera1), cell_side(camera2)),
-            seed=options.seed,
-            index=index,
-            confidence=matches.confidence[index],
-            key_points=matches.key_points,
-            lenses=(camera1.distortion, camera2.distortion),
-            surroundings=matches.surroundings,
             warnings=tuple(
                 f"{count} matches dropped: {why}" for why, count in dropped.items() if count
             ),
@@ -96,8 +96,114 @@ class TwoViewProblem:
             points1=self.points1[chosen],
             points2=self.points2[chosen],
             index=self.index[chosen],
-            confidence=self.confidence[chosen],
         )
+
+    def of_cameras(self, cameras: tuple[Camera, Camera]) -> TwoViewProblem:
+        """The same matches normalised by other cameras."""
+        return TwoViewProblem.of(self.matches, *cameras, self.options)
+
+    @property
+    def confidence(self) -> np.ndarray:
+        """Confidence (N,) of each match, 0 to 1."""
+        return self.matches.confidence[self.index]
+
+    @property
+    def lenses(self) -> tuple[Distortion | None, Distortion | None]:
+        """The distortions that are undone."""
+        return self.cameras[0].distortion, self.cameras[1].distortion
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A pose x2 = R x1 + t with its inliers among the N matches used, and what the choice among
+    several rests on.
+
+    Attributes:
+        R: Rotation (3, 3) from camera 1 to camera 2.
+        t: Direction (3,) of the translation, unit length, in camera 2's axes.
+        inliers: Which matches have a Sampson distance below the problem's threshold, (N,) bool.
+        in_front: Which matches lie in front of both cameras, (N,) bool.
+        likely: Whether it explains the matches about as well as the first.
+        likelihood: Logarithm of the likelihood of all matches, over the root of the number of
+            inliers.
+        map_agreement: Share of the dense map that agrees, by matchability; None without a map.
+        share: The probability that it is right if one is; 0 if it is not likely.
+        probability: Probability that R and t are both within 10 degrees of the truth; None if no
+            model of it is fitted for such matches, and before the verdict.
+    """
+
+    R: np.ndarray
+    t: np.ndarray
+    inliers: np.ndarray
+    in_front: np.ndarray
+    likely: bool = True
+    likelihood: float = math.nan
+    map_agreement: float | None = None
+    share: float = math.nan
+    probability: float | None = None
+
+    def __repr__(self) -> str:
+        R, t = short_text(self.R), short_text(self.t)
+        likely = probability_text(self.probability)
+        return f"Hypothesis(R={R}, t={t}, {self.num_inliers} inliers, {likely})"
+
+    @classmethod
+    def of_pose(cls, problem: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> Hypothesis:
+        """The hypothesis of a pose."""
+        distance = sampson_distance(problem.points1, problem.points2, essential_from_pose(R, t))
+        depth1, depth2 = depths(problem.points1, problem.points2, R, t)
+        return cls(R, t, distance < problem.threshold, (depth1 > 0) & (depth2 > 0))
+
+    @classmethod
+    def of_essential(cls, problem: TwoViewProblem, E: np.ndarray) -> Hypothesis:
+        """The one with most inliers in front of the cameras of an essential matrix's four poses."""
+        poses = [cls.of_pose(problem, R, t) for R, t in pose_candidates(E)]
+        return max(poses, key=lambda pose: pose.num_in_front)
+
+    @property
+    def E(self) -> np.ndarray:
+        """Essential matrix [t]x R, (3, 3)."""
+        return essential_from_pose(self.R, self.t)
+
+    @property
+    def num_inliers(self) -> int:
+        """Number of inliers."""
+        return int(self.inliers.sum())
+
+    @property
+    def inliers_in_front(self) -> np.ndarray:
+        """(N,) bool, inliers in front of both cameras."""
+        return self.inliers & self.in_front
+
+    @property
+    def num_in_front(self) -> int:
+        """Number of inliers in front of both cameras."""
+        return int(self.inliers_in_front.sum())
+
+    def agreement(self, map_problem: TwoViewProblem) -> float:
+        """Share of a dense map's sample that agrees with the pose, by the square of the
+        matchability: a cell of little is little evidence."""
+        distance = sampson_distance(map_problem.points1, map_problem.points2, self.E)
+        weight = map_problem.confidence**2
+        return float(weight @ (distance < map_problem.threshold)) / max(float(weight.sum()), 1e-9)
+
+    def inverse(self) -> Hypothesis:
+        """The same of camera 1 relative to camera 2."""
+        return replace(self, R=self.R.T, t=-self.R.T @ self.t)
+
+    def angle_to(self, R: np.ndarray, t: np.ndarray) -> float:
+        """The larger of the angles to another pose's rotation and translation, degrees."""
+        return max(rotation_error_deg(self.R, R), translation_error_deg(self.t, t))
+
+    def is_among(self, others: Iterable[Hypothesis]) -> bool:
+        """Whether one of these is within 10 degrees."""
+        return any(self.angle_to(other.R, other.t) <= DISTINCT_DEG for other in others)
+
+
+def pose_loss_width(inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> float:
+    """`loss_width` of the Sampson errors of a pose's inliers."""
+    error = sampson_distance(inliers.points1, inliers.points2, essential_from_pose(R, t))
+    return loss_width(error, inliers.threshold)
 
 
 def cell_side(camera: Camera) -> float:

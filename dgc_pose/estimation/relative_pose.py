@@ -19,10 +19,10 @@ from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
 from dgc_pose.estimation.probability import DOUBTFUL, calibrated_focal_std
-from dgc_pose.estimation.problem import TwoViewProblem, odd_extent
+from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, odd_extent
 from dgc_pose.estimation.result import RelativePose
-from dgc_pose.estimation.status import STATUSES
-from dgc_pose.estimation.verdict import MIN_MATCHES, judge
+from dgc_pose.estimation.status import STATUSES, Status
+from dgc_pose.estimation.verdict import by_chance, judge
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import check_type
@@ -60,10 +60,11 @@ def estimate_pose(
     if stay.any():
         of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
         of_moving = replace(matches.subset(~stay), surroundings=None)  # measured with the others
-        moving = _estimated(of_moving, cameras, options, of_map, fit_cameras)
+        moving = _estimated(TwoViewProblem.of(of_moving, *cameras, options), of_map, fit_cameras)
         pose = None if are_far(moving, camera1) else of_the_moving(moving, stay)
     if pose is None:
-        pose = _estimated(matches, cameras, options, map_matches, fit_cameras)
+        problem = TwoViewProblem.of(matches, *cameras, options)
+        pose = _estimated(problem, map_matches, fit_cameras)
     return replace(pose, warnings=tuple(dict.fromkeys((*pose.warnings, *odd))))
 
 
@@ -79,30 +80,28 @@ def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose
 
 
 def _estimated(
-    matches: Matches,
-    stated: tuple[Camera, Camera],
-    options: EstimationOptions,
-    map_matches: Matches | None,
-    fit_cameras: bool,
+    problem: TwoViewProblem, map_matches: Matches | None, fit_cameras: bool
 ) -> RelativePose:
-    """`estimate_pose` of matches of one motion."""
-    problem = TwoViewProblem.of(matches, *stated, options)
-    warnings = tuple(dict.fromkeys((*(w for c in stated for w in c.warnings), *problem.warnings)))
-    inliers = np.zeros(len(matches), dtype=bool)
-    for number, camera in enumerate(stated, start=1):
+    """`estimate_pose` of matches of one motion, normalised by the cameras as they are stated."""
+    said = (*(w for camera in problem.cameras for w in camera.warnings), *problem.warnings)
+    warnings = tuple(dict.fromkeys(said))
+    inliers = np.zeros(len(problem.matches), dtype=bool)
+
+    def refused(status: Status, reason: str) -> RelativePose:
+        return RelativePose(status, reason, inliers, len(problem), warnings=warnings)
+
+    for number, camera in enumerate(problem.cameras, start=1):
         if camera.projection:
             reason = f"image {number} is {camera.projection}, by its XMP data"
-            return RelativePose("panorama", reason, inliers, len(problem), warnings=warnings)
+            return refused("panorama", reason)
     if len(problem) < MIN_MATCHES:
         reason = f"only {len(problem)} matches; a verdict needs {MIN_MATCHES}"
-        return RelativePose("too_few_matches", reason, inliers, len(problem), warnings=warnings)
-    found = candidates(problem, matches, stated, options, map_matches, fit_cameras=fit_cameras)
+        return refused("too_few_matches", reason)
+    found = candidates(problem, map_matches, fit_cameras=fit_cameras)
     if found is None:
-        reason = f"no essential matrix was found for {len(problem)} matches"
-        return RelativePose("no_model", reason, inliers, len(problem), warnings=warnings)
+        return refused("no_model", f"no essential matrix was found for {len(problem)} matches")
     known = uncertainty(found)
-    evidence = gathered(found, known)
-    pose = _judged(found, known, evidence, stated, options)
+    pose = _judged(found, known, gathered(found, known), problem.cameras)
     inliers[found.problem.index] = pose.inliers
     warnings = tuple(dict.fromkeys((*warnings, *pose.warnings)))
     return replace(pose, inliers=inliers, warnings=warnings)
@@ -177,11 +176,14 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
     if still_ratio > evidence.strict_rotation_share:
         rotation = turned
     if second is not None:
-        evidence = replace(
-            evidence,
-            num_second_inliers=int(second.inliers_in_front[~best.inliers].sum()),
-            second_rotation_deg=rotation_error_deg(second.R, rotation),
-        )
+        left = found.problem.subset(~best.inliers)
+        of_left = Hypothesis.of_pose(left, second.R, second.t)
+        if not by_chance(measured(left, of_left)):
+            evidence = replace(
+                evidence,
+                num_second_inliers=of_left.num_in_front,
+                second_rotation_deg=rotation_error_deg(second.R, rotation),
+            )
     errors: tuple[float | None, float | None] = (None, None)
     if covariance is not None:
         errors = error_radius_deg(covariance[:3, :3]), error_radius_deg(covariance[3:, 3:])
@@ -206,7 +208,6 @@ def _judged(
     known: Uncertainty,
     evidence: Evidence,
     stated: tuple[Camera, Camera],
-    options: EstimationOptions,
 ) -> RelativePose:
     """The likeliest candidate, or why it is no pose. The inliers are over the matches used."""
     best, model = found.hypotheses[0], found.logistic
@@ -214,7 +215,7 @@ def _judged(
     same_place = 1.0 if model is None else model.same_place.probability(evidence)
     status, reason, warnings = judge(
         evidence,
-        options.min_probability,
+        found.problem.options.min_probability,
         probability,
         () if model is None else model.against(evidence),
         [hypothesis.share for hypothesis in found.hypotheses if hypothesis.likely],
@@ -225,7 +226,8 @@ def _judged(
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
     rotation_alone, unusable = status == "rotation_only", status == "panorama"
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
-    if ambiguous and (second := found.second):  # nothing shows whose motion is the camera's
+    # Nothing shows whose motion is the camera's.
+    if ambiguous and evidence.num_second_inliers and (second := found.second):
         poses = [replace(h, share=h.share / 2) for h in poses if not second.is_among([h])]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
     if probability is not None:

@@ -11,7 +11,7 @@ from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.problem import Hypothesis
 from dgc_pose.estimation.status import STATUSES, Status, probability_text, short_text
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.rotation import quaternion_wxyz

@@ -1,17 +1,26 @@
-"""Sampling and refinement of hypotheses, by PoseLib.
+"""Sampling and refinement of hypotheses, by PoseLib, and what a homography explains.
 
 Seeded runs of LO-RANSAC on the five-point solver, and on solvers that have focal lengths among
 their unknowns; robust least squares, the Cauchy loss of the Sampson errors.
+
+A homography is that of a plane, or a crop or a zoom of image 1, or a camera that turned and zoomed.
+An essential matrix explains these as well: that of a plane before a camera that moved.
 """
 
 import numpy as np
 import poselib
 
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.system.parallel import in_threads
+from dgc_pose.geometry.homography import (
+    fit_homography,
+    fit_similarity,
+    homography_poses,
+    transfer_error,
+)
+from dgc_pose.system.threads import in_threads
 
 # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC grows
 # with the matches that it scores; the hypotheses are compared and refined on all matches.
@@ -23,13 +32,21 @@ _TRIALS = 12.0  # times those that PoseLib would do by its inliers; see docs/exp
 _ROUNDS = 3  # of a refinement
 _MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
 
+PLANAR_SHARE = 0.85  # of inliers that one homography explains on a plane
+# A homography's transfer error over the epipolar threshold. It takes in both coordinates of the
+# noise of both images, the epipolar constraint one: the same noise needs a wider limit.
+_TRANSFER_LIMIT = 1.75
+_LOG_FOCAL_REACH = 1.5  # of ln f of camera 1 that is tried to either side
+_LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # at first, and at last
+
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
 FOCAL = 1000.0
 CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [FOCAL, 0.0, 0.0]}
 
 
-def sample(problem: TwoViewProblem, options: EstimationOptions) -> list[Hypothesis]:
-    """The hypotheses of `options.runs` RANSAC runs, that with most inliers first.
+def sample(problem: TwoViewProblem, runs: int | None = None) -> list[Hypothesis]:
+    """The hypotheses of RANSAC runs, by default of as many as the options have, that with most
+    inliers first.
 
     Each run draws its samples from at most `MAX_SAMPLED` matches, chosen by its seed.
     Inliers are counted over all matches.
@@ -39,16 +56,16 @@ def sample(problem: TwoViewProblem, options: EstimationOptions) -> list[Hypothes
 
     def run(seed: int) -> np.ndarray | None:
         drawn = draw(problem, seed) if len(problem) > MAX_SAMPLED else problem
-        return essential_matrix(drawn, options, seed)
+        return essential_matrix(drawn, seed)
 
-    matrices = in_threads(run, run_seeds(options))
+    matrices = in_threads(run, run_seeds(problem.options, runs))
     poses = [Hypothesis.of_essential(problem, E) for E in matrices if E is not None]
     return sorted(poses, key=lambda pose: -pose.num_inliers)  # of equals the first run's
 
 
-def run_seeds(options: EstimationOptions) -> list[int]:
+def run_seeds(options: EstimationOptions, runs: int | None = None) -> list[int]:
     """A seed for each run, all different, drawn from the one in the options."""
-    seeds = np.random.SeedSequence(options.seed).generate_state(options.runs)
+    seeds = np.random.SeedSequence(options.seed).generate_state(runs or options.runs)
     return [int(seed) % (2**31 - 1) for seed in seeds]
 
 
@@ -59,7 +76,7 @@ def draw(problem: TwoViewProblem, seed: int, most: int = MAX_SAMPLED) -> TwoView
 
 
 def essential_matrix(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int
+    problem: TwoViewProblem, seed: int, iterations: int | None = None
 ) -> np.ndarray | None:
     """The essential matrix (3, 3) of one RANSAC run on at least five matches; None if it fails.
 
@@ -67,12 +84,12 @@ def essential_matrix(
     that draw a sample without outliers with a probability of 0.9999, by its share of inliers, and
     after `_MIN_ITERATIONS` at least.
     """
-    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
+    points, settings = _pixels(problem), _ransac_options(problem, seed, iterations)
     return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
 
 
 def essential_and_focals(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int, *, shared: bool
+    problem: TwoViewProblem, seed: int, *, shared: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """As `essential_matrix`, for points that were normalised by wrong focal lengths: E of the
     points divided by a factor of each image, and these factors (2,).
@@ -80,7 +97,7 @@ def essential_and_focals(
     shared: whether the factors are equal (six-point solver). Otherwise they are those nearest to 1
     that the fundamental matrix allows (Kocur, Kyselica, Kukelova, CVPR 2024).
     """
-    points, settings = _pixels(problem), _ransac_options(problem, options, seed)
+    points, settings = _pixels(problem), _ransac_options(problem, seed)
     if shared:
         pair, info = poselib.estimate_shared_focal_relative_pose(*points, np.zeros(2), *settings)
         E, factors = _essential(pair.pose, info), np.full(2, pair.camera1.focal() / FOCAL)
@@ -101,13 +118,13 @@ def _pixels(problem: TwoViewProblem) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ransac_options(
-    problem: TwoViewProblem, options: EstimationOptions, seed: int
+    problem: TwoViewProblem, seed: int, iterations: int | None = None
 ) -> tuple[dict[str, float], dict[str, str | float]]:
     """PoseLib's options of a run and of its local optimisation."""
-    threshold = problem.threshold * FOCAL
+    threshold, most = problem.threshold * FOCAL, iterations or problem.options.iterations
     ransac = {
-        "max_iterations": options.iterations,
-        "min_iterations": min(options.iterations, _MIN_ITERATIONS),
+        "max_iterations": most,
+        "min_iterations": min(most, _MIN_ITERATIONS),
         "dyn_num_trials_mult": _TRIALS,
         "max_epipolar_error": threshold,
         "seed": seed,
@@ -169,3 +186,80 @@ def least_squares_pose(
     if length < 1e-12 or not np.isfinite(pose.R).all():
         return R, t
     return pose.R, pose.t / length
+
+
+def fit_plane(problem: TwoViewProblem, pose: Hypothesis) -> tuple[float, np.ndarray | None]:
+    """The share of a hypothesis' inliers that one homography explains, and this (3, 3); 0 and None
+    if there is none. From `PLANAR_SHARE` on they lie on a plane."""
+    inliers = problem.subset(pose.inliers)
+    limit = _TRANSFER_LIMIT * problem.threshold
+    H = fit_homography(inliers.points1, inliers.points2, limit, problem.options.seed)
+    if H is None:
+        return 0.0, None
+    error = transfer_error(inliers.points1, inliers.points2, H)
+    return float((error < limit).mean()), H
+
+
+def planar_hypotheses(problem: TwoViewProblem, H: np.ndarray) -> list[Hypothesis]:
+    """The poses that a plane's homography allows."""
+    return [Hypothesis.of_pose(problem, R, t) for R, t in homography_poses(H)]
+
+
+def best_planar(
+    problem: TwoViewProblem, first: Hypothesis, H: np.ndarray, refined: bool
+) -> Hypothesis:
+    """The best of a hypothesis and of the poses that a plane's homography allows.
+
+    On a plane the five-point solver has a family of near solutions; the homography allows two, each
+    with both signs of t. refined: whether to refine them first.
+    """
+    others = planar_hypotheses(problem, H)
+    if refined:
+        others = [refine(problem, other) for other in others]
+    return max([first, *others], key=lambda pose: (pose.num_in_front, pose.num_inliers))
+
+
+def still_camera(inliers: TwoViewProblem) -> tuple[float, np.ndarray]:
+    """The largest share of inliers that a camera explains which did not move, and its rotation
+    (3, 3).
+
+    Either image 2 is image 1 scaled, rolled and shifted, or the camera turned about its centre,
+    each image with another focal length. inliers: normalised by the cameras as stated, whose
+    principal points no fit has moved.
+    """
+    points, limit = (inliers.points1, inliers.points2), _TRANSFER_LIMIT * inliers.threshold
+    homographies = [(np.eye(3), np.eye(3))]
+    similarity = fit_similarity(*points, limit)
+    if similarity is not None:
+        roll = similarity / np.hypot(*similarity[:2, 0])
+        roll[:, 2] = 0, 0, 1
+        homographies.append((similarity, roll))
+    H = fit_homography(*points, limit, inliers.options.seed)
+    if H is not None:
+        step = _LOG_FOCAL_STEP
+        tried = np.arange(-_LOG_FOCAL_REACH, _LOG_FOCAL_REACH + step / 2, step)
+        turns = {k: _turn(H, k) for k in tried}
+        while True:
+            best = min(turns, key=lambda k: np.median(transfer_error(*points, turns[k][0])))
+            if step < _MIN_LOG_FOCAL_STEP:
+                break
+            step /= 2
+            turns = {k: _turn(H, k) for k in (best, best - step, best + step)}
+        homographies.append(turns[best])
+    shares = [float((transfer_error(*points, H) < limit).mean()) for H, _ in homographies]
+    best = int(np.argmax(shares))
+    return shares[best], homographies[best][1]
+
+
+def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:
+    """The homography (3, 3) near H of a camera that turns, and its rotation. log_focal: of image 1,
+    whose points have focal length 1; that of image 2 follows from H."""
+    D1 = np.diag([np.exp(log_focal), np.exp(log_focal), 1.0])
+    rows = H @ D1
+    lengths = np.linalg.norm(rows, axis=1)
+    focal2 = lengths[:2].mean() / lengths[2]
+    D2 = np.diag([focal2, focal2, 1.0])
+    U, _, Vt = np.linalg.svd(np.linalg.solve(D2, rows))
+    R = U @ Vt
+    R *= np.linalg.det(R)  # H has no sign
+    return D2 @ R @ np.linalg.inv(D1), R

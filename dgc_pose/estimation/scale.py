@@ -12,13 +12,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import numbers
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation.least_squares import (
-    DEVIATION,
-    EFFICIENT,
-    SHIFTS,
-    block_sums,
-    cauchy_curvature,
-)
+from dgc_pose.estimation.least_squares import DEVIATION
 from dgc_pose.estimation.markers import marker_side
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
@@ -34,10 +28,8 @@ from dgc_pose.system.options import check_options, option
 _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
 _MIN_DEPTHS = 10  # inliers of known depth that a length needs
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
-_CORRELATED = 30.0  # neighbouring depths: so many are worth one beside the pose's covariance
+_CORRELATED = 30.0  # errors of neighbouring depths are alike: so many are worth one
 _MIN_NEAR, _NEAREST = 3, 9  # inliers that determine the depth at a point
-_STEPS = 30  # of reweighted least squares
-_UNKNOWN = np.full((1, 1), np.nan, np.float32)  # in place of a depth map
 _source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
@@ -111,133 +103,130 @@ def with_length(
 ) -> RelativePose:
     """The pose with the length of its t; as it is without a pose or a source.
 
-    matches: those that the pose is of. maps, markers: of `scale`. A warning states depths that the
-    matches contradict, and too few of them, too few inliers near a point of `distance`, or markers
-    that are no squares of one size.
+    The length is the median, over the inliers, of a known depth over that computed with a unit t;
+    `distance` and `marker` are known in the same way. matches: those that the pose is of. maps,
+    markers: of `scale`. A warning states depths that the matches contradict, and too few of them,
+    too few inliers near a point of `distance`, or markers that are no squares of one size.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
     baseline, distance = numbers(scale.baseline), numbers(scale.distance)
     if baseline:
         return replace(pose, length=baseline[0], length_std=[*baseline, None][1])
-    if not distance and not markers and all(inverse is None for inverse in maps):
+    if not distance and not markers and all(of is None for of in maps):
         return pose
+    cameras = pose.camera1, pose.camera2
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
-    x1, x2 = pose.camera1.normalise(points[0]), pose.camera2.normalise(points[1])
-    E = essential_from_pose(pose.R, pose.t)
-    error = DEVIATION * float(np.median(sampson_distance(x1, x2, E)))
-    poses = [(pose.R, pose.t)]  # and those a deviation off, in each direction but along t
-    if pose.covariance is not None:
-        values, vectors = np.linalg.eigh(pose.covariance)
-        for step in (vectors * np.sqrt(values.clip(min=0))).T[1:]:
-            t = pose.t + step[3:]
-            poses.append((cv2.Rodrigues(step[:3])[0] @ pose.R, t / np.linalg.norm(t)))
-    inverse, of_match = _inverse_depths(x1, x2, poses, error)
-    scatter, warnings = 0.0, pose.warnings
-    if distance or markers:
-        if distance:
-            by_length = _by_distance(x1, inverse, of_match, pose.camera1, distance)
-        else:
-            cameras = pose.camera1, pose.camera2
-            by_length = _by_marker(markers, cameras, poses, scale.marker or 0.0)
-        if isinstance(by_length, str):
-            return replace(pose, warnings=(*warnings, by_length))
-        length, variance = by_length
+    rays = cameras[0].normalise(points[0]), cameras[1].normalise(points[1])
+    if distance:
+        measure = partial(_by_distance, rays, cameras[0], distance)
+    elif markers:
+        measure = partial(_by_marker, markers, cameras, scale.marker or 0.0)
     else:
-        of_2 = _inverse_depths(x2, x1, [(R.T, -R.T @ t) for R, t in poses], error)
-        seen = zip([_UNKNOWN if of is None else of for of in maps], points, strict=True)
-        z = [1 / bilinear_at(of, *at.T[:, :, None])[:, 0].astype(np.float64) for of, at in seen]
-        known = np.isfinite(z).ravel()
-        if known.sum() < _MIN_DEPTHS:
-            warnings += (f"the length of t is not known: {known.sum()} inliers have a depth",)
-            return replace(pose, warnings=warnings)
-        single = np.hstack([inverse * z[0], of_2[0] * z[1]])[:, known]
-        of_match = np.hstack([of_match * z[0], of_2[1] * z[1]])[known]
-        points2, count = np.vstack([x2, x2])[known], int(np.isfinite(z).any(1).sum())
-        length, variance, scatter = _by_depth(single, of_match, points2, scale.depth_std, count)
+        z = [
+            np.full(len(at), np.nan) if of is None else 1 / bilinear_at(of, *at.T[:, :, None])[:, 0]
+            for of, at in zip(maps, points, strict=True)
+        ]
+        measure = partial(_by_depth, rays, z, scale.depth_std)
+    try:
+        length, own, scatter = measure(pose.R, pose.t)
+        moved = [measure(R, t)[0] - length for R, t in _deviating(pose)]
+    except InputError as error:
+        warning = f"the length of t is not known: {error}"
+        return replace(pose, warnings=(*pose.warnings, warning))
     # The focal lengths scale the angles that depths are triangulated from.
-    depth_std = 0 if distance or markers else scale.depth_std
-    shares = depth_std, pose.camera1.focal_std, pose.camera2.focal_std
-    std = math.hypot(math.sqrt(variance), *(share * length for share in shares))
+    stds = own, *moved, *(length * camera.focal_std for camera in cameras)
+    warnings = pose.warnings
     if scatter > _CONTRADICTS:
         off = f"the lengths that inliers tell scatter by {scatter:.1f} times their deviations"
         warnings += (f"the matches contradict the depth: {off}",)
     sure = pose.covariance is not None and scatter <= _CONTRADICTS
-    return replace(pose, length=length, length_std=std if sure else None, warnings=warnings)
+    std = math.hypot(*stds) if sure else None
+    return replace(pose, length=length, length_std=std, warnings=warnings)
 
 
-def _by_marker(
-    markers: Sequence[Mapping[str, np.ndarray]],
-    cameras: Sequence[Camera],
-    poses: Sequence[tuple[np.ndarray, np.ndarray]],
-    metres: float,
-) -> tuple[float, float] | str:
-    """The length and its variance by the side of markers; a warning if they have none."""
-    try:
-        found = [marker_side(markers, cameras, (np.eye(3, 4), np.column_stack(of))) for of in poses]
-    except InputError as error:
-        return f"the length of t is not known: {error}"
-    length, *others = (metres / of.side for of in found)
-    return length, sum((of - length) ** 2 for of in others) + (found[0].std * length) ** 2
+def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
+    """R and unit t that are a deviation off the pose, in each direction but along t."""
+    if pose.covariance is None:
+        return []
+    values, vectors = np.linalg.eigh(pose.covariance)
+    poses = []
+    for step in (vectors * np.sqrt(values.clip(min=0))).T[1:]:
+        t = pose.t + step[3:]
+        poses.append((cv2.Rodrigues(step[:3])[0] @ pose.R, t / np.linalg.norm(t)))
+    return poses
 
 
 def _inverse_depths(
-    x1: np.ndarray, x2: np.ndarray, poses: Sequence[tuple[np.ndarray, np.ndarray]], error: float
+    x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """1 / depth (P, N) in camera 1 under each pose, unit 1 / |t|, and its deviation (N,) by the
-    error of matches: points in image 2 move along epipolar lines with it."""
-    inverse = np.stack([1 / depths(x1, x2, R, t)[0] for R, t in poses])
-    R, t = poses[0]
-    ratio = homogeneous(x1) @ R[2] + inverse[0] * t[2]  # of the depths in cameras 2 and 1
+    """1 / depth (N,) in camera 1, unit 1 / |t|, and its deviation (N,) by the error of matches:
+    points in image 2 move along epipolar lines with it."""
+    error = DEVIATION * float(np.median(sampson_distance(x1, x2, essential_from_pose(R, t))))
+    inverse = 1 / depths(x1, x2, R, t)[0]
+    ratio = homogeneous(x1) @ R[2] + inverse * t[2]  # of the depths in cameras 2 and 1
     moved = np.linalg.norm(t[:2] - t[2] * x2, axis=1) / np.abs(ratio)
     return inverse, math.sqrt(2) * error / moved
 
 
 def _by_depth(
-    single: np.ndarray, by_match: np.ndarray, points2: np.ndarray, depth_std: float, maps: int
+    rays: tuple[np.ndarray, np.ndarray],
+    z: Sequence[np.ndarray],
+    depth_std: float,
+    R: np.ndarray,
+    t: np.ndarray,
 ) -> tuple[float, float, float]:
-    """The length, its variance, and the scatter of single lengths in their deviations.
-
-    single: (P, N), by each inlier under each pose. The length and the pose's change, of which its
-    covariance is the prior, minimise a Cauchy loss. by_match: deviations (N,) by errors of matches.
-    points2: (N, 2), as errors of neighbours are correlated. maps: number of depth maps.
-    """
-    design = np.column_stack([np.ones(single.shape[1]), *(single[0] - single[1:])])
-    prior = _CORRELATED * maps * np.diag([0.0, *np.ones(len(single) - 1)])
-    fit = np.median(single[0]) * (np.diag(prior) == 0)
-    for _ in range(_STEPS):
-        off = single[0] - design @ fit
-        std = np.hypot(by_match, depth_std * fit[0])
-        scatter = float(DEVIATION * np.median(np.abs(off) / std))
-        std *= max(scatter, 1)
-        off /= EFFICIENT * std
-        weighted = design / (std**2 * (1 + off**2))[:, None]
-        fit = np.linalg.solve(weighted.T @ design + prior, weighted.T @ single[0])
-    curvature = cauchy_curvature(off, 1.0) / std**2
-    inverse = np.linalg.inv((design * curvature[:, None]).T @ design + prior)[0]
-    moves = EFFICIENT * std * off * (weighted @ inverse)
-    sums = [block_sums(moves[:, None], points2, shift) for shift in SHIFTS]
-    by_blocks = np.mean([(1 - 1 / len(of_block)) * (of_block**2).sum() for of_block in sums])
-    return float(fit[0]), float(by_blocks + ((inverse @ prior) ** 2).sum()), scatter
+    """The length, its deviation, and the scatter of single lengths in their deviations. z: depths
+    (N,) in each camera, metres, NaN where they are not known. Raises InputError if few are."""
+    known = np.isfinite(z)
+    if known.sum() < _MIN_DEPTHS:
+        raise InputError(f"{known.sum()} inliers have a depth")
+    first, second = _inverse_depths(*rays, R, t), _inverse_depths(*rays[::-1], R.T, -R.T @ t)
+    single = (np.array([first[0], second[0]]) * z)[known]
+    by_match = (np.array([first[1], second[1]]) * z)[known]
+    length = float(np.median(single))
+    off = np.abs(single - length)
+    scatter = DEVIATION * float(np.median(off / np.hypot(by_match, depth_std * length)))
+    count = max(known.any(0).sum() / _CORRELATED, 1.0)
+    return length, math.hypot(depth_std * length, DEVIATION * np.median(off) / count**0.5), scatter
 
 
 def _by_distance(
-    x1: np.ndarray, inverse: np.ndarray, std: np.ndarray, camera1: Camera, distance: Sequence[float]
-) -> tuple[float, float] | str:
-    """The length and its variance by a distance in the scene, see `ScaleSource`; a warning if few
-    inliers are near one of its points."""
-    rays, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
-    at, off = np.ones((2, len(inverse))), np.ones(2)
-    for n, away in enumerate(np.linalg.norm(x1 - ray, axis=1) for ray in rays):
+    rays: tuple[np.ndarray, np.ndarray],
+    camera1: Camera,
+    distance: Sequence[float],
+    R: np.ndarray,
+    t: np.ndarray,
+) -> tuple[float, float, float]:
+    """The same by a distance in the scene, see `ScaleSource`. Raises InputError if few inliers are
+    near one of its points."""
+    inverse, std = _inverse_depths(*rays, R, t)
+    ends, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
+    points, off = homogeneous(ends), np.zeros((2, 3))
+    for n, end in enumerate(ends):
+        away = np.linalg.norm(rays[0] - end, axis=1)
         near = [k for k in np.argsort(away)[:_NEAREST] if away[k] < radius]
         if len(near) < _MIN_NEAR:
             point = f"({distance[2 * n]:g}, {distance[2 * n + 1]:g})"
             count = f"{len(near)} inliers are within {radius * camera1.focal:.0f} pixels of {point}"
-            return f"the length of t is not known: {count}"
-        at[n] = np.median(inverse[:, near], axis=1)
-        spread = np.median(np.abs(inverse[0, near] - at[n, 0]))
-        off[n] = DEVIATION * spread + np.median(std[near])
-    at = np.hstack([at, at[:, :1] + np.diag(off)])  # under each pose, and each point off
-    ends = homogeneous(rays)[:, :, None] / at[:, None]
-    lengths = distance[4] / np.linalg.norm(ends[0] - ends[1], axis=0)
-    return float(lengths[0]), float(((lengths - lengths[0]) ** 2).sum())
+            raise InputError(count)
+        middle = np.median(inverse[near])
+        spread = DEVIATION * np.median(np.abs(inverse[near] - middle)) + np.median(std[near])
+        points[n] /= middle
+        off[n] = points[n] * spread / middle
+    apart = points[0] - points[1]
+    length = distance[4] / float(np.linalg.norm(apart))
+    share = off @ apart / (apart @ apart)  # of the distance, by a deviation of each depth
+    return length, length * float(np.linalg.norm(share)), 0.0
+
+
+def _by_marker(
+    markers: Sequence[Mapping[str, np.ndarray]],
+    cameras: Sequence[Camera],
+    metres: float,
+    R: np.ndarray,
+    t: np.ndarray,
+) -> tuple[float, float, float]:
+    """The same by the side of markers."""
+    found = marker_side(markers, cameras, (np.eye(3, 4), np.column_stack([R, t])))
+    return metres / found.side, metres / found.side * found.std, 0.0

@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from dgc_pose.estimation.evidence import Evidence
-from dgc_pose.estimation.plane import PLANAR_SHARE
+from dgc_pose.estimation.robust_fit import PLANAR_SHARE
 from dgc_pose.estimation.status import STATUSES, Status, percent_text
 
-MIN_MATCHES = 20  # distinct and finite
 MIN_SHARE = 0.8  # of the probability, that the likeliest of several poses has if it is claimed
 _MIN_INLIERS = 15
 _MIN_INLIER_RATIO = 0.15  # among all matches

@@ -14,9 +14,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.estimation.camera_model import OF_STATED, is_edited
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
-from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.localization.fit import (
     PairCorrespondences,

@@ -16,12 +16,12 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, Hypothesis, estimate_pose
 from dgc_pose.estimation.candidates import compared, ranked
 from dgc_pose.estimation.probability import choice_shares, utility
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 # Of two poses that explain a plane equally well none has a probability above one half.
 OPTIONS = EstimationOptions(runs=3, iterations=300, min_probability=None)
-AS_THEY_ARE = EstimationOptions(refine=False)
 WEIGHTS = {"likelihood": 0.5, "map_agreement": 4.0, "lapse": 0.0}
 
 
@@ -98,6 +98,10 @@ def _valued(likelihood: float, agreement: float | None = None, likely: bool = Tr
     return Hypothesis(np.eye(3), np.array([0, 0, 1.0]), true, true, likely, likelihood, agreement)
 
 
+def _as_they_are(problem: TwoViewProblem) -> TwoViewProblem:
+    return dataclasses.replace(problem, options=EstimationOptions(refine=False))
+
+
 def _error(u: np.ndarray, v: np.ndarray, E: np.ndarray) -> float:
     """The Sampson distance of one match."""
     line2, line1 = E @ (*u, 1), E.T @ (*v, 1)
@@ -137,13 +141,14 @@ def test_likelihood_and_agreement_are_those_of_a_loop_over_the_matches(seed: int
     # The reversed translation has all inliers, behind the cameras.
     others = [_turned(scene, problem), Hypothesis.of_pose(problem, scene.R, -scene.t)]
     matchability = np.random.default_rng(0).random(150)
-    sample = dataclasses.replace(problem, confidence=matchability)
+    matches = dataclasses.replace(problem.matches, confidence=matchability)
+    sample = dataclasses.replace(problem, matches=matches)
     rows = list(zip(problem.points1, problem.points2, matchability, strict=True))
     near = [e for u, v, _ in rows if (e := _error(u, v, first.E)) < problem.threshold]
     scale = 2.385 * 1.4826 * np.median(near)
     assert 0.02 * problem.threshold < scale < problem.threshold  # the limits play no part
     limit, root = 3 * problem.threshold, math.sqrt(first.num_in_front)
-    for pose in compared(problem, first, others, sample, AS_THEY_ARE):
+    for pose in compared(_as_they_are(problem), first, others, sample):
         total = agreeing = 0.0
         for u, v, weight in rows:
             error = _error(u, v, pose.E)
@@ -165,5 +170,5 @@ def test_a_hypothesis_is_likely_from_three_quarters_of_the_inliers(
     first, other = (
         dataclasses.replace(pose, inliers=front & (front.cumsum() <= n)) for n in (100, count)
     )
-    answers = compared(problem, first, [other], None, AS_THEY_ARE)
+    answers = compared(_as_they_are(problem), first, [other], None)
     assert [answer.likely for answer in answers] == [True, likely]

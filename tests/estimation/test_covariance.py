@@ -9,9 +9,9 @@ from threadpoolctl import threadpool_limits
 
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.estimation.covariance import error_radius_deg, pose_covariance
-from dgc_pose.estimation.hypothesis import Hypothesis, pose_loss_width
 from dgc_pose.estimation.intrinsics_prior import FOCALS, IntrinsicsPrior
 from dgc_pose.estimation.least_squares import CORRELATED
+from dgc_pose.estimation.problem import Hypothesis, pose_loss_width
 from dgc_pose.estimation.robust_fit import least_squares_pose
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 

@@ -8,7 +8,7 @@ from scenes import CELLS, normalised_problem, two_view_scene
 from scipy.spatial.transform import Rotation
 
 from dgc_pose.estimation.evidence import chance_ratio, log10_false_alarms, measured, robust_rotation
-from dgc_pose.estimation.hypothesis import Hypothesis
+from dgc_pose.estimation.problem import Hypothesis
 from dgc_pose.estimation.verdict import judge
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance
 from dgc_pose.metrics import rotation_error_deg

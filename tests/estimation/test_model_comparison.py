@@ -66,9 +66,9 @@ def _is_honest(pose: RelativePose, scene: TwoViewScene) -> bool:
     return bool((errors < 3 * stated).all())
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("factor", [0.8, 1.3, 1.6])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("motion", "factor", "seed"), [("aside", 0.8, 0), ("far", 1.3, 1), ("near", 1.6, 0)]
+)
 def test_a_K_that_is_wrong_for_both_images(motion: str, factor: float, seed: int) -> None:
     scene = _scene(CAMERA, CAMERA, motion, seed)
     pose = scene.estimate(*_one(CAMERA.with_focal(1300 * factor)), seed=seed)
@@ -83,9 +83,7 @@ def test_a_K_that_is_wrong_for_both_images(motion: str, factor: float, seed: int
         assert camera.focal_source == "matches" and not camera.exact
 
 
-@pytest.mark.parametrize("motion", ["aside", "near"])
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("stated", [CAMERA, ZOOMED], ids=["K1", "K2"])
+@pytest.mark.parametrize(("motion", "seed", "stated"), [("aside", 0, CAMERA), ("near", 1, ZOOMED)])
 def test_a_K_that_is_that_of_one_image_alone(motion: str, seed: int, stated: Camera) -> None:
     scene = _scene(CAMERA, ZOOMED, motion, seed)
     named = (replace(stated, identity=f"K{n}") for n in (1, 2))
@@ -103,8 +101,7 @@ def test_a_K_that_is_that_of_one_image_alone(motion: str, seed: int, stated: Cam
             np.testing.assert_allclose(_numbers(said), expected, atol=0.51)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
 def test_K1_and_K2_that_are_swapped(motion: str, seed: int) -> None:
     scene = _scene(CAMERA, ZOOMED, motion, seed)
     named = (replace(camera, identity=f"K{n}") for n, camera in enumerate((ZOOMED, CAMERA)))
@@ -115,8 +112,7 @@ def test_K1_and_K2_that_are_swapped(motion: str, seed: int) -> None:
     assert _agreed(pose) == said
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
 def test_cameras_that_are_not_found_are_no_wrong_pose(motion: str, seed: int) -> None:
     scene = _scene(CAMERA, ZOOMED, motion, seed)
     for cameras in ((ZOOMED, CAMERA), (CAMERA, CAMERA), (ZOOMED, ZOOMED)):
@@ -124,9 +120,9 @@ def test_cameras_that_are_not_found_are_no_wrong_pose(motion: str, seed: int) ->
         assert _is_honest(pose, scene), (scene.errors_deg(pose), pose, pose.warnings)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("one", [True, False], ids=["one", "two"])
+@pytest.mark.parametrize(
+    ("motion", "seed", "one"), [("aside", 0, True), ("far", 1, False), ("near", 2, True)]
+)
 def test_a_lens_that_is_left_out(motion: str, seed: int, one: bool) -> None:
     scene = _scene(LENS, LENS, motion, seed)
     pose = scene.estimate(*(_one(CAMERA) if one else (CAMERA, CAMERA)), seed=seed)
@@ -142,8 +138,7 @@ def test_a_lens_that_is_left_out(motion: str, seed: int, one: bool) -> None:
         np.testing.assert_array_equal(camera.K, CAMERA.K)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
 def test_a_lens_that_the_images_do_not_have(motion: str, seed: int) -> None:
     """As of images that are undistorted already."""
     scene = _scene(CAMERA, CAMERA, motion, seed)
@@ -153,8 +148,7 @@ def test_a_lens_that_the_images_do_not_have(motion: str, seed: int) -> None:
     assert pose.camera1.distortion is None is pose.camera2.distortion
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
 def test_a_principal_point_far_off(motion: str, seed: int) -> None:
     """K of a photograph for a part of it, whose own is in its middle."""
     scene = _scene(CAMERA, CAMERA, motion, seed)
@@ -169,8 +163,7 @@ def test_a_principal_point_far_off(motion: str, seed: int) -> None:
     np.testing.assert_allclose(states, moved.K[:2, 2], atol=0.51)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
 def test_images_whose_principal_point_is_off_and_K_that_has_it_in_the_middle(
     motion: str, seed: int
 ) -> None:
@@ -184,7 +177,7 @@ def test_images_whose_principal_point_is_off_and_K_that_has_it_in_the_middle(
 
 @pytest.mark.parametrize("kind", ["general", "skew", "orbit", "planar", "forward"])
 def test_a_right_K_is_never_contradicted(kind: SceneKind) -> None:
-    for seed in range(10):
+    for seed in range(4):
         scene = two_view_scene(kind, seed=seed, count=400, outliers=0.3)
         scene = replace(scene, matches=replace(scene.matches, weights=NETWORK))
         pose = scene.estimate(*scene.cameras, seed=seed)
@@ -199,12 +192,11 @@ def test_a_right_K_is_never_contradicted(kind: SceneKind) -> None:
 @pytest.mark.parametrize("camera", [CAMERA, LENS, pinhole(1300, SIZE, centre=(40, -30)), ZOOMED])
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_right_K_of_any_camera_is_kept(camera: Camera, motion: str) -> None:
-    for seed in range(3):
-        scene = _scene(camera, camera, motion, seed)
-        pose = scene.estimate(*_one(camera), seed=seed)
-        assert pose.success and pose.warnings == (), (seed, pose.warnings)
-        assert pose.evidence.camera_model == "assumed" and pose.camera1.exact
-        assert max(scene.errors_deg(pose)) < 0.5
+    scene = _scene(camera, camera, motion, 0)
+    pose = scene.estimate(*_one(camera))
+    assert pose.success and pose.warnings == ()
+    assert pose.evidence.camera_model == "assumed" and pose.camera1.exact
+    assert max(scene.errors_deg(pose)) < 0.5
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (1.5, 1.2, 0.3), (0.6, 0.1, 0.1)])
@@ -213,7 +205,7 @@ def test_a_right_principal_point_far_from_the_middle_is_kept(
 ) -> None:
     """As of a part of a photograph; also where the camera only turned."""
     part = pinhole(1300, SIZE, centre=(110, -70))
-    for seed in range(4):
+    for seed in range(2):
         scene = camera_scene(part, part, seed=seed, centre=centre, weights=NETWORK)
         pose = scene.estimate(*_one(part), seed=seed)
         assert pose.evidence.camera_model == "assumed" and not _agreed(pose), pose.warnings
@@ -224,7 +216,7 @@ def test_a_right_principal_point_far_from_the_middle_is_kept(
 @pytest.mark.parametrize("factor", [1.0, 0.8, 1.3])
 def test_a_plane_contradicts_no_K(factor: float) -> None:
     """It has two unknown cameras that explain it for each focal length."""
-    for seed in range(5):
+    for seed in range(2):
         for scene in (poster_scene(seed=seed), two_view_scene("planar", seed=seed, count=400)):
             cameras = [camera.with_focal(factor * camera.focal) for camera in scene.cameras]
             pose = scene.estimate(*cameras, seed=seed)
@@ -240,7 +232,7 @@ def test_a_focal_length_that_the_matches_hardly_tell_contradicts_nothing(
     kind: SceneKind, factor: float
 ) -> None:
     """Few matches of a motion with axes that meet, or along the axis."""
-    for seed in range(5):
+    for seed in range(2):
         scene = two_view_scene(kind, seed=seed, count=60, sigma_px=1.5, same_camera=True)
         cameras = _one(scene.cameras[0].with_focal(factor * scene.cameras[0].focal))
         pose = scene.estimate(*cameras, seed=seed)

@@ -3,7 +3,8 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation.status import STATUSES, Status
 
 FAST = EstimationOptions(runs=1)
 
@@ -156,3 +158,14 @@ def test_a_pose_is_read_from_its_json(made: Callable[[], RelativePose]) -> None:
 def test_what_is_no_pose_is_refused(change: Callable[[Any], Any]) -> None:
     with pytest.raises(InputError, match="^data is not a pose of to_dict that can be read"):
         RelativePose.from_dict(change(of_scene().to_dict()))
+
+
+GLOSSARY = Path(__file__).resolve().parents[2] / "docs" / "glossary.md"
+
+
+def test_every_status_has_its_facts_and_a_line_in_the_glossary() -> None:
+    assert list(STATUSES) == list(get_args(Status))
+    lines = GLOSSARY.read_text(encoding="utf-8").splitlines()
+    assert [name for line in lines for name in STATUSES if line.startswith(f"| `{name}` |")] == [
+        *STATUSES
+    ]
