@@ -79,7 +79,8 @@ def locate(
     """
     from dgc_pose.localization.locate import Locator
     from dgc_pose.model import load_model
-    from dgc_pose.viz import plot_location, save_figure
+    from dgc_pose.viz import save_figure
+    from dgc_pose.viz.pose_figure import plot_location
 
     if place.plot is not None and len(queries) > 1:
         raise InputError(ArgumentName("plot"), f"draws a single query, not {len(queries)}")

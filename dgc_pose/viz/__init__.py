@@ -18,7 +18,7 @@ from dgc_pose.viz.figure import (
     save_figure,
 )
 from dgc_pose.viz.model_page import model_page, pose_page
-from dgc_pose.viz.pose_figure import plot_location, plot_pose
+from dgc_pose.viz.pose_figure import plot_pose
 
 __all__ = [
     "draw_curves",
@@ -29,7 +29,6 @@ __all__ = [
     "draw_warp",
     "model_page",
     "new_figure",
-    "plot_location",
     "plot_pose",
     "pose_page",
     "residual_colours",

@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from html.parser import HTMLParser
 
 import cv2
 import dense_scene
@@ -60,40 +59,20 @@ def content_of(page: str) -> dict:
     return json.loads(re.search(r"^const content = (.*);$", page, re.MULTILINE)[1])
 
 
-class Parts(HTMLParser):
-    """The tags of a page, the addresses in it and its texts outside of scripts."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.tags, self.addresses, self.texts = [], [], []
-        self.feed(page)
-
-    def handle_starttag(self, tag, attributes):
-        self.tags.append(tag)
-        self.addresses += [value for name, value in attributes if name in ("src", "href")]
-
-    def handle_data(self, data):
-        self.texts.append(data)
-
-
 def test_the_page_is_one_file_with_all_cameras(model):
-    page = page_of(model, "m")
-    parts = Parts(page)
-    assert parts.addresses == [] and parts.tags.count("script") == parts.tags.count("canvas") == 1
-    assert not re.search(r"https?:|@import|url\(|^import |^export ", page, re.MULTILINE)
-    assert "{{" not in page and model.root.name in parts.texts
-    assert f"5 cameras, 300 points; cameras up to {model.extent:.3g} m apart" in parts.texts
-    cameras = content_of(page)["cameras"]
-    assert [camera["label"] for camera in cameras] == ["r0", "r1", "r2", "r3", "r4"]
-    for camera in cameras:
+    page = page_of(model, "m", turned_down=[("r1.jpg", "r3.jpg"), ("r0.jpg", "elsewhere.jpg")])
+    assert not re.search(
+        r"https?:|@import|url\(|^import |^export | (src|href)=", page, re.MULTILINE
+    )
+    assert page.count("<script") == page.count("<canvas") == 1 and "{{" not in page
+    facts = "5 cameras, 300 points; dashed: 1 pair that the folder turns down"
+    assert f"{facts}; cameras up to {model.extent:.3g} m apart</p>" in page
+    content = content_of(page)
+    assert content["turned_down"] == [[1, 3]]
+    assert [camera["label"] for camera in content["cameras"]] == ["r0", "r1", "r2", "r3", "r4"]
+    for camera in content["cameras"]:
         photograph = base64.b64decode(camera["photograph"].removeprefix("data:image/jpeg;base64,"))
         assert Image.open(io.BytesIO(photograph)).size == (160, 128)
-
-
-def test_pairs_that_are_turned_down_are_those_of_the_models_cameras(model):
-    page = page_of(model, turned_down=[("r1.jpg", "r3.jpg"), ("r0.jpg", "elsewhere.jpg")])
-    assert content_of(page)["turned_down"] == [[1, 3]]
-    assert any("1 pair that the folder turns down" in text for text in Parts(page).texts)
 
 
 def test_names_of_any_bytes_are_text(model, tmp_path):
@@ -107,8 +86,7 @@ def test_names_of_any_bytes_are_text(model, tmp_path):
         shutil.copy(model.root / "r0.jpg", root / name)
     page = page_of(Model(root, dict.fromkeys(poses, CAMERA), poses))
     (tmp_path / "model.html").write_text(page, encoding="utf-8")
-    parts = Parts(page)
-    assert parts.tags.count("script") == 1 and "b" not in parts.tags
+    assert page.count("<script") == 1 and "<b>" not in page
     assert content_of(page)["cameras"][0]["label"] == "<script>\udcff"
 
 
@@ -137,9 +115,8 @@ def test_a_pair_is_shown_in_camera_1s_axes():
     matcher, options = dense_scene.MapMatcher(dense_scene.true_map()), EstimationOptions(runs=1)
     images = map(load_image, dense_scene.pictures())
     result = solve_pair(*images, (camera, camera), matcher, options)
-    page = pose_page(result)
-    assert Parts(page).addresses == []
-    first, second = (np.array(camera["corners"]) for camera in content_of(page)["cameras"])
+    cameras = content_of(pose_page(result))["cameras"]
+    first, second = (np.array(camera["corners"]) for camera in cameras)
     assert (first[0] == 0).all()
     width, height = dense_scene.SIZE
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
@@ -151,7 +128,7 @@ def test_a_pair_is_shown_in_camera_1s_axes():
 
 
 @pytest.mark.slow
-def test_a_browser_shows_the_photographs_upright_and_turns_the_model(browser, model, tmp_path):
+def test_a_browser_shows_the_photographs_upright(browser, model, tmp_path):
     path = tmp_path / "model.html"
     path.write_text(page_of(model), encoding="utf-8")
     browser.open_anew(path.as_uri())
@@ -165,11 +142,4 @@ def test_a_browser_shows_the_photographs_upright_and_turns_the_model(browser, mo
         assert place[left][0] + 5 < place[right][0]
     for upper, lower in (("red", "yellow"), ("green", "blue")):
         assert place[upper][1] + 5 < place[lower][1]
-    # From the opposite side, 30 times 6 degrees, left and right are exchanged.
-    pressed = "dispatchEvent(new KeyboardEvent('keydown', { key: 'ArrowLeft' }))"
-    browser.evaluate(f"for (let n = 0; n < 30; n++) document.querySelector('canvas').{pressed}")
-    browser.wait(f"{at['red']}[0] > {at['green']}[0] + 5")
-    browser.wait(f"{at['red']}[1] + 5 < {at['yellow']}[1]")
-    browser.click("#photographs")
-    assert browser.evaluate(at["red"])[2] == 0
     assert browser.errors == []

@@ -15,7 +15,8 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.pose import solve_pair
-from dgc_pose.viz import plot_location, plot_pose, save_figure
+from dgc_pose.viz import plot_pose, save_figure
+from dgc_pose.viz.pose_figure import plot_location
 
 
 def result_of(correspondence_map):
