@@ -13,14 +13,13 @@ import poselib
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.system.parallel import in_threads
 from dgc_pose.geometry.homography import (
     fit_homography,
     fit_similarity,
     homography_poses,
     transfer_error,
 )
-from dgc_pose.system.threads import in_threads
+from dgc_pose.system.parallel import in_threads
 
 # Matches that a run draws its samples from, chosen at random for each run. The time of RANSAC grows
 # with the matches that it scores; the hypotheses are compared and refined on all matches.

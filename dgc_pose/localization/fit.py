@@ -18,7 +18,6 @@ import poselib
 
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.hypothesis import DISTINCT_DEG, Hypothesis
 from dgc_pose.estimation.intrinsics_prior import (
     SIZE,
     IntrinsicsPrior,
@@ -34,7 +33,7 @@ from dgc_pose.estimation.least_squares import (
     loss_terms,
     loss_width,
 )
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import DISTINCT_DEG, Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, run_seeds
 from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance, skew
 from dgc_pose.geometry.triangulation import depths
