@@ -27,6 +27,7 @@ FACES = 6  # -x +x -y +y -z +z; of an ellipsoid the sectors about these axes
 LAYERS = 2  # of photographs on a face, of other spans: their repetitions do not coincide
 _NEAR = 0.05  # units of length; nothing nearer to a camera is seen
 _SAME = 1e-3  # of the depth: a surface this much nearer does not hide a point
+_ROLL_DEG = 7.0  # standard deviation, of each camera
 _TINY = 1e-9  # in place of a direction's zero
 _PROBE = 24  # rays a side that the views' overlap is estimated by
 _WALLS = ((1.6, 4.5), (1.1, 2.0), (1.6, 4.5))  # half of a room's width, height and depth
@@ -40,7 +41,6 @@ class RoomOptions:
     boxes: int = 11
     ellipsoids: int = 3
     orbit_deg: tuple[float, float] = (4.0, 75.0)  # between the cameras, about what they look at
-    roll_deg: float = 7.0  # standard deviation, of each camera
     enough: float = 0.22  # share of the target that the source sees; pairs of more are no better
     tries: int = 3  # pairs drawn for each that is kept
     spans: Spans = ((0.8, 3.0), (0.35, 1.2))
@@ -138,7 +138,7 @@ def _orbiting(
         place = torch.einsum("bji,bj->bi", axes, look + back * distance[:, None])
         centre = torch.einsum("bij,bj->bi", axes, place.minimum(walls).maximum(-walls))
         aside = 0.12 * distance[:, None] * draw.normal(count, 3)
-        roll = math.radians(options.roll_deg) * draw.normal(count)
+        roll = math.radians(_ROLL_DEG) * draw.normal(count)
         cameras.append(Cameras.looking(K, centre, look + aside, roll))
     return cameras
 

@@ -45,9 +45,6 @@ def test_batches_repeat_and_are_of_the_shape_asked_for():
     assert pairs.image1.shape == (5, 3, 48, 80) and pairs.map.shape == (5, 48, 80, 2)
     assert torch.equal(pairs.image2, again.image2) and not torch.equal(pairs.map, other.map)
     assert not (pairs.valid & ~pairs.known).any()
-    source = PairSource(drawn_photos(2, 64), shares=Shares(0, 0.5, 0, 0.5))
-    with pytest.raises(InputError, match="no data for the kinds"):
-        source.make(1, (48, 48), Draw("cpu"))
 
 
 def test_shares_are_read_from_percentages():

@@ -96,12 +96,11 @@ def test_frames_of_many_pixels_are_made_smaller_with_their_depth(tmp_path):
     assert scenes.bank.size(torch.tensor(0)).tolist() == [512, 128]
     torch.testing.assert_close(scenes.cameras.K, torch.tensor([[400.0, 400, 255.5, 63.5]]))
     points = pixel_grid((128, 512), torch.device("cpu"))
-    depth = scenes.depth_at(torch.tensor([0]), points[None])[0]
-    stored = 1000 * depth - 1000  # x of the pixel whose depth it is
-    off = stored - (2.5 * points[..., 0] + 0.75)
+    x = 2.5 * points[..., 0] + 0.75  # of the photograph's pixel
+    off = 1000 * scenes.depth_at(torch.tensor([0]), points[None])[0] - 1000 - x
     assert off.abs().max() < 1.3 and abs(off.mean()) < 0.3
     found = 255 * 5 * scenes.bank.sample(torch.tensor(0), points, torch.ones(128, 512))[..., 0]
-    assert abs((found - (2.5 * points[..., 0] + 0.75)).mean()) < 3  # of which 2 are rounding
+    assert abs((found - x).mean()) < 3  # of which 2 are rounding
 
 
 def _wall(folder: Path, count: int, step: float) -> list[PosedFrame]:

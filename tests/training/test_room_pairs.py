@@ -90,7 +90,7 @@ def test_the_map_is_the_projection_of_the_surface_point_and_visible_means_seen(p
 
 
 def test_cameras_are_as_far_apart_as_asked_and_share_enough(photos):
-    options = RoomOptions(orbit_deg=(20.0, 30.0), roll_deg=0.0, enough=0.3, tries=6)
+    options = RoomOptions(orbit_deg=(20.0, 30.0), enough=0.3, tries=6)
     pairs = room_pairs(photos, 8, SHAPE, Draw("cpu", 4), options)
     R = pairs.target.seen_by(pairs.source).pose[:, :, :3].double()
     angles = torch.rad2deg(torch.acos((R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2))

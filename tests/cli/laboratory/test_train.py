@@ -44,9 +44,7 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkey
     ("words", "named"),
     [
         (["--preset", "vgg"], "no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"),
-        (["--shares", "20,80"], "shares must be four percentages"),
         (["--shares", "0,100,0,0"], "no data for the kinds"),
-        (["--held", "hall"], "held: there is no scene hall"),
         (["--preset", "dgc"], "--encoder or init is needed"),
         (["--seconds", "3"], "in seconds or in steps, and one of them only"),
     ],
