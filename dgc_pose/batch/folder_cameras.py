@@ -215,9 +215,9 @@ def pool(
         value, std = np.zeros(SIZE), np.zeros(SIZE)
         std[open_] = prior[open_]
         if useful:
-            value[open_], std[open_] = pooled_fit(
-                *map(np.array, zip(*useful, strict=True)), prior[open_], len(names)
-            )
+            values, covariances, weights = (np.array(of) for of in zip(*useful, strict=True))
+            of_fit = pooled_fit(values, covariances, weights, prior[open_], len(names))
+            value[open_], std[open_] = of_fit
         of_names = {name: _pooled(cameras[name], value, std, bool(useful)) for name in names}
         pooled.append(PooledCamera(of_names, len(useful)))
     return pooled
