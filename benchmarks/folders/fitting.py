@@ -1,4 +1,4 @@
-"""The fit of `batch/beliefs.py`: what of a pair by itself speaks for it.
+"""The fit of `batch/look_alikes.py`: what of a pair by itself speaks for it.
 
 Folders with repeats are rendered, ordinary ones are posed photographs; their pairs are matched.
 """

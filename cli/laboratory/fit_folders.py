@@ -24,7 +24,7 @@ class FolderFitChoice:
 @click.command()
 @dataclass_options(FolderFitChoice, "choice")
 def fit_folders(choice: FolderFitChoice) -> None:
-    """Fit the weights of `batch/beliefs.py`: match, label, fit.
+    """Fit the weights of `batch/look_alikes.py`: match, label, fit.
 
     Folders with repeats are rendered. Their pairs, and those of as many posed scenes, are matched
     in --out, and the same command goes on after any kill. Needs scikit-learn (the extra "fit").

@@ -10,6 +10,7 @@ a camera of its own, which is fitted to its pairs with photographs of known came
 unknown camera is determined there far better than two are.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ _SPLIT = "most pairs of its size agree with a focal length of each photograph"
 _MIN_GROUP = 3  # images of a camera that one of them can contradict
 _MIN_INLIERS = 50  # of a pair that ought to determine its cameras
 _AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is fitted by itself
-_AGREEING_STDS = 3.0  # of ln f, of a pair and its group
+_AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of two cameras
 _SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
 _PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
 _MOST_FOCAL_STD = 0.1  # of ln f, of a photograph that is fitted by itself
@@ -87,7 +88,11 @@ def folder_cameras(poses: PoseRunner, cameras: Cameras) -> list[PooledCamera]:
     refitted = _rows_of(poses.estimate({**known, **own}, fit=True, only=some))
     exact = {name: camera.as_exact() for name, camera in known.items()}
     found = pool({**exact, **own}, refitted)
-    alone = {n for n, c in by_image(found).items() if n in apart or c.focal_std < _MOST_FOCAL_STD}
+    alone = {
+        name
+        for name, fit in by_image(found).items()
+        if (not _agrees(fit, known[name]) if name in apart else fit.focal_std < _MOST_FOCAL_STD)
+    }
     members = {name: camera for name, camera in start.items() if name not in alone}
     kept = [row for row in rows if not alone & {*row.names}]
     found = [replace(one, why=_ALONE) for one in found if alone & one.cameras.keys()]
@@ -130,11 +135,20 @@ def _is_contradicted(
             elif row.status not in ("rotation_only", "same_picture"):
                 count += row.num_inliers >= _MIN_INLIERS
             if (fitted := fit_of(row)) is not None:
-                of_pair = fitted[row.names.index(name)]
-                off = abs(np.log(of_pair.focal / camera.focal))
-                stds = of_pair.focal_std, camera.focal_std, _SAME_FOCAL
-                agreeing += off < _AGREEING_STDS * np.linalg.norm(stds)
+                agreeing += _same_focal(fitted[row.names.index(name)], camera, _AGREEING_STDS)
     return len(names) >= _MIN_GROUP and agreeing < _AGREEING_SHARE * count
+
+
+def _agrees(camera: Camera, other: Camera) -> bool:
+    """Whether a camera that is fitted by itself is that of its group after all."""
+    shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())
+    near = shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
+    return near and _same_focal(camera, other, _SAME_STDS)
+
+
+def _same_focal(camera: Camera, other: Camera, stds: float) -> bool:
+    off = abs(math.log(camera.focal / other.focal))
+    return off < stds * math.hypot(camera.focal_std, other.focal_std, _SAME_FOCAL)
 
 
 def _individual_camera(camera: Camera, *, doubted: bool) -> Camera:
@@ -215,9 +229,9 @@ def pool(
         value, std = np.zeros(SIZE), np.zeros(SIZE)
         std[open_] = prior[open_]
         if useful:
-            value[open_], std[open_] = pooled_fit(
-                *map(np.array, zip(*useful, strict=True)), prior[open_], len(names)
-            )
+            values, covariances, weights = (np.array(of) for of in zip(*useful, strict=True))
+            of_fit = pooled_fit(values, covariances, weights, prior[open_], len(names))
+            value[open_], std[open_] = of_fit
         of_names = {name: _pooled(cameras[name], value, std, bool(useful)) for name in names}
         pooled.append(PooledCamera(of_names, len(useful)))
     return pooled

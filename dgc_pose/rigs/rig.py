@@ -265,19 +265,24 @@ def _checked(location: Location, name: str, picture: Path, locator: Locator) -> 
 def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
     """Whether the mirror image has more inliers than a camera's picture with the picture of the
     model that agrees best: a mirrored stream may have a pose where the scene is symmetric."""
-    assert location.camera is not None
+    camera, image, model = location.camera, load_image(picture), locator.model
+    assert camera is not None
     agreeing = [of for of in location.database_images if of.agrees]
-    best = max(agreeing, key=lambda of: int(of.inliers.sum()))
-    image = load_image(picture)
+    name = max(agreeing, key=lambda of: int(of.inliers.sum())).name
     try:
-        cameras = locator.model.cameras[best.name], location.camera.turned(exif_turn(2), image.size)
+        views = (image, camera), (flipped(image, 1), camera.turned(exif_turn(2), image.size))
     except InputError:  # a lens that is not turned
         return False
-    mirrored, options = flipped(image, 1), replace(locator.options, effort="fast")
-    pair = locator.image(best.name), mirrored
-    pose = solve_pair(*pair, cameras, locator.matcher, options).pose
-    locator.matcher.forget(mirrored)
-    return pose.success and pose.num_inliers > best.inliers.sum()
+    options = replace(locator.options, effort="fast")
+    direct, mirrored = (
+        solve_pair(
+            locator.image(name), of, (model.cameras[name], of_view), locator.matcher, options
+        ).pose
+        for of, of_view in views
+    )
+    for of, _ in views:
+        locator.matcher.forget(of)
+    return mirrored.success and mirrored.num_inliers > direct.num_inliers
 
 
 def _spread(whole: pycolmap.Reconstruction) -> float:
@@ -302,9 +307,10 @@ def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
     """A warning for each two cameras whose poses differ by less than their expected errors."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
-        assert one.R is not None and two.R is not None  # they are located
-        angle = rotation_angle_deg(one.R @ two.R.T)
-        apart = float(np.linalg.norm(np.subtract(one.centre, two.centre)))
+        pose1, pose2 = one.cam_from_world, two.cam_from_world
+        assert pose1 is not None and pose2 is not None and one.centre is not None
+        angle = rotation_angle_deg(pose1[:, :3] @ pose2[:, :3].T)
+        apart = float(np.linalg.norm(one.centre - two.centre))
         turn, shift = (
             sum(getattr(of, error) or 0.0 for of in (one, two))
             for error in ("rotation_error_90_deg", "position_error_90")
