@@ -7,8 +7,8 @@ import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import homogeneous
-from dgc_pose.geometry.neighbours import nearest
 from dgc_pose.geometry.rotation import aligning_rotation
+from dgc_pose.geometry.sampling import nearest
 from dgc_pose.pair_result import PairResult
 
 _MOST = 3000  # points of a pair: more would slow a page down

@@ -16,8 +16,8 @@ import numpy as np
 
 from dgc_pose.batch.rows import MatchedPair
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.pixels import Size
-from dgc_pose.geometry.triangulation import depths
 
 CELLS = 80  # along the longer side of an image
 _LEAST_SHARED = 8  # cells with depths of two pairs, that their scale is measured by

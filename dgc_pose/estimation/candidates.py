@@ -38,8 +38,7 @@ from dgc_pose.estimation.probability import ProbabilityModel, choice_shares, shi
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import refine, refit, sample
 from dgc_pose.estimation.verdict import MIN_MATCHES, by_chance
-from dgc_pose.geometry.epipolar import homogeneous, sampson_distance
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import depths, homogeneous, sampson_distance
 from dgc_pose.matches import Matches
 
 # Of the inliers, that another motion needs: of a plane's, see docs/experiments.md; of others' where

@@ -11,8 +11,12 @@ import numpy as np
 from dgc_pose.estimation.least_squares import loss_width
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.status import probability_text, short_text
-from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import (
+    depths,
+    essential_from_pose,
+    pose_candidates,
+    sampson_distance,
+)
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one

@@ -21,8 +21,7 @@ from dgc_pose.estimation.intrinsics_prior import (
     renormalised_slopes,
 )
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance, skew
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import depths, essential_from_pose, sampson_distance, skew
 from dgc_pose.metrics import rotation_error_deg
 
 _SUPPORTING_SHARE = 0.6  # of the inliers of a pair's pose, that those of the location are

@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
 from dgc_pose.matching.consistency import LocalMatches, consistent
@@ -237,26 +238,3 @@ def nearby_corners(
 
     in_threads(measure, np.unique(strip).tolist())
     return corners, strength
-
-
-def spread(
-    points: np.ndarray,
-    strength: np.ndarray,
-    size: tuple[int, ...],
-    most: int,
-    side: float = 1.0,
-    growth: float = 1.1,
-) -> np.ndarray:
-    """Indices of at most `most` of the points (N, 2): the strongest of each square block.
-
-    strength: (N,). size: (width, height) of the image of the points. side: of the blocks at the
-    least, which grow by a factor until `most` are enough.
-    """
-    order = np.argsort(-strength, kind="stable")
-    x, y = points[order].T
-    while True:
-        blocks = np.floor(x / side) + np.floor(y / side) * (size[0] // side + 1)
-        if np.count_nonzero(np.diff(np.sort(blocks))) < most:
-            _, first = np.unique(blocks, return_index=True)
-            return np.sort(order[first])
-        side *= growth

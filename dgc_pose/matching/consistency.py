@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dgc_pose.geometry.neighbours import nearest
+from dgc_pose.geometry.sampling import nearest
 from dgc_pose.matches import Matches
 
 _ROUNDS = 4  # of reweighting, the tolerance shrinking from round to round

@@ -9,9 +9,10 @@ import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
+from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.align import MIN_MATCHES, refine, spread
+from dgc_pose.matching.align import MIN_MATCHES, refine
 from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
 from dgc_pose.matching.dense import dense_map, map_features

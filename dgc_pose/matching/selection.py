@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from dgc_pose.geometry.sampling import spread
 from dgc_pose.matches import Matches
-from dgc_pose.matching.align import spread
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.system.options import check_options, option
 

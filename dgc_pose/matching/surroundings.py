@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dgc_pose.geometry.neighbours import nearest_to
 from dgc_pose.geometry.pixels import cell_centres, pixel_grid, rescale, window_offsets, within
+from dgc_pose.geometry.sampling import nearest_to
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.consistency import consistent

@@ -9,9 +9,9 @@ from matplotlib.colors import to_rgba_array
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
+from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import Location
-from dgc_pose.matching.align import spread
 from dgc_pose.model import Model
 from dgc_pose.scene import frustum, mean_axes
 from dgc_pose.viz.figure import WIDTH, new_figure

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dgc_pose.images.image import resize
-from dgc_pose.matching.align import Aligned, align, locate, nearby_corners, spread
+from dgc_pose.matching.align import Aligned, align, locate, nearby_corners
 from dgc_pose.matching.consistency import LocalMatches
 
 
@@ -124,11 +124,3 @@ def test_an_image_at_three_times_the_size_is_shrunk_first(larger: int) -> None:
     truth = dense_scene.points_in_image1((found.points2 + 0.5) / times[1] - 0.5)
     off = np.linalg.norm((found.points1 + 0.5) / times[0] - 0.5 - truth, axis=1)
     assert np.median(off[good]) < 0.1
-
-
-def test_spread_keeps_the_strongest_of_each_block() -> None:
-    points = np.array([[10.0, 10.0], [12.0, 11.0], [200.0, 10.0], [10.0, 200.0]])
-    strength = np.array([1.0, 2.0, 0.1, 0.2])
-    assert spread(points, strength, (300, 300), 10).tolist() == [0, 1, 2, 3]
-    assert spread(points, strength, (300, 300), 3).tolist() == [1, 2, 3]
-    assert spread(points[:0], strength[:0], (300, 300), 3).tolist() == []
