@@ -10,6 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from dgc_pose.benchmarks.flow import NAME as FLOW
+from dgc_pose.benchmarks.flow import FlowMatcher
 from dgc_pose.benchmarks.map_scores import Comparison, LevelMap, MapScore, score_map
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.pixels import pixel_grid
@@ -55,16 +57,15 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     chosen = choose_device(device)
     methods: dict[str, MapMethod] = {}
     for name in names:
-        options = MatcherOptions(name)
         if name in methods:
             raise InputError(f"the method {name} is named twice")
-        if not options.has_map:
+        if not MatcherOptions(name).is_network:
             words = f"{name}: has key points alone and no dense map"
             raise InputError(ArgumentName("methods"), words)
-        if options.is_network:
-            methods[name] = partial(compare, load_network(name, chosen))
+        if name == FLOW:
+            methods[name] = partial(compare_matcher, FlowMatcher())
         else:
-            methods[name] = partial(compare_matcher, options.load())
+            methods[name] = partial(compare, load_network(name, chosen))
     return methods
 
 

@@ -1,10 +1,11 @@
 """Methods by specification: what matches, and with which options.
 
-A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=features:finest=120`. NAME is that
-of a matcher (see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of
-NAME sends into image 1, whatever its matchability, and refines nothing. KEY is a field of
-`MatchingOptions` or `EstimationOptions`, or of the options within them, and is set in each of them
-that has it; `refine` is `MatchingOptions.aligned`, `refine_pose` is `EstimationOptions.refine`.
+A specification is `NAME[:KEY=VALUE...]`, as `dgcm-lite0:refine=none:max_matches=500`. NAME is that
+of a matcher (see `load_matcher`), `dis` (`flow.py`), or that of stored matches. `NAME/all` takes
+every pixel that the map of NAME sends into image 1, whatever its matchability, and refines nothing.
+KEY is a field of `MatchingOptions` or `EstimationOptions`, or of the options within them, and is
+set in each of them that has it; `refine` is `MatchingOptions.aligned`, `refine_pose` is
+`EstimationOptions.refine`.
 `K`, `K_scale` and the like are the fields of `CameraTrial`, as in `dgcm-lite0:K=auto:shared`.
 """
 
@@ -15,13 +16,14 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 from dgc_pose.benchmarks.camera_trial import CameraTrial
+from dgc_pose.benchmarks.flow import NAME as FLOW
+from dgc_pose.benchmarks.flow import FlowMatcher
 from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matchers import MatcherOptions, RuntimeName
 from dgc_pose.matching import Matcher
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import field_types
 
 EVERYWHERE = "/all"
@@ -99,6 +101,9 @@ def load_matchers(
             files = stored[options.weights]
             matchers.append(FileMatcher(options.weights, files, options.matching))
             continue
+        if options.weights == FLOW:
+            matchers.append(FlowMatcher(options.matching))
+            continue
         used = replace(options, device=device, runtime=runtime)
         matcher = used.load(engine=engines.get(options.weights))
         engines[options.weights] = matcher.engine
@@ -111,8 +116,8 @@ def _parse(text: str, defaults: Method, stored: Sequence[str]) -> Method:
     settings = dict(word.split("=", 1) for word in words)
     weights = name.removesuffix(EVERYWHERE)
     matcher = replace(defaults.matcher, weights=weights)
-    everywhere, network = name != weights, matcher.is_network and weights not in stored
-    if everywhere and not matcher.has_map and weights not in stored:
+    everywhere, network = name != weights, matcher.is_network and weights not in (FLOW, *stored)
+    if everywhere and not matcher.is_network and weights not in stored:
         raise InputError(f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing")
     used: set[str] = set()
     aligned = matcher.matching.aligned if network and not everywhere else "none"

@@ -14,8 +14,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError
 from dgc_pose.geometry.pixels import exif_turn
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
-from dgc_pose.images.store import ImageStore
 
 if TYPE_CHECKING:
     from dgc_pose.training.room_pairs import RoomPairs
@@ -51,7 +51,7 @@ class ListedPairs:
         self.pairs = pairs
         self.ids = [{"image1": pair.name1, "image2": pair.name2} for pair in pairs]
         self._size = size
-        self._images = ImageStore(Path(), size=size)
+        self._images = ImageCache(2**29)
 
     def read(self, first: int = 0) -> Iterator[PosedPair]:
         """The pairs from number `first` on.
@@ -72,7 +72,7 @@ class ListedPairs:
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
         """An upright image and its camera, and the turn (3, 3) to its axes from those of a list,
         which is of the pixels as stored."""
-        image, turn = self._images.get(str(path)), np.eye(3)
+        image, turn = self._images.read(Path(), str(path), size=self._size), np.eye(3)
         full = image.stored_size or image.size
         turn[:2, :2] = exif_turn(image.exif.orientation)
         stored = full if turn[0, 0] else full[::-1]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import click
 import numpy as np
@@ -16,8 +16,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
 from dgc_pose.files.outputs import save_text, staged
-from dgc_pose.images.image import load_image
-from dgc_pose.images.mask import masked
+from dgc_pose.images.mask import load_pair
 from dgc_pose.matchers import MatcherOptions
 
 NO_POSE = 3  # exit code if there is no pose
@@ -66,15 +65,13 @@ def estimate(
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.plot, outputs.ply) as stage:
         start = time.perf_counter()
-        first = masked(load_image(image1), masks.mask1, "mask1")
-        second = masked(load_image(image2), masks.mask2, "mask2")
-        camera1, camera2 = cameras.resolve(first, second)
+        first, second = load_pair((image1, image2), (masks.mask1, masks.mask2))
+        pair = cameras.resolve(first, second)
         from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
 
         loaded = matcher.load()
-        seconds = {"load": time.perf_counter() - start}
-        result = solve_pair(first, second, (camera1, camera2), loaded, estimation, scale)
-        pose = replace(result.pose, seconds={**seconds, **result.pose.seconds})
+        result = solve_pair(first, second, pair, loaded, estimation, scale, start=start)
+        pose = result.pose
         data = pose.to_json()
         if json_file is not None:
             save_text(stage(json_file), data)

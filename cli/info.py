@@ -12,7 +12,7 @@ import click
 
 import dgc_pose
 from dgc_pose.errors import is_installed
-from dgc_pose.runtime.load import default_runtime
+from dgc_pose.matchers import default_runtime
 from dgc_pose.system.threads import usable_cpus
 from dgc_pose.version import build, version
 

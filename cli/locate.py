@@ -22,9 +22,9 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import image_header
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def locate(
         model.require_addable(place.add, dict.fromkeys(queries))
     for warning in model.warnings:
         say(f"warning: {warning}")
-    locator = Locator(model, matcher.load(image_cache()), estimation, place.masks)
+    locator = Locator(model, matcher.load(ImageCache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))
     json_file = None if place.json == STDOUT else place.json

@@ -1,16 +1,20 @@
-"""Cameras and points as the values of JSON that a page draws."""
+"""Cameras and points as the values of JSON that a page draws, and image 1 as a map warps it."""
 
 from collections.abc import Sequence
 from typing import Any
 
+import cv2
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import homogeneous
+from dgc_pose.geometry.pixels import Size, rescale
 from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.geometry.sampling import nearest
+from dgc_pose.images.image import resize
 from dgc_pose.pair_result import PairResult
 
+SHOWN_SIDE = 1600  # longest side of an image that is shown, pixels
 _MOST = 3000  # points of a pair: more would slow a page down
 _NEAR = 0.97  # of the points' distances that are shown: the farthest would shrink all others
 _DEPTHS = 0.1, 0.18  # of a camera's pyramid, over the median distance of the points
@@ -61,3 +65,29 @@ def scene_of(
     cameras = [{"label": label, "corners": c} for label, c in zip(labels, corners, strict=True)]
     xyz, rgb = points[chosen].round(digits).tolist(), colours[chosen].tolist()
     return {"cameras": cameras, "points": {"xyz": xyz, "rgb": rgb}}
+
+
+def warp_image(pixels1: np.ndarray, correspondences: np.ndarray, size: Size) -> np.ndarray:
+    """Image 1 sampled at the points (H', W', 2) of a map that is resized to (width, height).
+
+    White outside image 1. Returns (height, width, 3) uint8.
+    """
+    source = shrunk(pixels1)
+    whole, small = pixels1.shape[1::-1], source.shape[1::-1]
+    points = cv2.resize(correspondences.astype(np.float32), size)
+    x, y = np.moveaxis(rescale(points, whole, small).astype(np.float32), -1, 0)
+    white = (255, 255, 255)
+    return cv2.remap(
+        source, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=white
+    )
+
+
+def shown_size(size: Size) -> Size:
+    """(width, height) with the longest side at most `SHOWN_SIDE`."""
+    scale = min(1.0, SHOWN_SIDE / max(size))
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
+def shrunk(pixels: np.ndarray) -> np.ndarray:
+    """An image (H, W, 3) at its `shown_size`."""
+    return resize(pixels, shown_size((pixels.shape[1], pixels.shape[0])))

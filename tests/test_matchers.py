@@ -12,9 +12,9 @@ import torch
 from dgc_pose import Camera, EstimationOptions, estimate_pose, load_matcher
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.run import save_weights
@@ -67,11 +67,9 @@ def test_matches_state_the_weights_of_the_network_that_made_them(
     poses = estimate_pose(full.matches, camera, camera, FAST).hypotheses
     views = [TwoViews(camera, camera, pose.R, pose.t) for pose in poses]
     steps = [full, coarse, matcher.refined(*images, coarse), matcher.guided(*images, full, views)]
-    of_map = MatchingOptions(aligned="map")
-    steps += [load_matcher(matching=options).match(*images) for options in (BARE, of_map)]
+    steps.append(load_matcher(matching=BARE).match(*images))
     assert all(step is not None and step.matches.weights == matcher.fingerprint for step in steps)
-    others = load_matcher("dis"), load_matcher("sift")
-    assert [other.match(*images).matches.weights for other in others] == [None] * 2
+    assert load_matcher("sift").match(*images).matches.weights is None
 
 
 @pytest.mark.parametrize("weights", ["shipped", None, "0123456789abcdef"])
@@ -95,7 +93,7 @@ def test_what_is_computed_of_an_image_is_kept(
 ) -> None:
     """Key points or features, and structure, of each; in a cache of any kind."""
     found = []
-    for cache in (image_cache(), None):
+    for cache in (ImageCache(), None):
         matcher = load_matcher(name, cache=cache)
         found += [matcher.match(*images).matches.points1 for _ in range(2)]
         matcher.match(*images[::-1])
@@ -119,9 +117,7 @@ def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:
 def test_other_names_are_paths_to_weights() -> None:
     with pytest.raises(WeightsError, match="nowhere.pth: no such weights"):
         load_matcher("nowhere.pth")
-    with pytest.raises(
-        InputError, match="nowhere: no such file, .*: there are dgcm-lite0, sift, dis, "
-    ):
+    with pytest.raises(InputError, match="nowhere: no such file, .*: there are dgcm-lite0, sift, "):
         load_matcher("nowhere")
 
 
@@ -146,8 +142,5 @@ def test_images_that_may_be_rotated_and_those_without_structure_have_no_coarse_p
     first, second = images
     blank = Image(np.full_like(second.pixels, 90))
     rotated = Image(np.ascontiguousarray(np.rot90(second.pixels)))
-    of_map = load_matcher(matching=MatchingOptions(aligned="map"))
-    assert isinstance(of_map, NetworkMatcher)
     assert network.coarse(first, rotated) is None
     assert network.coarse(first, blank) is None
-    assert of_map.coarse(first, second) is None

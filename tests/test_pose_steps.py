@@ -28,9 +28,9 @@ from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.hypothesis import Hypothesis
 from dgc_pose.estimation.options import Effort
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
-from dgc_pose.matching.cache import image_cache
 
 
 class _Steps(dense_scene.MapMatcher):
@@ -298,7 +298,7 @@ def test_a_mirrored_photograph_is_recognised() -> None:
 
 
 def test_features_are_kept_of_the_two_images_and_not_of_the_mirror_image() -> None:
-    cache = image_cache()
+    cache = ImageCache()
     matcher = load_matcher(cache=cache)
     noise = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
     for first, second in (map(load_image, bundled_photographs()), map(load_image, noise)):

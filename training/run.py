@@ -20,8 +20,7 @@ from dgc_pose.files.inputs import read_as
 from dgc_pose.files.outputs import replaced, write_text, writing
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, Pyramid
-from dgc_pose.network.stored import COUNTER, check_state
-from dgc_pose.network.weights import load_checkpoint, load_network, read_state
+from dgc_pose.network.weights import COUNTER, check_state, load_checkpoint, load_network, read_state
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.map_pairs import MapPairs
 from dgc_pose.training.options import TrainingOptions

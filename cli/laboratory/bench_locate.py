@@ -14,10 +14,10 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.tables import aligned
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.folder import search_images
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
 
 
@@ -55,7 +55,7 @@ def bench_locate(
     images. A location is right with R within 5 degrees and the position within 5 % of the extent.
     """
     model = true_model(path, bench.images)
-    locator = Locator(model, matcher.load(image_cache()), estimation)
+    locator = Locator(model, matcher.load(ImageCache()), estimation)
     locator.describe()
     if bench.other is not None:
         names = search_images(bench.other).names

@@ -13,8 +13,8 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.errors import InputError
 from dgc_pose.files.json_files import json_text
 from dgc_pose.files.outputs import save_text, staged, writing
-from dgc_pose.network.stored import shipped
-from dgc_pose.runtime.load import DEVICE_HELP
+from dgc_pose.matchers import DEVICE_HELP
+from dgc_pose.network.weights import shipped
 from dgc_pose.system.options import MAX_SEED, option
 
 _FILES = ("summary.json", "pairs.csv", "pck.png")

@@ -30,9 +30,8 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.json_files import write_json
 from dgc_pose.files.outputs import replaced
-from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matchers import DEVICE_HELP, RUNTIME_HELP, MatcherOptions, RuntimeName, device_type
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.system.options import option
 
 _SUMMARY, _ERRORS = "summary.json", "errors.png"

@@ -45,9 +45,8 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.inputs import read_bytes
 from dgc_pose.files.outputs import only_writer
-from dgc_pose.matchers import MatcherOptions
-from dgc_pose.network.stored import find_weights, shipped
-from dgc_pose.runtime.load import default_runtime, device_type
+from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
+from dgc_pose.network.weights import find_weights, shipped
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
 _RESUME = ArgumentName("resume")
@@ -98,7 +97,6 @@ def run_batch(
         "weights_sha256": digest,
         "runtime": runtime,
         "device": device_type(matcher.device),
-        "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
     }

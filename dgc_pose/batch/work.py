@@ -12,10 +12,9 @@ from dgc_pose.batch.rows import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import DgcPoseError, ImageError
 from dgc_pose.estimation import EstimationOptions, estimate_pose, of_stated
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
-from dgc_pose.images.store import ImageStore
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.pose import solve_pair
 
 # Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), for refinement
@@ -47,15 +46,8 @@ class Worker:
 
     def __init__(self, job: Job) -> None:
         self.job, self.bad = job, dict(job.bad)
-        self.cache = image_cache(job.memory_bytes)
+        self.cache = ImageCache(job.memory_bytes)
         self.matcher = job.matcher.load(self.cache)
-        self._images = ImageStore(
-            job.root,
-            job.masks,
-            job.memory_bytes,
-            beside_bytes=FEATURE_BYTES,
-            dropped=self.matcher.forget,  # features keep their image in memory
-        )
 
     def describe(self, names: Sequence[str]) -> dict[str, np.ndarray | str]:
         """The coarsest features of images (cells, C) float16 by name, or why an image is bad."""
@@ -125,7 +117,7 @@ class Worker:
         if name in self.bad:
             return None
         try:
-            image = self._images.get(name)
+            image = self.cache.read(self.job.root, name, self.job.masks)
             size = self.job.cameras[name].size
             if size is not None and tuple(size) != image.size:
                 path = self.job.root / name

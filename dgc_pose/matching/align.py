@@ -20,8 +20,7 @@ from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
-from dgc_pose.matching.consistency import LocalMatches, consistent
-from dgc_pose.matching.lucas_kanade import Patches, align_patches
+from dgc_pose.matching.patches import LocalMatches, Patches, align_patches, consistent
 from dgc_pose.system.threads import in_threads
 
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over

@@ -10,9 +10,9 @@ import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.texture import Texture, texture, textured
 from dgc_pose.runtime.engine import Engine
@@ -53,7 +53,7 @@ class Matcher:
     @cached_property
     def cache(self) -> ImageCache:
         """What is computed of an image; by default that of the last three images is kept."""
-        return ImageCache()
+        return ImageCache(None)
 
     @property
     def fingerprint(self) -> str | None:
@@ -89,7 +89,7 @@ class Matcher:
 
     def forget(self, image: Image) -> None:
         """Drop all that is kept of an image."""
-        self.cache.drop(lambda key: key[0] is image)
+        self.cache.forget(image)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, also where an image has no structure: what a subclass defines."""
@@ -101,5 +101,5 @@ class Matcher:
         return textured(matches.subset(~masked), *self._textures(image1, image2))
 
     def _textures(self, image1: Image, image2: Image) -> list[Texture]:
-        made = [((image, "texture"), partial(texture, image)) for image in (image1, image2)]
+        made = [(image, "texture", partial(texture, image)) for image in (image1, image2)]
         return self.cache.get_all(made, in_turn=False)

@@ -33,12 +33,12 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.files.outputs import replaced, replaced_folder
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import flipped, load_image
 from dgc_pose.images.video import frames_folder
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model, colmap_camera, load_model, require_model_folder, write_points
 from dgc_pose.pose import solve_pair
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended
@@ -179,7 +179,7 @@ def estimate_rig(
             return Rig(none, warnings=left_out)
 
     each: list[dict[str, Location]] = []
-    loaded = matcher.load(image_cache())
+    loaded = matcher.load(ImageCache())
     for number, of in enumerate(models):
         locator = Locator(of, loaded, estimation, out / PICTURES)
         each.append({})

@@ -38,7 +38,6 @@ class NativeFeatures:
     coarse: np.ndarray  # (h, w, C) float32, stride 16
     middle: np.ndarray  # (2 h, 2 w, C') float32, stride 8
     fine: np.ndarray  # (4 h, 4 w, C'') float32, stride 4
-    size: tuple[int, int]  # (width, height) of the image before it was resized
 
     @property
     def middle_by_cell(self) -> np.ndarray:
@@ -72,7 +71,7 @@ class Engine(Protocol):
 
     config: NetworkConfig
     concurrent: bool  # whether several threads encode images faster than one
-    goes_on: bool  # whether a finer map of the last pair costs its own levels alone
+    can_resume: bool  # whether decoding further reuses the last pair's coarser levels
 
     # (levels,) float32, inverse temperatures of the correlated levels, coarsest first
     correlation_scales: np.ndarray

@@ -12,7 +12,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.net import DGCNet, normalise, to_pixels
-from dgc_pose.network.stored import fingerprint
+from dgc_pose.network.weights import fingerprint
 from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -22,7 +22,7 @@ class TorchEngine:
     """A network as an `Engine`, on the device where its weights are; see `for_inference`."""
 
     concurrent = False  # its layers use all threads, or the GPU
-    goes_on = False
+    can_resume = False
 
     def __init__(self, net: DGCNet) -> None:
         weights = ((key, value.cpu().numpy()) for key, value in net.state_dict().items())
@@ -54,7 +54,7 @@ class TorchEngine:
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         planes = network_input(pixels, (cells[0] * STRIDE, cells[1] * STRIDE), self._device)
         fine, middle, coarse = map(_unit, self.net.coarse_features(planes))
-        return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
+        return NativeFeatures(coarse, middle, fine)
 
 
 def for_inference(net: Net) -> Net:

@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.patheffects import withStroke
 
-from dgc_pose.matching.warp import shown_size, shrunk, warp_image
+from dgc_pose.scene import shown_size, shrunk, warp_image
 
 Pair = tuple[float, float]
 _GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1

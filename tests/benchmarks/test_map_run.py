@@ -3,12 +3,12 @@
 import numpy as np
 import torch
 
+from dgc_pose.benchmarks.flow import scaled_map
 from dgc_pose.benchmarks.map_run import compare_matcher
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
-from dgc_pose.matching.flow import scaled_map
+from dgc_pose.matching.correspondence_map import MatchingOptions, select_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.training.map_pairs import MapPairs
 
 CELLS = 60  # of 4 pixels

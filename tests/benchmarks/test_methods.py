@@ -36,7 +36,7 @@ def test_names_stand_for_methods() -> None:
         (["sift/all"], [], "key points alone"),
         (["dis:magic=1"], [], "dis:magic=1: no option magic"),
         (["dis:runs=many"], [], "runs cannot be 'many'"),
-        (["sift:refine=map"], [], "refine=map needs the features of a network"),
+        (["sift:refine=auto"], [], "refine=auto needs the features of a network"),
         (["net:K=auto:three"], [], "K cannot be 'auto:three'"),
     ],
 )
@@ -46,12 +46,12 @@ def test_names_that_stand_for_none(names, stored, reason) -> None:
 
 
 def test_settings_are_put_in_wherever_a_field_has_their_name() -> None:
-    (method,) = parse_methods(["net:refine=features:max_matches=300:runs=2"])
-    assert method.matcher.matching == MatchingOptions(max_matches=300, aligned="features")
+    (method,) = parse_methods(["net:refine=none:max_matches=300:runs=2"])
+    assert method.matcher.matching == MatchingOptions(max_matches=300, aligned="none")
     assert method.estimation == EstimationOptions(runs=2)
-    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false:finest=60"])
+    (other,) = parse_methods(["net:threshold_px=1.5:refine_pose=false"])
     assert other.estimation == EstimationOptions(threshold_px=1.5, refine=False)
-    assert other.matcher.matching == MatchingOptions(finest=60)
+    assert other.matcher.matching == MatchingOptions()
     (none,) = parse_methods(["net:threshold_px=none"], None, EstimationOptions(threshold_px=1.0))
     assert none.estimation.threshold_px is None
 
@@ -79,10 +79,10 @@ def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
 
 
 def test_a_network_is_read_once_for_all_methods() -> None:
-    names = ["dgcm-lite0", "mine", "dgcm-lite0:finest=60", "dis/all"]
+    names = ["dgcm-lite0", "mine", "dgcm-lite0:max_matches=60", "dis/all"]
     methods = parse_methods(names, stored=["mine"])
     network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": {}})
     assert other.engine is network.engine is not None and other is not network
     assert (stored.name, dis.name) == ("mine", "dis")
-    with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, dis"):
+    with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, "):
         load_matchers(parse_methods(["nowhere"]), device="cpu")

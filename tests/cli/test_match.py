@@ -43,13 +43,3 @@ def test_map_and_matches_are_written(network):
     assert f"{count} matches of {dense_scene.CELLS**2} cells" in result.stdout
     assert result.stderr.count("two.png: EXIF orientation 8 is applied") == 1
     assert "one.png" not in result.stderr
-
-
-def test_matches_written_are_refined_and_the_map_is_not(network):
-    network(OFF)
-    result = match("--refine", "map")
-    assert result.exit_code == 0, result.stderr
-    with np.load("m.npz", allow_pickle=False) as file:
-        assert np.array_equal(file["map"], OFF.map)
-        off = dense_scene.points_in_image1(file["points2"]) - file["points1"]
-    assert np.median(np.linalg.norm(off, axis=1)) < 0.1  # of the map 0.7 and more

@@ -7,7 +7,7 @@ import pytest
 
 from dgc_pose.images.image import resize
 from dgc_pose.matching.align import Aligned, align, locate, nearby_corners
-from dgc_pose.matching.consistency import LocalMatches
+from dgc_pose.matching.patches import LocalMatches
 
 
 def _local(points2: np.ndarray, error: np.ndarray) -> LocalMatches:

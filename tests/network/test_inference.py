@@ -9,8 +9,7 @@ from torch import nn
 from dgc_pose.images.image import load_image
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.stored import shipped
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import load_network, shipped
 from dgc_pose.runtime.torch_engine import for_inference, network_input
 
 

@@ -9,8 +9,7 @@ import torch
 from safetensors import safe_open
 
 from dgc_pose.network.config import PRESETS
-from dgc_pose.network.stored import shipped
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import load_network, shipped
 
 
 @pytest.mark.parametrize("name", shipped())

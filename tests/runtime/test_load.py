@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.matchers import device_type, load_engine
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.runtime import load
-from dgc_pose.runtime.load import device_type, load_engine
 from dgc_pose.training.run import save_weights
 
 

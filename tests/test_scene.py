@@ -3,7 +3,7 @@
 import dense_scene
 import numpy as np
 
-from dgc_pose.matching.warp import warp_image
+from dgc_pose.scene import warp_image
 
 
 def test_the_warp_of_the_true_map_is_image_2_and_white_outside_image_1():
