@@ -156,12 +156,10 @@ NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
 @pytest.mark.parametrize(
     ("values", "known", "shared"),
     [
-        ((), (False, False), True),
         (("auto:two",), (False, False), False),
         ((NOISE_K,), (True, True), True),
         ((NOISE_K, NOISE_K), (True, True), False),
         ((NOISE_K, "auto"), (True, False), False),
-        (("auto", NOISE_K), (False, True), False),
     ],
 )
 def test_what_is_known_of_the_cameras(
@@ -212,7 +210,7 @@ def test_images_are_upright_and_K_with_them(tmp_path: Path, K: Any) -> None:
 
 @pytest.mark.parametrize(
     "values",
-    [(), ("auto:shared",), ("auto:two",), (dense_scene.K, "auto"), ("auto", dense_scene.K)],
+    [(), ("auto:two",), ("auto", dense_scene.K)],
 )
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))

@@ -28,10 +28,10 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
     cache = ImageCache()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
     locator = locate.Locator(model, load_matcher(cache=cache), options)
-    locator._images.limit_bytes = 1
+    cache.limit_bytes = 1
     location = locator.locate(photo.pixels, DATABASE_K)
     assert location.success and cache.made > 8
-    kept = {key[0].name for key in cache._kept}
+    kept = {image.name for image in cache._kept}
     assert len(kept) <= 1 and "query" not in kept
 
 
