@@ -10,10 +10,9 @@ import numpy as np
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import load_image, picture_url
 from dgc_pose.matching import CorrespondenceMap, Matcher
-from dgc_pose.scene import warp_image
 from dgc_pose.pair_result import PairResult
 from dgc_pose.pose import solve_pair
-from dgc_pose.scene import pose_scene
+from dgc_pose.scene import pose_scene, warp_image
 from dgc_pose.serve.cameras import command, python_text, requested_cameras
 from dgc_pose.serve.images import StoredImage, shrunk
 
