@@ -149,47 +149,6 @@ def test_a_mask_is_turned_and_mirrored_with_its_image(
     np.testing.assert_array_equal(mirrored.mask, upright.mask[:, ::-1])
 
 
-NOISE = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
-NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
-
-
-@pytest.mark.parametrize(
-    ("values", "known", "shared"),
-    [
-        (("auto:two",), (False, False), False),
-        ((NOISE_K,), (True, True), True),
-        ((NOISE_K, NOISE_K), (True, True), False),
-        ((NOISE_K, "auto"), (True, False), False),
-    ],
-)
-def test_what_is_known_of_the_cameras(
-    values: tuple[Any, ...], known: tuple[bool, bool], shared: bool
-) -> None:
-    result = solved(*NOISE, *values)
-    assert result.pose.K1 is None and result.pose.focal_std2 is None  # there is no pose
-    cameras = result.camera1, result.camera2
-    assert tuple(camera.focal_std == 0 for camera in cameras) == known
-    assert (cameras[0].identity == cameras[1].identity) is shared
-
-
-def test_a_K_that_is_turned_is_told_once_if_it_may_be_of_the_upright_image(tmp_path: Path) -> None:
-    photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
-    exif[0x0112] = 6
-    paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
-    for path in paths:
-        photo.save(path, exif=exif)
-    first, second = map(load_image, paths)
-    known = Camera(np.array([[70.0, 0, 35], [0, 70, 35], [0, 0, 1]]))
-    for cameras, count in [((known, known), 1), ((), 0), ((None, known), 1)]:
-        pose = estimate_relative_pose(first, second, *cameras, matcher=SiftMatcher())
-        told = [
-            text
-            for text in pose.warnings
-            if "EXIF orientation 6 is applied, and K is turned" in text
-        ]
-        assert len(told) == count
-
-
 STORED_K = np.array([[70.0, 0, 39.5], [0, 70, 29.5], [0, 0, 1]])
 UPRIGHT_K = np.array([[70.0, 0, 29.5], [0, 70, 39.5], [0, 0, 1]])
 

@@ -21,7 +21,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from dgc_pose.geometry.pixels import cell_centres, rescale, within
+from dgc_pose.geometry.pixels import rescale, within
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize_by
@@ -64,15 +64,37 @@ def dense_map(
     LEVEL_SIZES. search: whether other rotations of image 2 and other scales are searched if the
     mean matchability is below `WEAK`.
     """
-    views = View.whole(image1), View.whole(image2)
-    decoded = engine.decode(*map_features(engine, cache, *views), cells)
+
+    def decode(views: tuple[View, View]) -> DecodedMap:
+        source, target = map_features(engine, cache, *views)
+        return engine.decode(source, target, cells)
+
+    views = whole = View.whole(image1), View.whole(image2)
+    decoded = decode(views)
     mean = decoded.matchability.mean()
     if search and mean < WEAK and (likely := search_views(engine, image1, image2, cache)):
-        again = engine.decode(*map_features(engine, cache, *likely), cells)
+        again = decode(likely)
         inside = likely[1].mask(again.matchability.shape[::-1])
         if again.matchability[inside].mean() > mean:
             views, decoded = likely, again
-    return _map_of_views(engine, *views, decoded, cells)
+    points, matchability = decoded.points, decoded.matchability
+    seen = matchability.shape[::-1]
+    grid = whole[1].centres(seen)
+    if views[1] != whole[1]:  # the map over image 2 as it is, 0 where the view shows nothing
+        sides = engine.config.input_size(image2.size)
+        columns, rows = (side * cells // INPUT_SIZE for side in sides)
+        grid = whole[1].centres((columns, rows))
+        at = views[1].to_view(grid, seen)
+        points, matchability = bilinear(points, at), bilinear(matchability, at)
+        shown = within(views[1].to_view(grid), views[1].size)
+        matchability = np.where(shown, matchability, np.float32(0))
+    return CorrespondenceMap(
+        map=views[0].to_image(points, decoded.size).astype(np.float32),
+        grid=grid.astype(np.float32),
+        matchability=np.ascontiguousarray(matchability),
+        size1=image1.size,
+        size2=image2.size,
+    ).masked(image1, image2)
 
 
 def map_features(engine: Engine, cache: ImageCache, *views: View) -> list[MapFeatures]:
@@ -83,32 +105,6 @@ def map_features(engine: Engine, cache: ImageCache, *views: View) -> list[MapFea
 
     wanted = [(view.image, view, partial(encode, view)) for view in views]
     return cache.get_all(wanted, in_turn=not engine.concurrent)
-
-
-def _map_of_views(
-    engine: Engine, view1: View, view2: View, decoded: DecodedMap, finest: int
-) -> CorrespondenceMap:
-    """The map over image 2 as it is, from a map between views; with matchability 0 where the view
-    of image 2 shows nothing."""
-    size2 = view2.image.size
-    points, matchability = decoded.points, decoded.matchability
-    cells = matchability.shape[::-1]
-    grid = cell_centres(cells, size2)
-    if view2 != View.whole(view2.image):
-        columns, rows = (side * finest // INPUT_SIZE for side in engine.config.input_size(size2))
-        grid = cell_centres((columns, rows), size2)
-        at = view2.to_view(grid, cells)
-        points, matchability = bilinear(points, at), bilinear(matchability, at)
-        shown = within(view2.to_view(grid), view2.size)
-        matchability = np.where(shown, matchability, np.float32(0))
-    points1 = view1.to_image(points, decoded.size)
-    return CorrespondenceMap(
-        map=points1.astype(np.float32),
-        grid=grid.astype(np.float32),
-        matchability=np.ascontiguousarray(matchability),
-        size1=view1.image.size,
-        size2=size2,
-    ).masked(view1.image, view2.image)
 
 
 @dataclass(frozen=True, eq=False)

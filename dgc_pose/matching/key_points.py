@@ -13,7 +13,6 @@ layouts of outputs are known:
 
 import hashlib
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 
 from dgc_pose.errors import InputError, reason
 from dgc_pose.files.inputs import read_bytes
-from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.pixels import Size, rescale
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize
@@ -55,8 +54,9 @@ class KeyPoints(NamedTuple):
         return self.points.nbytes + self.descriptors.nbytes
 
 
-class KeyPointMatcher(Matcher, ABC):
-    """Detects key points with descriptors in each image alone, and matches these; makes no map.
+class KeyPointMatcher(Matcher):
+    """Detects key points with descriptors in each image alone (`_detect`, what a subclass defines),
+    and matches these (`_matched`, likewise); makes no map.
 
     cache: of key points; None to keep those of the last three images.
     """
@@ -64,19 +64,18 @@ class KeyPointMatcher(Matcher, ABC):
     def __init__(self, cache: ImageCache | None = None) -> None:
         self.cache = cache or ImageCache(None)
 
-    @abstractmethod
     def _detect(self, image: Image) -> KeyPoints:
-        """Detect in an image."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _matched(
         self, descriptors1: np.ndarray, descriptors2: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rows of the first (M,) and of the second (M,) that match, and their confidence (M,)."""
+        raise NotImplementedError
 
-    @abstractmethod
     def _error_px(self, image1: Image, image2: Image) -> float:
         """Expected error of a good match, pixels of the images."""
+        return ERROR_PX
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         (points1, descriptors1), (points2, descriptors2) = (
@@ -119,9 +118,6 @@ class SiftMatcher(KeyPointMatcher):
         ]
         table = np.array(kept, dtype=np.float64).reshape(-1, 3)
         return table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2]
-
-    def _error_px(self, image1: Image, image2: Image) -> float:
-        return ERROR_PX
 
 
 class OnnxMatcher(KeyPointMatcher):
@@ -184,7 +180,7 @@ class OnnxMatcher(KeyPointMatcher):
         areas = [math.prod(image.size) / math.prod(self._size(image)) for image in (image1, image2)]
         return ERROR_PX * sum(map(math.sqrt, areas)) / 2
 
-    def _size(self, image: Image) -> tuple[int, int]:
+    def _size(self, image: Image) -> Size:
         """(width, height) of the model's image."""
         height, width = self._sides
         if isinstance(width, int) and isinstance(height, int):

@@ -81,8 +81,8 @@ class NetworkMatcher(Matcher):
             dense = dense_map(self.engine, image1, image2, self.cache, cells=cells, search=False)
             if dense.mean_matchability < WEAK:
                 return None
-        (part,), *views = self._refined(image1, image2, dense, COARSE_SIDE)
-        return self._chosen(*part, dense, *views)
+        (part,), views, scale = self._refined(image1, image2, dense, COARSE_SIDE)
+        return self._chosen(*part, dense, views, scale)
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
         """Match at full resolution by the map of a result: refine the matches of the features, then
@@ -90,11 +90,11 @@ class NetworkMatcher(Matcher):
         dense = result.correspondence_map
         if self.options.aligned == "none" or dense is None:
             return None
-        (part,), *views = self._refined(image1, image2, dense, LONG_SIDE)
-        if found := self._chosen(*part, dense, *views):
+        (part,), views, scale = self._refined(image1, image2, dense, LONG_SIDE)
+        if found := self._chosen(*part, dense, views, scale):
             return found
         part = refine(image1, image2, result.matches, self.options.max_matches)
-        return self._chosen(*part, dense, *views)
+        return self._chosen(*part, dense, views, scale)
 
     def guided(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
@@ -105,10 +105,10 @@ class NetworkMatcher(Matcher):
         dense = result.correspondence_map
         if result.aligned is None or dense is None:
             return None
-        parts, *views = self._refined(image1, image2, dense, LONG_SIDE, hypotheses)
+        parts, views, scale = self._refined(image1, image2, dense, LONG_SIDE, hypotheses)
         aligned = Matches.joined([result.aligned, *(part for part, _ in parts)])
         agreeing = Matches.joined([result.matches, *(part for _, part in parts)])
-        return self._chosen(aligned, agreeing, dense, *views)
+        return self._chosen(aligned, agreeing, dense, views, scale)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         dense = dense_map(self.engine, image1, image2, self.cache)

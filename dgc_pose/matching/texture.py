@@ -175,9 +175,15 @@ def surroundings(
     views: of both images, with their features; textures: of both; scale: of the views' sides, over
     those at full resolution.
     """
-    ways = (*views, textures[1], matches), (*views[::-1], textures[0], matches.swapped())
+    first, second = views
+
+    def likeness(is_swapped: bool) -> list[np.ndarray]:
+        if is_swapped:
+            return _likeness(second, first, textures[0], matches.swapped(), scale)
+        return _likeness(first, second, textures[1], matches, scale)
+
     shares = []
-    for at_matches, around in in_threads(lambda way: _likeness(*way, scale), ways):
+    for at_matches, around in in_threads(likeness, (False, True)):
         if min(len(at_matches), len(around)) >= _LEAST:
             shares.append(float(around.mean()) / max(float(at_matches.mean()), _LEAST_LIKENESS))
     return min(shares, default=None)

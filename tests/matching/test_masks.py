@@ -10,7 +10,6 @@ import pytest
 from dgc_pose import load_matcher
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.geometry.pixels import within
 from dgc_pose.images.image import Image
 from dgc_pose.images.mask import masked
 from dgc_pose.matches import Matches
@@ -117,12 +116,3 @@ def test_masked_cells_are_no_evidence(plain: list[Image], images: list[Image]) -
     assert dense.used is not None and np.array_equal(dense.used, ~hidden)
     assert dense.mean_matchability == pytest.approx(true.matchability[~hidden].mean(), rel=1e-4)
     assert not dense.matchability[hidden].any() and true.masked(*plain) is true
-
-
-def test_a_cell_is_masked_by_either_image(plain: list[Image], images: list[Image]) -> None:
-    true = dense_scene.true_map()
-    dense = true.masked(images[0], plain[1])
-    inside = within(true.map, true.size1)
-    expected = np.ones(inside.shape, bool)
-    expected[inside] = ~_on_masked(true.map[inside], images[0])
-    assert dense.used is not None and np.array_equal(dense.used, expected) and not expected.all()

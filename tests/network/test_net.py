@@ -9,7 +9,6 @@ import pytest
 import torch
 from torch import nn
 
-from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matchers import load_matcher
 from dgc_pose.network.config import preset
@@ -109,11 +108,6 @@ def test_a_part_of_a_level_decodes_as_the_whole_does():
     inner = slice(15, -15)
     expected = whole[:, :, rows, columns][:, :, inner, inner]
     torch.testing.assert_close(found[:, :, inner, inner], expected, atol=1e-5, rtol=1e-4)
-
-
-def test_unknown_presets_are_refused():
-    with pytest.raises(InputError, match="no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"):
-        preset("vgg")
 
 
 def test_the_grid_has_the_images_shape_and_about_225_cells():
