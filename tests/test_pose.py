@@ -149,24 +149,6 @@ def test_a_mask_is_turned_and_mirrored_with_its_image(
     np.testing.assert_array_equal(mirrored.mask, upright.mask[:, ::-1])
 
 
-STORED_K = np.array([[70.0, 0, 39.5], [0, 70, 29.5], [0, 0, 1]])
-UPRIGHT_K = np.array([[70.0, 0, 29.5], [0, 70, 39.5], [0, 0, 1]])
-
-
-@pytest.mark.parametrize(
-    "K", [None, UPRIGHT_K, Camera(UPRIGHT_K, (60, 80)), STORED_K, Camera(STORED_K, (80, 60))]
-)
-def test_images_are_upright_and_K_with_them(tmp_path: Path, K: Any) -> None:
-    photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
-    exif[0x0112] = 6
-    photo.save(tmp_path / "a.jpg", exif=exif)
-    path = tmp_path / "a.jpg"
-    result = solved(path, path, K, K)
-    for image, camera in ((result.image1, result.prior1), (result.image2, result.prior2)):
-        assert image.size == (60, 80) and not camera.warnings
-        np.testing.assert_array_equal(camera.K[:2, 2], UPRIGHT_K[:2, 2])
-
-
 @pytest.mark.parametrize(
     "values",
     [(), ("auto:two",), ("auto", dense_scene.K)],

@@ -25,7 +25,7 @@ class ImageCache:
     all take more; the latest is always kept. None to keep the last three images.
     """
 
-    def __init__(self, limit_bytes: int | None = 2 * 2**30) -> None:
+    def __init__(self, limit_bytes: int | None = 3 * 2**28) -> None:
         self.limit_bytes = limit_bytes
         self.made = 0  # values computed
         self._kept: OrderedDict[Image, dict[Hashable, Any]] = OrderedDict()

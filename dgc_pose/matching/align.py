@@ -57,14 +57,8 @@ def refine(
         none = matches.subset(local.index[:0])
         return none, none
     agreeing = matches.subset(local.index)
-    aligned = align(
-        image1.pixels,
-        image2.pixels,
-        local,
-        error_px=matches.error_px,
-        max_matches=max_matches,
-        corner_radius=corner_radius,
-    )
+    pixels1, pixels2, error_px = image1.pixels, image2.pixels, matches.error_px
+    aligned = align(pixels1, pixels2, local, error_px, max_matches, corner_radius)
     good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
     moved = replace(
         matches,
@@ -97,7 +91,6 @@ def align(
     pixels1: np.ndarray,
     pixels2: np.ndarray,
     matches: LocalMatches,
-    *,
     error_px: float,
     max_matches: int,
     corner_radius: int = CORNER_RADIUS,
@@ -105,8 +98,7 @@ def align(
     """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
 
     pixels: (H, W, 3) uint8. error_px: of the matches, pixels of image 1; each moves by a few times
-    that at most. corner_radius: pixels of image 2 that a match moves along each axis at most, to a
-    corner.
+    that at most.
     """
     areas = np.linalg.det(matches.affinity) if len(matches.index) else np.ones(1)
     scale = float(np.median(np.sqrt(areas)))

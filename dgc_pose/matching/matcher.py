@@ -39,12 +39,11 @@ class MatchResult:
 
 
 class Matcher:
-    """Anything that matches two images: the network, SIFT, optical flow, or files.
+    """Anything that matches two images: the network, SIFT, a detector, or files.
 
-    `match` is all that an image pair needs. A schedule has steps beside it, which a matcher may
-    have: `coarse` before, for an easy pair; `refined`, at full resolution by the coarse map; and
-    `guided` after, by the hypotheses of the pose. Each is None if it has no other matches than
-    those that are there.
+    `match` is all that an image pair needs. `solve_pair` has steps beside it, which a matcher may
+    have: `coarse`, `refined` and `guided`. Each is None if it has no other matches than those that
+    are there.
     """
 
     name: str  # in results and tables

@@ -112,16 +112,12 @@ def _distances(views: tuple[View, View], stride: int) -> np.ndarray:
     centres, sides = [], []
     cells = [(10 * 16 // stride, 7 * 16 // stride), (8 * 16 // stride, 6 * 16 // stride)]
     for view, camera, (columns, rows) in zip(views, (CAMERA1, CAMERA2), cells, strict=True):
-        width, height = view.size
-        image = []
-        for row in range(rows):
-            for column in range(columns):
-                x, y = (column + 0.5) * width / columns - 0.5, (row + 0.5) * height / rows - 0.5
-                pixel = np.linalg.solve(view.matrix[:, :2], (x, y) - view.matrix[:, 2])
-                image.append(np.linalg.solve(camera.K, [*pixel, 1])[:2])
-        centres.append(np.array(image))
-        side = math.sqrt(width / columns * height / rows) / view.scale
-        sides.append(side / camera.K[0, 0])
+        step = np.divide(view.size, (columns, rows))
+        grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
+        seen = (grid + 0.5) * step - 0.5 - view.matrix[:, 2]
+        pixels = np.linalg.solve(view.matrix[:, :2], seen.T).T
+        centres.append((pixels - camera.K[:2, 2]) / camera.K[0, 0])
+        sides.append(math.sqrt(step.prod()) / view.scale / camera.K[0, 0])
     E = skew(HYPOTHESIS.t) @ HYPOTHESIS.R
     table = [
         sampson_distance(centres[0], np.tile(point, (len(centres[0]), 1)), E)

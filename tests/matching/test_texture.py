@@ -22,13 +22,11 @@ from dgc_pose.matching.texture import (
     structured,
     surroundings,
     texture,
-    textured,
 )
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
 
 SIZE = (320, 240)
-PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)
 
 
 @pytest.fixture(scope="module")
@@ -114,20 +112,6 @@ def test_points_are_looked_up_on_images_of_any_size() -> None:
     points = np.array([[640.0, 480], [-3, 5], [np.nan, 3], [np.inf, 1], [1e12, 0], [0, 0]])
     assert found.at(points).tolist() == [True, False, False, False, False, False]
     assert found.at(np.zeros((0, 2))).shape == (0,)
-
-
-def test_both_points_need_structure_and_the_rest_of_a_match_stays() -> None:
-    picture = dense_scene.pictures()[0]
-    half = picture.copy()
-    half[:, :160] = 128
-    points = PIXELS[:: 7 * 3].astype(float)
-    confidence = np.linspace(0, 1, len(points))
-    matches = Matches(points, points, confidence, 0.7, True)
-    whole, part = texture(Image(picture)), texture(Image(half))
-    kept, other = textured(matches, whole, part), textured(matches, part, whole)
-    assert np.array_equal(kept.points1, other.points1) and (kept.points1[:, 0] > 150).all()
-    assert (kept.error_px, kept.key_points) == (0.7, True) and 0 < len(kept) < len(points) / 2
-    assert np.isin(kept.confidence, confidence).all()
 
 
 def test_tiny_images_have_no_structure() -> None:
