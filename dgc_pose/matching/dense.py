@@ -21,7 +21,7 @@ from functools import partial
 import cv2
 import numpy as np
 
-from dgc_pose.geometry.pixels import rescale, within
+from dgc_pose.geometry.pixels import Size, rescale, within
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize_by
@@ -29,7 +29,7 @@ from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
 from dgc_pose.matching.view import View, similarity
 from dgc_pose.network.config import INPUT_SIZE, LONGEST, STRIDE
 from dgc_pose.network.correlation import log_softmax, match_scores
-from dgc_pose.runtime.engine import DecodedMap, Engine, MapFeatures, NativeFeatures
+from dgc_pose.runtime.engine import Engine, MapFeatures, NativeFeatures
 from dgc_pose.system.threads import in_threads
 
 _CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
@@ -65,19 +65,18 @@ def dense_map(
     mean matchability is below `WEAK`.
     """
 
-    def decode(views: tuple[View, View]) -> DecodedMap:
+    def decode(views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray, Size]:
         source, target = map_features(engine, cache, *views)
-        return engine.decode(source, target, cells)
+        return *engine.decode(source, target, cells), source.size
 
     views = whole = View.whole(image1), View.whole(image2)
-    decoded = decode(views)
-    mean = decoded.matchability.mean()
+    points, matchability, size = decode(views)
+    mean = matchability.mean()
     if search and mean < WEAK and (likely := search_views(engine, image1, image2, cache)):
         again = decode(likely)
-        inside = likely[1].mask(again.matchability.shape[::-1])
-        if again.matchability[inside].mean() > mean:
-            views, decoded = likely, again
-    points, matchability = decoded.points, decoded.matchability
+        inside = likely[1].mask(again[1].shape[::-1])
+        if again[1][inside].mean() > mean:
+            views, (points, matchability, size) = likely, again
     seen = matchability.shape[::-1]
     grid = whole[1].centres(seen)
     if views[1] != whole[1]:  # the map over image 2 as it is, 0 where the view shows nothing
@@ -89,7 +88,7 @@ def dense_map(
         shown = within(views[1].to_view(grid), views[1].size)
         matchability = np.where(shown, matchability, np.float32(0))
     return CorrespondenceMap(
-        map=views[0].to_image(points, decoded.size).astype(np.float32),
+        map=views[0].to_image(points, size).astype(np.float32),
         grid=grid.astype(np.float32),
         matchability=np.ascontiguousarray(matchability),
         size1=image1.size,

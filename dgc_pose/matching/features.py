@@ -86,7 +86,7 @@ def feature_matches(
         comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
     encoded: dict[Shown, Encoded] = {}
     # In turn: one image occupies all processors, and memory for one is enough.
-    for view, cells in chain(*(comparison[:2] for comparison in comparisons)):
+    for view, cells in dict.fromkeys(chain(*(comparison[:2] for comparison in comparisons))):
         make = partial(_encode, engine, view, cells)
         encoded[view, cells] = view, cache.get(view.image, (view, cells), make)
 

@@ -33,7 +33,7 @@ from dgc_pose.network.config import (
 from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_evidence
 from dgc_pose.network.weights import check_state, fingerprint, folded, read_safetensors
 from dgc_pose.runtime import engine as graphs
-from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
+from dgc_pose.runtime.engine import MapFeatures, NativeFeatures
 from dgc_pose.system.onnx_library import SHARED_ARENA, onnxruntime
 from dgc_pose.system.threads import in_threads
 
@@ -90,7 +90,9 @@ class OnnxEngine:
         fine, middle, coarse = self._session(graphs.NATIVE)(image)
         return NativeFeatures(coarse, middle, fine)
 
-    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+    def decode(
+        self, source: MapFeatures, target: MapFeatures, finest: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         last, begun = LEVEL_SIZES.index(finest), self._begun
         if begun and begun[0] is source and begun[1] is target and begun[2] >= last:
             above, state = begun[2:]
@@ -111,7 +113,7 @@ class OnnxEngine:
         self._begun = source, target, last, state
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2
-        return DecodedMap(points, 1 / (1 + np.exp(-state[0, 2])), source.size)
+        return points, 1 / (1 + np.exp(-state[0, 2]))
 
     def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
         """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""

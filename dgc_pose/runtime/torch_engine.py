@@ -13,7 +13,7 @@ from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.net import DGCNet, normalise, to_pixels
 from dgc_pose.network.weights import fingerprint
-from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
+from dgc_pose.runtime.engine import MapFeatures, NativeFeatures
 
 Net = TypeVar("Net", bound=nn.Module)
 
@@ -41,14 +41,16 @@ class TorchEngine:
         return _unit(features.levels[COARSEST])
 
     @torch.inference_mode()
-    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+    def decode(
+        self, source: MapFeatures, target: MapFeatures, finest: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         prediction = self.net.decode(source.levels, target.levels, finest)
         normalised = prediction.maps[-1][0].movedim(0, -1).float().nan_to_num(-2.0)
         points = to_pixels(normalised, source.size, self.config.align_corners)
         mask = torch.ones(points.shape[:2])
         if prediction.logits:
             mask = prediction.logits[-1][0, 0].float().sigmoid()
-        return DecodedMap(points.cpu().numpy(), mask.cpu().numpy(), source.size)
+        return points.cpu().numpy(), mask.cpu().numpy()
 
     @torch.inference_mode()
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:

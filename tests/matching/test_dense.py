@@ -1,6 +1,5 @@
 """The dense map: sizes, the half-pixel rule, and the search of rotation and scale."""
 
-from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -20,7 +19,6 @@ from dgc_pose.matching.dense import dense_map, search_views
 from dgc_pose.matching.view import View
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.runtime.engine import DecodedMap
 from dgc_pose.runtime.torch_engine import TorchEngine
 
 
@@ -75,10 +73,10 @@ def test_a_rotation_is_found_and_undone(angle: float, monkeypatch: pytest.Monkey
     engine = TorchEngine(ShiftNet(align_corners=False))
     decode, calls = engine.decode, []
 
-    def decode_upright_alone(*given: Any) -> DecodedMap:
+    def decode_upright_alone(*given: Any) -> tuple[np.ndarray, np.ndarray]:
         calls.append(given)
         value = np.float32(0.1 if len(calls) == 1 else 0.9)
-        return replace(decode(*given), matchability=np.full((240, 240), value))
+        return decode(*given)[0], np.full((240, 240), value)
 
     monkeypatch.setattr(engine, "decode", decode_upright_alone)
     found = _map(engine, upright, second)
