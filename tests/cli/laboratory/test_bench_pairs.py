@@ -88,7 +88,7 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
 
 
 def test_a_method_has_options_of_its_own(folder):
-    methods = "true,true/all,true:refine=map:runs=2,true:max_matches=100,sift:max_matches=300"
+    methods = "true,true/all,true:max_matches=900:runs=2,true:max_matches=100,sift:max_matches=300"
     result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
     assert result.exit_code == 0, result.stderr
     rows = rows_of("run")
