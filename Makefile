@@ -28,13 +28,10 @@ test: lint
 test-all: test
 	$(PYTEST) -m slow
 
-# The network's tests once more, as on a processor without AVX-512 and bfloat16. Nothing outside of
-# torch turns it to bfloat16 (it does not read oneDNN's ONEDNN_DEFAULT_FPMATH_MODE): the tests of
-# half precision among these ask for it by the package's own option, on any processor.
+# The network's tests once more, as on a processor without AVX-512.
 test-processors: $(VENV)/.installed-dev
-	env $$(cat tests/avx2.env) $(PYTEST) tests/network tests/runtime/test_torch_engine.py \
-		tests/runtime/test_onnx_engine.py tests/runtime/test_processors.py \
-		tests/matching/test_features.py
+	env $$(cat tests/avx2.env) $(PYTEST) tests/network tests/runtime/test_engines.py \
+		tests/runtime/test_processors.py tests/matching/test_features.py
 
 # Types and layers are checked on the package as it installs: in the repository cli/, benchmarks/
 # and training/ lie beside dgc_pose/, where mypy would take every import between them for `Any`.

@@ -93,8 +93,7 @@ def _solved(
     dense = matcher.match(pair.image1, pair.image2).correspondence_map
     if dense is None:
         raise InputError(f"{method.name}: {matcher.name} makes no map")
-    selection = replace(method.matcher.matching, matchability=0.0)
-    every = select_matches(dense, selection, min_share=0.0)
+    every = select_matches(dense, method.matcher.matching, 0.0, 0.0)
     matched = time.perf_counter()
     pose = estimate_pose(every, *cameras, method.estimation)
     pose = replace(pose, seconds={"estimate": time.perf_counter() - matched})

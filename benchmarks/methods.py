@@ -1,9 +1,9 @@
 """Methods by name: what matches, with which options and which cameras.
 
 A method is `NAME[/all][:K=K][:K_scale=F]`, as `dgcm-lite0:K=auto:shared`. NAME is that of a matcher
-(see `load_matcher`) or of stored matches. `NAME/all` takes every pixel that the map of NAME sends
-into image 1, whatever its matchability, and refines nothing. K and K_scale are those of
-`CameraTrial`.
+(see `load_matcher`), `dis` (`flow.py`), or that of stored matches. `NAME/all` takes every pixel that
+the map of NAME sends into image 1, whatever its matchability, and refines nothing. K and K_scale
+are those of `CameraTrial`.
 """
 
 import re
@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from dgc_pose.benchmarks.flow import NAME as FLOW
+from dgc_pose.benchmarks.flow import FlowMatcher
 from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
 from dgc_pose.cameras.by_image import checked_camera
@@ -19,10 +21,9 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matchers import MatcherOptions, RuntimeName
 from dgc_pose.matching import Matcher
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.runtime.load import RuntimeName
 from dgc_pose.system.options import check_options, option
 
 EVERYWHERE = "/all"
@@ -114,9 +115,9 @@ def parse_methods(
         name, *words = _SETTING.split(text)
         weights = name.removesuffix(EVERYWHERE)
         used, everywhere = replace(matcher, weights=weights), name != weights
-        if weights in stored or everywhere or not used.is_network:
+        if weights in (FLOW, *stored) or everywhere or not used.is_network:
             used = replace(used, matching=replace(used.matching, aligned="none"))
-        if everywhere and not used.has_map and weights not in stored:
+        if everywhere and not used.is_network and weights not in (FLOW, *stored):
             raise InputError(
                 f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing"
             )
@@ -153,6 +154,9 @@ def load_matchers(
         if stored and options.weights in stored:
             files = stored[options.weights]
             matchers.append(FileMatcher(options.weights, files, options.matching))
+            continue
+        if options.weights == FLOW:
+            matchers.append(FlowMatcher(options.matching))
             continue
         used = replace(options, device=device, runtime=runtime)
         matcher = used.load(engine=engines.get(options.weights))

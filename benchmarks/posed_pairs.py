@@ -16,8 +16,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.geometry.pixels import exif_turn
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
-from dgc_pose.images.store import ImageStore
 from dgc_pose.system.files import read_as, read_text
 
 Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
@@ -54,7 +54,7 @@ class ListedPairs:
             for path in (pair.path1, pair.path2):
                 if not path.is_file():
                     raise ImageError(f"{path}: no such image; it is named in the pair list")
-        self.pairs, self._size, self._images = pairs, size, ImageStore(Path(), size=size)
+        self.pairs, self._size, self._images = pairs, size, ImageCache(2**29)
 
     def pair(self, number: int) -> PosedPair:
         """A pair by its number.
@@ -70,7 +70,7 @@ class ListedPairs:
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
         """An upright image and its camera, and the turn (3, 3) to its axes from those of a list,
         which is of the pixels as stored."""
-        image, turn = self._images.get(str(path)), np.eye(3)
+        image, turn = self._images.read(Path(), str(path), size=self._size), np.eye(3)
         full = image.stored_size or image.size
         turn[:2, :2] = exif_turn(image.exif.orientation)
         stored = full if turn[0, 0] else full[::-1]

@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dgc_pose.benchmarks.flow import scaled_map
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError, reason
 from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.correspondence_map import CorrespondenceMap
-from dgc_pose.matching.flow import scaled_map
+from dgc_pose.matching.correspondence_map import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.system.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.system.files import read_as, read_bytes
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import click
 import numpy as np
@@ -17,8 +17,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
-from dgc_pose.images.image import load_image
-from dgc_pose.images.maps import masked
+from dgc_pose.images.maps import load_pair
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.files import save_text, staged
 
@@ -75,15 +74,13 @@ def estimate(
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.map, outputs.plot, outputs.ply) as stage:
         start = time.perf_counter()
-        first = masked(load_image(image1), masks.mask1, "mask1")
-        second = masked(load_image(image2), masks.mask2, "mask2")
-        camera1, camera2 = cameras.resolve(first, second)
+        first, second = load_pair((image1, image2), (masks.mask1, masks.mask2))
+        pair = cameras.resolve(first, second)
         from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
 
         loaded = matcher.load()
-        seconds = {"load": time.perf_counter() - start}
-        result = solve_pair(first, second, (camera1, camera2), loaded, estimation, scale)
-        pose = replace(result.pose, seconds={**seconds, **result.pose.seconds})
+        result = solve_pair(first, second, pair, loaded, estimation, scale, start=start)
+        pose = result.pose
         data = pose.to_json()
         if json_file is not None:
             save_text(stage(json_file), data)

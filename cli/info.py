@@ -12,7 +12,7 @@ import cv2
 
 import dgc_pose
 from dgc_pose.errors import is_installed
-from dgc_pose.runtime.load import default_runtime
+from dgc_pose.matchers import default_runtime
 from dgc_pose.system.onnx_library import onnxruntime
 from dgc_pose.system.parallel import usable_cpus
 from dgc_pose.version import build, version

@@ -18,9 +18,9 @@ from dgc_pose.cli.process import progress_bars, say
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.decoding import image_header
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import json_text
@@ -93,7 +93,7 @@ def locate(
         model.require_addable(place.add, dict.fromkeys(queries))
     for warning in model.warnings:
         say(f"warning: {warning}")
-    locator = Locator(model, matcher.load(image_cache()), estimation, place.masks)
+    locator = Locator(model, matcher.load(ImageCache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))
     json_file = None if place.json == STDOUT else place.json

@@ -1,26 +1,37 @@
-"""Matchers by name: the network's weights, SIFT, optical flow, detectors and vismatch."""
+"""Matchers by name: the network's weights and what runs them, SIFT, detectors and vismatch."""
 
 from __future__ import annotations
 
 import os
+import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import InputError, WeightsError, is_installed, require
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.matching import Matcher, MatchingOptions, NetworkMatcher
-from dgc_pose.matching.cache import ImageCache
-from dgc_pose.matching.flow import FlowMatcher
-from dgc_pose.matching.key_points import SiftMatcher
-from dgc_pose.matching.onnx_model import OnnxMatcher
+from dgc_pose.matching.key_points import OnnxMatcher, SiftMatcher
 from dgc_pose.matching.vismatch import PREFIX, VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
-from dgc_pose.network.stored import shipped
+from dgc_pose.network.weights import (
+    SUFFIX,
+    choose_device,
+    find_weights,
+    load_network,
+    shipped,
+)
 from dgc_pose.runtime.engine import Engine
-from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, load_engine
 from dgc_pose.system.options import check_options, check_type, option
 
+RuntimeName = Literal["auto", "onnx", "torch"]
+DEVICE_HELP = "auto, cpu, cuda or cuda:N."
+RUNTIME_HELP = (
+    "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for dgcm-lite0 on the CPU, else torch."
+)
 _ONNX = ".onnx"
-NAMES = ("sift", "dis", f"*{_ONNX}", f"{PREFIX}*")  # of the matchers that are no network of ours
+NAMES = ("sift", f"*{_ONNX}", f"{PREFIX}*")  # of the matchers that are no network of ours
+_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of a graphics card, on Linux and in WSL
 
 
 @dataclass(frozen=True)
@@ -35,14 +46,11 @@ class MatcherOptions:
     weights: str = option(
         DEFAULT_WEIGHTS,
         "Shipped weights by name; a file, .safetensors or an authors' .pth; or another matcher: "
-        "sift, dis (optical flow), MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
+        "sift, MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
         metavar="NAME|FILE",
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
     runtime: RuntimeName = option("auto", RUNTIME_HELP, metavar="NAME", section="matching")
-    half_precision: bool = option(
-        False, "bfloat16, by torch: less exact, faster on some GPUs.", section="matching"
-    )
     matching: MatchingOptions = field(default_factory=MatchingOptions)
 
     def __post_init__(self) -> None:
@@ -50,31 +58,23 @@ class MatcherOptions:
 
     @property
     def is_network(self) -> bool:
-        """Whether the name is that of a network of ours, whose features refine its matches and
-        choose pairs."""
-        is_other = self.weights in ("sift", "dis") or self.weights.startswith(PREFIX)
-        return not (is_other or self.weights.endswith(_ONNX))
-
-    @property
-    def has_map(self) -> bool:
-        """Whether the matcher makes a dense map."""
-        return self.is_network or self.weights == "dis"
+        """Whether the name is that of a network of ours, which makes a dense map, and whose
+        features refine its matches and choose pairs."""
+        return self.weights != "sift" and not (
+            self.weights.startswith(PREFIX) or self.weights.endswith(_ONNX)
+        )
 
     def load(self, cache: ImageCache | None = None, engine: Engine | None = None) -> Matcher:
         """The matcher; see `load_matcher`. engine: of a network that is loaded already."""
         name = self.weights
         if name == "sift":
             return SiftMatcher(cache)
-        if name == "dis":
-            return FlowMatcher(self.matching)
         if name.startswith(PREFIX):
             return VismatchMatcher(name, self.device)
         if name.endswith(_ONNX):
             return OnnxMatcher(name, cache)
         try:
-            engine = engine or load_engine(
-                name, device=self.device, runtime=self.runtime, half_precision=self.half_precision
-            )
+            engine = engine or load_engine(name, device=self.device, runtime=self.runtime)
         except WeightsError:
             if name in PRESETS or Path(name).suffix or Path(name).exists():
                 raise
@@ -90,16 +90,14 @@ def load_matcher(
     *,
     device: str = "auto",
     runtime: RuntimeName = "auto",
-    half_precision: bool = False,
     matching: MatchingOptions | None = None,
     cache: ImageCache | None = None,
 ) -> Matcher:
     """A matcher by its name; by default what `dgc-pose estimate` uses.
 
     name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), or one of `NAMES`.
-    device: of the network. runtime: what runs it, see `load_engine`. half_precision: its
-    convolutions in bfloat16, by torch; faster on a GPU, less exact. matching: how matches are
-    selected from a dense map and refined. cache: `image_cache(bytes)` to keep what is computed of
+    device: of the network. runtime: what runs it, see `load_engine`. matching: how matches are
+    selected from a dense map and refined. cache: `ImageCache(bytes)` to keep what is computed of
     an image from pair to pair, of one matcher alone; None to keep it of the last three images, for
     a network some 35 MB each beside their pixels.
 
@@ -109,5 +107,57 @@ def load_matcher(
     check_type(name, str | os.PathLike, "name")
     check_type(cache, ImageCache | None, "cache")
     matching = MatchingOptions() if matching is None else matching
-    options = MatcherOptions(os.fspath(name), device, runtime, half_precision, matching)
-    return options.load(cache)
+    return MatcherOptions(os.fspath(name), device, runtime, matching).load(cache)
+
+
+def load_engine(
+    weights: str | Path = DEFAULT_WEIGHTS, *, device: str = "auto", runtime: RuntimeName = "auto"
+) -> Engine:
+    """An engine of shipped weights by name, or of those of a file (see `network.weights`).
+
+    device: "auto", "cpu" or "cuda". runtime: "onnx" runs weights of the presets with graphs on the
+    CPU and never imports torch; "torch" runs all; "auto" is ONNX Runtime for shipped weights
+    that have graphs, on the CPU, and wherever torch is not installed.
+
+    Raises WeightsError if the weights cannot be loaded, InputError if there is no such device, or
+    if the runtime is not installed or cannot do what is asked for.
+    """
+    path = find_weights(weights)
+    if runtime == "auto":
+        runtime = default_runtime(weights, device)
+    if runtime == "onnx":
+        if device not in ("auto", "cpu"):
+            raise InputError(f"ONNX Runtime runs on the CPU, not on {device}: choose torch")
+        from dgc_pose.runtime.onnx_engine import OnnxEngine
+
+        return OnnxEngine(path)
+    require({"the runtime torch" if path.suffix == SUFFIX else path.name: "torch"})
+    from dgc_pose.runtime.torch_engine import TorchEngine
+
+    return TorchEngine(load_network(path, choose_device(device)))
+
+
+def default_runtime(weights: str | Path = DEFAULT_WEIGHTS, device: str = "auto") -> RuntimeName:
+    """The runtime that "auto" is here for weights. Raises as `find_weights` does."""
+    if find_weights(weights).suffix != SUFFIX or device not in ("auto", "cpu"):
+        return "torch"
+    if not is_installed("torch"):
+        return "onnx"
+    is_shipped = str(weights) == DEFAULT_WEIGHTS
+    return "onnx" if is_shipped and device_type(device) == "cpu" else "torch"
+
+
+def device_type(name: str) -> str:
+    """Where the device of that name is, "cpu" or "cuda"; "auto" is a GPU if torch can use one.
+
+    Imports torch only if it is asked for a GPU, or there is a GPU's driver. Raises InputError for
+    an unknown name or a missing device.
+    """
+    if name == "cpu" or (name == "auto" and not (is_installed("torch") and _may_have_gpu())):
+        return "cpu"
+    require({f"device {name}": "torch"})
+    return choose_device(name).type
+
+
+def _may_have_gpu() -> bool:
+    return shutil.which("nvidia-smi") is not None or any(Path(path).exists() for path in _DRIVERS)

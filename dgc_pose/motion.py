@@ -32,9 +32,8 @@ from dgc_pose.estimation.least_squares import (
     jackknife,
     loss_terms,
 )
-from dgc_pose.geometry.epipolar import homogeneous
+from dgc_pose.geometry.epipolar import homogeneous, unit_rays
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
-from dgc_pose.geometry.triangulation import unit_rays
 from dgc_pose.images.image import load_image
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches

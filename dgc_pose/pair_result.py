@@ -8,8 +8,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
-from dgc_pose.geometry.epipolar import homogeneous
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import depths, homogeneous
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,25 +15,44 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation.camera_model import OF_STATED
+from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.pixels import exif_turn
-from dgc_pose.images.image import Image, flipped, load_image
-from dgc_pose.images.maps import masked
+from dgc_pose.images.image import Image, flipped
+from dgc_pose.images.maps import load_pair
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult
-from dgc_pose.schedule import LIKELY, STEPS, may_change
 from dgc_pose.system.options import check_type
-from dgc_pose.system.parallel import in_threads, one_blas_thread
+from dgc_pose.system.parallel import one_blas_thread
 
 if TYPE_CHECKING:
-    import torch
+    from dgc_pose.images.maps import ImageSource, MaskSource
 
-    ImageSource = str | Path | np.ndarray | torch.Tensor | Image
-    MaskSource = str | Path | ArrayLike | None
     CameraSource = ArrayLike | Camera | Path | None
     MatcherSource = Matcher | str | Path | None
+
+# What is done for a pose, in this order, as far as the matcher has the step:
+# - coarse: a pass over small images, which is enough for an easy pair
+# - refine: more accurate matches by the map of the coarse step, for a pose that is certain
+# - full: all that `Matcher.match` does
+# - guided: matches of squeezed images and near epipolar lines, pooled with those that are there
+Step = Literal["coarse", "refine", "full", "guided"]
+STEPS: Mapping[Effort, Sequence[Step]] = {
+    "fast": ("coarse", "full"),
+    "auto": ("coarse", "refine", "full", "guided"),
+    "thorough": ("full", "guided"),
+}
+# Probabilities that a pose or an alternative is right beyond which no more is searched, and the
+# share of the pose that this needs.
+_MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
+# Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
+_LIKELY = 0.9
+_DOUBT = -1.0  # log-odds of another camera by the matches, which more of them confirm or not
+_ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
+_LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
 
 
 def estimate_relative_pose(
@@ -73,17 +93,13 @@ def estimate_relative_pose(
     >>> pose.success, pose.R, pose.t  # doctest: +SKIP
     """
     start = time.perf_counter()
-    named = (image1, "image1"), (image2, "image2")
-    first, second = in_threads(lambda image: load_image(*image), named)
-    first, second = masked(first, mask1, "mask1"), masked(second, mask2, "mask2")
+    first, second = load_pair((image1, image2), (mask1, mask2))
     K, name = (K1, "K1") if K2 is None else (K2, "K2")
     cameras = pair_cameras(K1, K, first, second, ("K1", name), fov=fov)
     check_type(matcher, Matcher | str | Path | None, "matcher")
     matcher = DEFAULT_WEIGHTS if matcher is None else matcher
     matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
-    load_seconds = time.perf_counter() - start
-    pose = solve_pair(first, second, cameras, matcher, options, scale).pose
-    return replace(pose, seconds={"load": load_seconds, **pose.seconds})
+    return solve_pair(first, second, cameras, matcher, options, scale, start=start).pose
 
 
 @one_blas_thread()
@@ -94,14 +110,18 @@ def solve_pair(
     matcher: Matcher,
     options: EstimationOptions | None = None,
     scale: ScaleSource | None = None,
+    *,
+    start: float | None = None,
 ) -> PairResult:
     """The pose of two images, with the matches that it is of.
 
     cameras: of image 1 and of image 2, as `pair_cameras` gives them. The steps of `options.effort`
-    (`schedule.py`) are done in turn, as long as they may change the answer, and a pose is estimated
-    after each. `seconds` of the pose has those that changed the matches. Raises InputError for an
-    argument of another type, and for a depth map that cannot be read.
+    are done in turn, as long as they may change the answer, and a pose is estimated after each.
+    `seconds` of the pose has those that changed the matches. start: by `time.perf_counter()`, from
+    which on "load" is counted among them. Raises InputError for an argument of another type, and
+    for a depth map that cannot be read.
     """
+    begun = time.perf_counter()
     options = EstimationOptions() if options is None else options
     scale = ScaleSource() if scale is None else scale
     for value, kind, name in (
@@ -111,42 +131,87 @@ def solve_pair(
     ):
         check_type(value, kind, name)
     depths, markers = scale.maps((image1, image2)), scale.markers((image1, image2))
-    pose, found = None, None
-    seconds: dict[str, float] = {}
+    pose: RelativePose | None = None
+    found: MatchResult | None = None
+    seconds = {} if start is None else {"load": begun - start}
     estimating = 0.0
+    # Those that refine what is found follow a step that finds: each effort has the full one.
+    matching: dict[Step, Callable[[], MatchResult | None]] = {
+        "coarse": lambda: matcher.coarse(image1, image2),
+        "refine": lambda: found and matcher.refined(image1, image2, found),
+        "full": lambda: matcher.match(image1, image2),
+        "guided": lambda: found and matcher.guided(image1, image2, found, _views(pose, cameras)),
+    }
     for step in STEPS[options.effort]:
         if not may_change(step, pose, options.effort):
             continue
-        start = time.perf_counter()
-        if step == "full":
-            result: MatchResult | None = matcher.match(image1, image2)
-        elif step == "coarse":
-            result = matcher.coarse(image1, image2)
-        else:  # all others follow one of these
-            assert pose is not None and found is not None
-            if step == "mirrored":
-                mirrored = _mirrored(image1, image2, cameras, matcher, pose, options)
-                if mirrored is None:
-                    continue
-                pose = mirrored
-                break
-            if step == "refine":
-                result = matcher.refined(image1, image2, found)
-            else:
-                of_pose = pose.cameras or cameras
-                hypotheses = [TwoViews(*of_pose, h.R, h.t) for h in pose.hypotheses]
-                result = matcher.guided(image1, image2, found, hypotheses)
+        before = time.perf_counter()
+        result = matching[step]()
         if result is None:
             continue
         matched = time.perf_counter()
         found = result
         pose = estimate_pose(found.matches, *cameras, options, map_matches=found.map_matches)
-        seconds[step] = matched - start
+        seconds[step] = matched - before
         estimating += time.perf_counter() - matched
-    assert pose is not None and found is not None  # each effort has the full step
+    assert pose is not None and found is not None
+    pose = _mirrored(image1, image2, cameras, matcher, pose, options) or pose
     pose = with_length(pose, found.matches, scale, depths, markers)
     pose = replace(pose, seconds={**seconds, "estimate": estimating})
     return PairResult(image1, image2, *cameras, found.matches, found.correspondence_map, pose)
+
+
+def _views(pose: RelativePose | None, cameras: tuple[Camera, Camera]) -> list[TwoViews]:
+    """The hypotheses of a pose."""
+    assert pose is not None
+    return [TwoViews(*(pose.cameras or cameras), h.R, h.t) for h in pose.hypotheses]
+
+
+def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
+    """Whether a step may change the answer. pose: after the steps before it, if there is one.
+
+    A coarse pass has few matches, which distinguish a wrong camera from a right one less than many
+    do: they are refined if the pose hangs on it.
+    """
+    if pose is None:
+        return step in ("coarse", "full")
+    is_certain = pose.success and _is_clear(pose)
+    if step == "refine":
+        return is_certain and not (_is_accurate(pose, _ACCURATE_DEG) and _agrees_on_cameras(pose))
+    if step == "full":
+        return effort != "fast" and not is_certain
+    limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
+    return in_doubt(pose) or (pose.success and not _is_accurate(pose, limit_deg))
+
+
+def _is_clear(pose: RelativePose) -> bool:
+    """Whether a hypothesis is nearly certain to be right, and which one."""
+    likely = (pose.any_probability or 0.0) >= _MAX_SEARCHED
+    return likely and pose.hypotheses[0].share >= _CLEAR_SHARE
+
+
+def _is_accurate(pose: RelativePose, limit_deg: float) -> bool:
+    """Whether the expected errors of the pose are known, and below a limit."""
+    errors = pose.rotation_error_90_deg, pose.translation_error_90_deg
+    return all(error is not None and error < limit_deg for error in errors)
+
+
+def _agrees_on_cameras(pose: RelativePose) -> bool:
+    """Whether the pose hardly depends on whether other cameras than the assumed ones are right."""
+    evidence = pose.evidence
+    if evidence is None or evidence.camera_model != "assumed":
+        return False
+    return evidence.camera_agreement >= _MAX_SEARCHED and evidence.camera_doubt < _DOUBT
+
+
+def in_doubt(pose: RelativePose) -> bool:
+    """Whether more matches may change the answer: it is neither certain nor hopeless."""
+    likely = pose.any_probability
+    if likely is None or not pose.hypotheses:
+        return False
+    share = pose.hypotheses[0].share
+    of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
+    return of_others > _MIN_SEARCHED and not _is_clear(pose)
 
 
 def _mirrored(
@@ -157,11 +222,17 @@ def _mirrored(
     pose: RelativePose,
     options: EstimationOptions,
 ) -> RelativePose | None:
-    """The refusal of image 2 as a mirror image, if its mirror image has a likely pose by a coarse
-    pass, no less probable than its own; None if it has none.
+    """The refusal of image 2 as a mirror image, if its own pose fails, and its mirror image has a
+    likely pose by a coarse pass, no less probable than its own; None if it has none.
 
     The mirror image is flipped left to right, or top to bottom if the pose is upside down.
     """
+    if pose.success or pose.any_probability is None:
+        return None
+    if pose.evidence is not None and pose.evidence.camera_model in OF_STATED:
+        return None
+    if pose.status in ("rotation_only", "same_picture"):
+        return None
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
     mirror_image = flipped(image2, 0 if flips else 1)
     result = matcher.coarse(image1, mirror_image)
@@ -176,7 +247,7 @@ def _mirrored(
         result.matches, cameras[0], second, options, map_matches=result.map_matches
     )
     probability = (of_mirror_image.one_place_probability or 0.0) if of_mirror_image.success else 0.0
-    if probability < max(LIKELY, pose.any_probability or 0.0):
+    if probability < max(_LIKELY, pose.any_probability):
         return None
     reason = (
         f"the mirror image of image 2 has a pose, {percent_text(probability)} probable, "

@@ -17,7 +17,6 @@ from dgc_pose.matching import (
     NetworkMatcher,
     select_matches,
 )
-from dgc_pose.runtime.engine import Engine
 
 SIZE = (320, 240)  # width, height, pixels
 K = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
@@ -36,11 +35,10 @@ class MapMatcher(NetworkMatcher):
         self,
         correspondence_map: CorrespondenceMap,
         options: MatchingOptions | None = None,
-        engine: Engine | None = None,
     ) -> None:
         self.name, self.correspondence_map = "map", correspondence_map
         self.options = options or MatchingOptions(aligned="none")
-        self.engine = engine  # type: ignore[assignment]
+        self.engine = None  # type: ignore[assignment]
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         matches = select_matches(self.correspondence_map, self.options)

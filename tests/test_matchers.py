@@ -1,7 +1,9 @@
-"""Matchers by name: what each name gives, and what caches keep and fingerprints identify."""
+"""Matchers by name: what each gives, which runtime, what caches keep and fingerprints identify."""
 
 import os
+import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import dense_scene
@@ -9,12 +11,13 @@ import numpy as np
 import pytest
 import torch
 
-from dgc_pose import Camera, EstimationOptions, estimate_pose, load_matcher
+from dgc_pose import Camera, EstimationOptions, estimate_pose, load_matcher, matchers
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
+from dgc_pose.matchers import device_type, load_engine
 from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.training.run import save_weights
@@ -67,11 +70,9 @@ def test_matches_state_the_weights_of_the_network_that_made_them(
     poses = estimate_pose(full.matches, camera, camera, FAST).hypotheses
     views = [TwoViews(camera, camera, pose.R, pose.t) for pose in poses]
     steps = [full, coarse, matcher.refined(*images, coarse), matcher.guided(*images, full, views)]
-    of_map = MatchingOptions(aligned="map")
-    steps += [load_matcher(matching=options).match(*images) for options in (BARE, of_map)]
+    steps.append(load_matcher(matching=BARE).match(*images))
     assert all(step is not None and step.matches.weights == matcher.fingerprint for step in steps)
-    others = load_matcher("dis"), load_matcher("sift")
-    assert [other.match(*images).matches.weights for other in others] == [None] * 2
+    assert load_matcher("sift").match(*images).matches.weights is None
 
 
 @pytest.mark.parametrize("weights", ["shipped", None, "0123456789abcdef"])
@@ -95,7 +96,7 @@ def test_what_is_computed_of_an_image_is_kept(
 ) -> None:
     """Key points or features, and structure, of each; in a cache of any kind."""
     found = []
-    for cache in (image_cache(), None):
+    for cache in (ImageCache(), None):
         matcher = load_matcher(name, cache=cache)
         found += [matcher.match(*images).matches.points1 for _ in range(2)]
         matcher.match(*images[::-1])
@@ -119,9 +120,7 @@ def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:
 def test_other_names_are_paths_to_weights() -> None:
     with pytest.raises(WeightsError, match="nowhere.pth: no such weights"):
         load_matcher("nowhere.pth")
-    with pytest.raises(
-        InputError, match="nowhere: no such file, .*: there are dgcm-lite0, sift, dis, "
-    ):
+    with pytest.raises(InputError, match="nowhere: no such file, .*: there are dgcm-lite0, sift, "):
         load_matcher("nowhere")
 
 
@@ -146,8 +145,71 @@ def test_images_that_may_be_rotated_and_those_without_structure_have_no_coarse_p
     first, second = images
     blank = Image(np.full_like(second.pixels, 90))
     rotated = Image(np.ascontiguousarray(np.rot90(second.pixels)))
-    of_map = load_matcher(matching=MatchingOptions(aligned="map"))
-    assert isinstance(of_map, NetworkMatcher)
     assert network.coarse(first, rotated) is None
     assert network.coarse(first, blank) is None
-    assert of_map.coarse(first, second) is None
+
+
+@pytest.fixture(scope="module")
+def own_weights(tmp_path_factory):
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("weights") / "own.safetensors"
+    save_weights(DGCNet(preset("dgcm-lite0")), path)
+    return path
+
+
+@pytest.fixture
+def no_gpu(monkeypatch):
+    monkeypatch.setattr(matchers, "_may_have_gpu", lambda: False)
+
+
+@pytest.fixture
+def no_torch(monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+
+
+def _kind(*given: object, **options: object) -> str:
+    return type(load_engine(*given, **options)).__name__  # type: ignore[arg-type]
+
+
+def test_shipped_weights_on_the_cpu_run_by_onnx_runtime(no_gpu, own_weights):
+    assert _kind() == _kind(device="cpu") == _kind("dgcm-lite0") == "OnnxEngine"
+    assert _kind(runtime="torch") == _kind(own_weights) == "TorchEngine"
+    assert _kind(own_weights, runtime="onnx") == "OnnxEngine"
+
+
+def test_a_gpu_is_torch_s(monkeypatch, own_weights):
+    monkeypatch.setattr(matchers, "_may_have_gpu", lambda: True)
+    monkeypatch.setattr(matchers, "device_type", lambda name: "cuda")
+    assert _kind() == "TorchEngine" and _kind(runtime="onnx") == "OnnxEngine"
+    monkeypatch.undo()
+    monkeypatch.setattr(matchers, "_may_have_gpu", lambda: True)
+    monkeypatch.setattr(matchers, "choose_device", lambda name: torch.device("meta"))
+    assert device_type("auto") == "meta"
+    monkeypatch.setattr(matchers, "choose_device", lambda name: torch.device("cpu"))
+    assert _kind() == "OnnxEngine"  # a driver without a card
+
+
+def test_without_torch_what_needs_it_is_refused(no_torch, own_weights):
+    checkpoint = own_weights.with_suffix(".pth")
+    checkpoint.touch()
+    assert _kind() == _kind(own_weights) == "OnnxEngine"
+    assert device_type("auto") == device_type("cpu") == "cpu"
+    for call in (
+        partial(device_type, "cuda"),
+        partial(load_engine, device="cuda"),
+        partial(load_engine, own_weights, device="cpu", runtime="torch"),
+        partial(load_engine, checkpoint),
+    ):
+        with pytest.raises(InputError, match="needs torch, which is not installed: pip install"):
+            call()
+
+
+def test_other_requests_are_refused(no_gpu, tmp_path):
+    for options, error, words in (
+        ({"weights": "nowhere.safetensors"}, WeightsError, "no such weights"),
+        ({"weights": "dgcm"}, WeightsError, "no weights are shipped for dgcm "),
+        ({"device": "cuda", "runtime": "onnx"}, InputError, "on the CPU, not on cuda"),
+        ({"device": "quantum"}, InputError, "device"),
+    ):
+        with pytest.raises(error, match=words):
+            load_engine(**options)  # type: ignore[arg-type]

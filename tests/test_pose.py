@@ -149,70 +149,9 @@ def test_a_mask_is_turned_and_mirrored_with_its_image(
     np.testing.assert_array_equal(mirrored.mask, upright.mask[:, ::-1])
 
 
-NOISE = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
-NOISE_K = np.array([[300.0, 0, 160], [0, 300, 120], [0, 0, 1]])
-
-
-@pytest.mark.parametrize(
-    ("values", "known", "shared"),
-    [
-        ((), (False, False), True),
-        (("auto:two",), (False, False), False),
-        ((NOISE_K,), (True, True), True),
-        ((NOISE_K, NOISE_K), (True, True), False),
-        ((NOISE_K, "auto"), (True, False), False),
-        (("auto", NOISE_K), (False, True), False),
-    ],
-)
-def test_what_is_known_of_the_cameras(
-    values: tuple[Any, ...], known: tuple[bool, bool], shared: bool
-) -> None:
-    result = solved(*NOISE, *values)
-    assert result.pose.K1 is None and result.pose.focal_std2 is None  # there is no pose
-    cameras = result.camera1, result.camera2
-    assert tuple(camera.focal_std == 0 for camera in cameras) == known
-    assert (cameras[0].identity == cameras[1].identity) is shared
-
-
-def test_a_K_that_is_turned_is_told_once_if_it_may_be_of_the_upright_image(tmp_path: Path) -> None:
-    photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
-    exif[0x0112] = 6
-    paths = [tmp_path / "a.jpg", tmp_path / "b.jpg"]
-    for path in paths:
-        photo.save(path, exif=exif)
-    first, second = map(load_image, paths)
-    known = Camera(np.array([[70.0, 0, 35], [0, 70, 35], [0, 0, 1]]))
-    for cameras, count in [((known, known), 1), ((), 0), ((None, known), 1)]:
-        pose = estimate_relative_pose(first, second, *cameras, matcher=SiftMatcher())
-        told = [
-            text
-            for text in pose.warnings
-            if "EXIF orientation 6 is applied, and K is turned" in text
-        ]
-        assert len(told) == count
-
-
-STORED_K = np.array([[70.0, 0, 39.5], [0, 70, 29.5], [0, 0, 1]])
-UPRIGHT_K = np.array([[70.0, 0, 29.5], [0, 70, 39.5], [0, 0, 1]])
-
-
-@pytest.mark.parametrize(
-    "K", [None, UPRIGHT_K, Camera(UPRIGHT_K, (60, 80)), STORED_K, Camera(STORED_K, (80, 60))]
-)
-def test_images_are_upright_and_K_with_them(tmp_path: Path, K: Any) -> None:
-    photo, exif = PIL.Image.new("RGB", (80, 60)), PIL.Image.Exif()
-    exif[0x0112] = 6
-    photo.save(tmp_path / "a.jpg", exif=exif)
-    path = tmp_path / "a.jpg"
-    result = solved(path, path, K, K)
-    for image, camera in ((result.image1, result.prior1), (result.image2, result.prior2)):
-        assert image.size == (60, 80) and not camera.warnings
-        np.testing.assert_array_equal(camera.K[:2, 2], UPRIGHT_K[:2, 2])
-
-
 @pytest.mark.parametrize(
     "values",
-    [(), ("auto:shared",), ("auto:two",), (dense_scene.K, "auto"), ("auto", dense_scene.K)],
+    [(), ("auto:two",), ("auto", dense_scene.K)],
 )
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))

@@ -28,9 +28,9 @@ from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.problem import Hypothesis
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchResult
-from dgc_pose.matching.cache import image_cache
 
 
 class _Steps(dense_scene.MapMatcher):
@@ -130,36 +130,26 @@ AMBIGUOUS = _doubt(0.0, 0.9) | {"status": "ambiguous"}
     ("effort", "answers", "steps"),
     [
         ("auto", [CERTAIN], ["coarse"]),
-        ("fast", [CERTAIN | _doubt(0.96)], ["coarse"]),
-        ("fast", [CERTAIN | {"any_probability": 0.89}], ["coarse"]),
+        ("auto", [_doubt(0.96, 0.035)], ["coarse"]),
         ("auto", [_doubt(0.9), CERTAIN], ["coarse", "full"]),
         ("auto", [LOOSE], ["coarse", "refine"]),  # certain, but not accurate
         ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["coarse", "refine", "full"]),
         ("auto", [LOOSER], ["coarse", "refine", "guided"]),
         ("auto", [OTHER_CAMERAS], ["coarse", "refine"]),  # few matches tell cameras apart less
         ("auto", [TAIL], ["coarse", "refine"]),
-        ("fast", [OTHER_CAMERAS], ["coarse"]),
         ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare with
         ("auto", [_doubt(0.5)], ["coarse", "full", "guided"]),  # a pose is of no mirror image
+        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", "guided"]),  # one of two is right
         ("auto", [_refused(0.4)], ["coarse", "full", "guided", "mirrored"]),
-        ("auto", [_refused(0.4), CERTAIN], ["coarse", "full"]),
         ("auto", [_refused(0.4), _refused(0.4), CERTAIN], ["coarse", "full", "guided"]),
-        ("auto", [_refused(0.4, camera_model="two")], ["coarse", "full", "guided", "mirrored"]),
+        ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
         # The camera is what is wrong.
-        *(
-            ("auto", [_refused(0.4, camera_model=name)], ["coarse", "full", "guided"])
-            for name in OF_STATED
-        ),
+        ("auto", [_refused(0.4, camera_model=OF_STATED[0])], ["coarse", "full", "guided"]),
         ("auto", [AMBIGUOUS], ["coarse", "full", "guided", "mirrored"]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided"]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
-        ("auto", [_doubt(0.8)], ["coarse", "full", "guided"]),
-        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", "guided"]),  # one of two is right
-        ("auto", [_doubt(0.96, 0.035)], ["coarse"]),
-        ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
+        ("fast", [LOOSE | {"any_probability": 0.89}], ["coarse"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
-        ("fast", [_doubt(0.5)], ["coarse"]),
-        ("fast", [LOOSE], ["coarse"]),
         ("thorough", [CERTAIN], ["full"]),
         ("thorough", [LOOSE, CERTAIN], ["full", "guided"]),
         ("thorough", [_refused(0.4)], ["full", "guided", "mirrored"]),
@@ -190,21 +180,17 @@ def test_a_coarse_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.Monke
         assert matcher.steps[:2] == steps
 
 
-@pytest.mark.parametrize("uncertain", [1, 2])
-def test_cameras_that_are_not_exact_have_all_steps(
-    monkeypatch: pytest.MonkeyPatch, uncertain: int
-) -> None:
+def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The lines of the guided matches are of the cameras as fitted so far."""
     _with(monkeypatch, _refused(0.4))
-    first, second = (replace(EXACT, focal_std=0.05 * (n == uncertain)) for n in (1, 2))
+    first, second = replace(EXACT, focal_std=0.05), EXACT
     matcher = _Steps()
     solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
     assert matcher.steps == ["coarse", "full", "guided", "mirrored"]
     assert matcher.views
     for views in matcher.views:
-        cameras = views.camera1, views.camera2
-        fitted, exact = cameras[uncertain - 1], cameras[2 - uncertain]
-        assert exact is (first, second)[2 - uncertain]
+        fitted = views.camera1
+        assert views.camera2 is second
         assert fitted.focal_source == "matches" and fitted.focal_std < 0.05
         assert abs(fitted.focal / EXACT.focal - 1) < 3 * fitted.focal_std
     _with(monkeypatch, CERTAIN | {"evidence": GOOD_EVIDENCE, "covariance": 1e-6 * np.eye(6)})
@@ -220,7 +206,6 @@ def test_cameras_that_are_not_exact_have_all_steps(
         (_refused(0.4), _doubt(0.89), "improbable"),
         (_refused(0.4) | {"any_probability": 0.97}, _doubt(0.98), "mirrored"),
         (_refused(0.4) | {"any_probability": 0.98}, _doubt(0.97), "improbable"),
-        (_refused(0.4), _doubt(None), "improbable"),
         (_refused(0.4), _refused(0.99), "improbable"),
     ],
 )
@@ -240,16 +225,10 @@ def test_a_likely_pose_of_the_mirror_image_is_that_of_a_mirrored_one(
         assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
 
 
-LENSES = [
-    None,
-    Distortion("RADIAL", (-0.1, 0.02)),
-    Distortion("OPENCV", (-0.1, 0.02, 0.01, -0.02)),
-    Distortion("OPENCV_FISHEYE", (0.02, -0.01, 0.0, 0.0)),
-]
-
-
-@pytest.mark.parametrize("upside_down", [False, True])
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize(
+    ("lens", "upside_down"),
+    [(None, False), (Distortion("OPENCV", (-0.1, 0.02, 0.01, -0.02)), True)],
+)
 def test_the_camera_of_the_mirror_image_sees_the_mirrored_scene(
     monkeypatch: pytest.MonkeyPatch, lens: Distortion | None, upside_down: bool
 ) -> None:
@@ -298,13 +277,14 @@ def test_a_mirrored_photograph_is_recognised() -> None:
 
 
 def test_features_are_kept_of_the_two_images_and_not_of_the_mirror_image() -> None:
-    cache = image_cache()
+    cache = ImageCache()
     matcher = load_matcher(cache=cache)
     noise = np.random.default_rng(0).integers(0, 256, (2, 240, 320, 3), dtype=np.uint8)
     for first, second in (map(load_image, bundled_photographs()), map(load_image, noise)):
-        cache._kept.clear()
+        for image in list(cache._kept):
+            cache.forget(image)
         estimate_relative_pose(first, second, matcher=matcher)
-        assert len({key[0] for key in cache._kept}) == 2
+        assert set(cache._kept) == {first, second}
 
 
 @pytest.mark.parametrize("effort", ["fast", "auto"])

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from dgc_pose.network.config import COARSEST, DEFAULT_WEIGHTS, DEVIATION, MEAN, STRIDE, preset
 from dgc_pose.network.efficientnet import EfficientPyramid, upsample
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.stored import COUNTER
+from dgc_pose.network.weights import COUNTER
 from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.torch_engine import for_inference
 

@@ -18,8 +18,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.network.net import DGCNet, Pyramid
-from dgc_pose.network.stored import COUNTER, check_state
-from dgc_pose.network.weights import load_checkpoint, load_network, read_state
+from dgc_pose.network.weights import COUNTER, check_state, load_checkpoint, load_network, read_state
 from dgc_pose.system.files import naming_path, read_as, replaced, write_text
 from dgc_pose.training.draw import Draw
 from dgc_pose.training.losses import SHAPES, DecoderStage, EncoderStage, StageName

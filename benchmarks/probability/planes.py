@@ -7,8 +7,8 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
+from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.homography import homography_poses
-from dgc_pose.geometry.triangulation import depths
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.training.draw import Draw, other_light
 from dgc_pose.training.photos import Photos

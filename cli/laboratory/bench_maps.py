@@ -9,8 +9,8 @@ from tqdm import tqdm
 
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import dataclass_options
-from dgc_pose.network.stored import shipped
-from dgc_pose.runtime.load import DEVICE_HELP
+from dgc_pose.matchers import DEVICE_HELP
+from dgc_pose.network.weights import shipped
 from dgc_pose.system.files import naming_path, save_text, staged
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import json_text

@@ -23,11 +23,11 @@ from dgc_pose.cli.options import dataclass_options
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.folder import search_images
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matching import DEFAULT_WEIGHTS
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import aligned, write_json
 
@@ -96,7 +96,7 @@ def bench_model(
     results: list[Summary] = []
     for method in split_names(bench.methods):
         if locates:
-            locator = Locator(model, MatcherOptions(method).load(image_cache()), estimation)
+            locator = Locator(model, MatcherOptions(method).load(ImageCache()), estimation)
             results.append({"method": method, "queries": _placed(locator, bench)})
         else:
             out = bench.out / Path(method).stem

@@ -32,9 +32,8 @@ from dgc_pose.cli.guard import NamedPath, OutputFolder
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matchers import DEVICE_HELP, RUNTIME_HELP, MatcherOptions, RuntimeName, device_type
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.runtime.load import DEVICE_HELP, RUNTIME_HELP, RuntimeName, device_type
 from dgc_pose.system.files import naming_path, replaced
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import write_json

@@ -14,8 +14,8 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.runtime.load import DEVICE_HELP
 from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
 

@@ -25,8 +25,8 @@ from dgc_pose.batch.store import Plan
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation.evidence import alikeness
 from dgc_pose.estimation.status import CONFIGURATIONS
+from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.pixels import Size
-from dgc_pose.geometry.triangulation import depths
 
 MOST_PAIRS = 2000  # with a pose, of a folder
 CELLS = 80  # along the longer side of an image

@@ -45,9 +45,8 @@ from dgc_pose.batch.workers import (
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.matchers import MatcherOptions
-from dgc_pose.network.stored import find_weights, shipped
-from dgc_pose.runtime.load import default_runtime, device_type
+from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
+from dgc_pose.network.weights import find_weights, shipped
 from dgc_pose.system.files import only_writer, read_bytes
 
 Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
@@ -103,7 +102,6 @@ def run_batch(
         "weights_sha256": digest,
         "runtime": runtime,
         "device": device_type(matcher.device),
-        "half_precision": matcher.half_precision,
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
     }

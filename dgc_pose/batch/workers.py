@@ -22,10 +22,9 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, reason, require
 from dgc_pose.estimation import EstimationOptions, estimate_pose, of_stated
 from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
-from dgc_pose.images.store import ImageStore
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.pose import solve_pair
 from dgc_pose.system.parallel import process_pool
 
@@ -68,15 +67,8 @@ class Worker:
 
     def __init__(self, job: Job) -> None:
         self.job, self.bad = job, dict(job.bad)
-        self.cache = image_cache(job.memory_bytes)
+        self.cache = ImageCache(job.memory_bytes)
         self.matcher = job.matcher.load(self.cache)
-        self._images = ImageStore(
-            job.root,
-            job.masks,
-            job.memory_bytes,
-            beside_bytes=FEATURE_BYTES,
-            dropped=self.matcher.forget,  # features keep their image in memory
-        )
 
     def describe(self, names: Sequence[str]) -> dict[str, np.ndarray | str]:
         """The coarsest features of images (cells, C) float16 by name, or why an image is bad."""
@@ -140,7 +132,7 @@ class Worker:
         if name in self.bad:
             return None
         try:
-            image = self._images.get(name)
+            image = self.cache.read(self.job.root, name, self.job.masks)
             size = self.job.cameras[name].size
             if size is not None and tuple(size) != image.size:
                 path = self.job.root / name

@@ -19,8 +19,8 @@ from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.decoding import image_header
-from dgc_pose.images.store import ImageStore
 from dgc_pose.model import HALF_PIXEL, colmap_camera
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import replaced, require_room, save_text, staged
@@ -50,7 +50,8 @@ def share(
         first = f"; {down} are turned down" if down else first
         raise NoPairError(f"{batch.folder}: no pair of this batch has a pose that holds{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
-    shared = track_corners(pairs, ImageStore(root, masks).get, per_image, progress)
+    cache = ImageCache(2**29)
+    shared = track_corners(pairs, lambda n: cache.read(root, n, masks), per_image, progress)
     key_points = {n: turn_points(p, *_to_stored(root / n)) for n, p in shared.key_points.items()}
     return SharedMatches(key_points, shared.pairs)
 

@@ -17,11 +17,11 @@ import numpy as np
 
 from dgc_pose.batch.pairs import PairRow, epipolar_error_px
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.geometry.neighbours import nearest_to
+from dgc_pose.geometry.sampling import nearest_to, spread
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.align import MIN_ZNCC, PATCH_RADIUS, locate, nearby_corners, spread
-from dgc_pose.matching.consistency import LocalMatches, consistent
+from dgc_pose.matching.align import MIN_ZNCC, PATCH_RADIUS, locate, nearby_corners
+from dgc_pose.matching.patches import LocalMatches, consistent
 
 _AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
 # Farthest match that predicts a corner in the other image, as a share of the longer side.

@@ -38,8 +38,7 @@ from dgc_pose.estimation.robust_fit import (
     run_seeds,
     sample,
 )
-from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.system.parallel import in_threads
 
 SEARCH_RUNS = 3  # of RANSAC, as much work as the search is

@@ -35,8 +35,7 @@ from dgc_pose.estimation.robust_fit import (
     sample,
     still_camera,
 )
-from dgc_pose.geometry.epipolar import homogeneous, sampson_distance
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import depths, homogeneous, sampson_distance
 from dgc_pose.matches import Matches
 
 # Of the inliers, that another motion needs: of a plane's, see docs/experiments.md; of others' where

@@ -8,9 +8,13 @@ import numpy as np
 
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
-from dgc_pose.geometry.epipolar import sampson_distance
+from dgc_pose.geometry.epipolar import (
+    epipolar_angles,
+    sampson_distance,
+    triangulation_angles_deg,
+    unit_rays,
+)
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
-from dgc_pose.geometry.triangulation import epipolar_angles, triangulation_angles_deg, unit_rays
 from dgc_pose.system.parallel import slices
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold

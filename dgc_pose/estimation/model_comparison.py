@@ -29,7 +29,7 @@ from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
 from dgc_pose.estimation.problem import TwoViewProblem, image_size
 from dgc_pose.estimation.robust_fit import draw, run_seeds
-from dgc_pose.geometry.triangulation import unit_rays
+from dgc_pose.geometry.epipolar import unit_rays
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.parallel import in_threads
 

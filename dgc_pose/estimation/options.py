@@ -5,7 +5,7 @@ from typing import Literal
 
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
-# How much of the matching a pose gets; `dgc_pose.schedule` has the steps.
+# How much of the matching a pose gets; `dgc_pose.pose` has the steps.
 Effort = Literal["fast", "auto", "thorough"]
 
 

@@ -14,8 +14,12 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation.least_squares import loss_width
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.status import probability_text, short_text
-from dgc_pose.geometry.epipolar import essential_from_pose, pose_candidates, sampson_distance
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import (
+    depths,
+    essential_from_pose,
+    pose_candidates,
+    sampson_distance,
+)
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 

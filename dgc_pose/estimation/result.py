@@ -73,7 +73,7 @@ class RelativePose:
         cameras: Those of the hypotheses, also of a pose that is refused; None without hypotheses.
         median_triangulation_angle_deg: Of the inliers; None without a hypothesis.
         warnings: Sentences about what makes the pose uncertain, for people.
-        seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.schedule`),
+        seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose`),
             "estimate".
     """
 

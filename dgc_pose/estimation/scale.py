@@ -16,9 +16,8 @@ from dgc_pose.estimation.least_squares import DEVIATION
 from dgc_pose.estimation.markers import marker_side
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
-from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, sampson_distance
+from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.sampling import bilinear_at
-from dgc_pose.geometry.triangulation import depths
 from dgc_pose.images.image import Image
 from dgc_pose.images.maps import read_depth
 from dgc_pose.images.markers import find_markers

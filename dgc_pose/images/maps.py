@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -13,8 +14,15 @@ from numpy.typing import ArrayLike
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.decoding import read_pixels
-from dgc_pose.images.image import Image, filled, turned
+from dgc_pose.images.image import Image, filled, load_image, turned
 from dgc_pose.system.arrays import as_numpy, read_array, read_arrays
+from dgc_pose.system.parallel import in_threads
+
+if TYPE_CHECKING:
+    import torch
+
+    ImageSource = str | Path | np.ndarray | torch.Tensor | Image
+    MaskSource = str | Path | ArrayLike | None
 
 _SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a map is scaled
 _WINDOW = 3, 3  # pixels of a depth map
@@ -53,6 +61,19 @@ def masked(image: Image, source: str | Path | ArrayLike | None, name: str = "") 
     if not used.any():
         raise InputError(argument, "leaves no pixel of the image")
     return replace(image, pixels=filled(image.pixels, used), mask=used)
+
+
+def load_pair(
+    images: tuple[ImageSource, ImageSource], masks: tuple[MaskSource, MaskSource] = (None, None)
+) -> tuple[Image, Image]:
+    """Both images with their masks. Raises as `load_image` and `masked`, naming image1 to mask2."""
+
+    def load(number: int) -> Image:
+        image = load_image(images[number], f"image{number + 1}")
+        return masked(image, masks[number], f"mask{number + 1}")
+
+    first, second = in_threads(load, (0, 1))
+    return first, second
 
 
 def resized_mask(mask: np.ndarray, size: Size) -> np.ndarray:

@@ -35,8 +35,7 @@ from dgc_pose.estimation.least_squares import (
 )
 from dgc_pose.estimation.problem import DISTINCT_DEG, Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, run_seeds
-from dgc_pose.geometry.epipolar import essential_from_pose, sampson_distance, skew
-from dgc_pose.geometry.triangulation import depths
+from dgc_pose.geometry.epipolar import depths, essential_from_pose, sampson_distance, skew
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.parallel import in_threads
 

@@ -18,9 +18,9 @@ from dgc_pose.cameras.prior import with_lines
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, of_stated
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, load_image
 from dgc_pose.images.maps import mask_file, masked
-from dgc_pose.images.store import ImageStore
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import LocationSearch
 from dgc_pose.matchers import load_matcher
@@ -66,21 +66,20 @@ class Locator:
         masks: Path | None = None,
     ) -> None:
         check_type(model, Model, "model")
-        self.model, self.matcher = model, matcher or load_matcher()
+        self.model, self.matcher = model, matcher or load_matcher(cache=ImageCache())
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
-        self._images = ImageStore(model.root, masks, dropped=self.matcher.forget)
 
     def image(self, name: str) -> Image:
         """An image of the model with its mask. Raises ImageError."""
-        return self._images.get(name)
+        return self.matcher.cache.read(self.model.root, name, self.masks)
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Compute the coarsest features of the model's images, by which those to be matched are
         chosen."""
         for done, name in enumerate(self.model.poses, start=1):
             if name not in self._features:
-                self._features[name] = self.matcher.coarse_features(self._images.get(name))
+                self._features[name] = self.matcher.coarse_features(self.image(name))
             progress(done, len(self.model.poses))
 
     def locate(
@@ -122,7 +121,7 @@ class Locator:
             # The pose of a further pair is hardly in doubt where the location is known.
             effort = "fast" if search.is_placed else self.options.effort
             options = replace(self.options, effort=effort)
-            pair = solve_pair(self._images.get(name), image, cameras, self.matcher, options)
+            pair = solve_pair(self.image(name), image, cameras, self.matcher, options)
             matched = time.perf_counter()
             pose = of_stated(pair.pose, cameras)
             if pose is not pair.pose:
@@ -148,7 +147,7 @@ class Locator:
         if name not in self.model.seen or not pose.success:
             return np.zeros(0, np.int64), np.zeros((0, 2))
         which, pixels = self.model.seen[name]
-        shown = self._images.get(name)
+        shown = self.image(name)
         kept, seen = points_in(image, shown, matches.subset(pose.inliers), pixels)
         return which[kept], seen
 

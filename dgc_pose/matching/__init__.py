@@ -1,9 +1,8 @@
-"""Matching: from two images to matches, by the network, SIFT, optical flow, or from files."""
+"""Matching: from two images to matches, by the network, SIFT, a detector, or vismatch."""
 
-from dgc_pose.matching.correspondence_map import CorrespondenceMap
+from dgc_pose.matching.correspondence_map import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.network_matcher import NetworkMatcher
-from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.network.config import DEFAULT_WEIGHTS
 
 __all__ = [

@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 
 from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
-from dgc_pose.matching.consistency import LocalMatches, consistent
-from dgc_pose.matching.lucas_kanade import Patches, align_patches
+from dgc_pose.matching.patches import LocalMatches, Patches, align_patches, consistent
 from dgc_pose.system.parallel import in_threads
 
 _CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
@@ -57,14 +57,8 @@ def refine(
         none = matches.subset(local.index[:0])
         return none, none
     agreeing = matches.subset(local.index)
-    aligned = align(
-        image1.pixels,
-        image2.pixels,
-        local,
-        error_px=matches.error_px,
-        max_matches=max_matches,
-        corner_radius=corner_radius,
-    )
+    pixels1, pixels2, error_px = image1.pixels, image2.pixels, matches.error_px
+    aligned = align(pixels1, pixels2, local, error_px, max_matches, corner_radius)
     good = aligned.converged & (aligned.zncc >= MIN_ZNCC)
     moved = replace(
         matches,
@@ -97,7 +91,6 @@ def align(
     pixels1: np.ndarray,
     pixels2: np.ndarray,
     matches: LocalMatches,
-    *,
     error_px: float,
     max_matches: int,
     corner_radius: int = CORNER_RADIUS,
@@ -105,8 +98,7 @@ def align(
     """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
 
     pixels: (H, W, 3) uint8. error_px: of the matches, pixels of image 1; each moves by a few times
-    that at most. corner_radius: pixels of image 2 that a match moves along each axis at most, to a
-    corner.
+    that at most.
     """
     areas = np.linalg.det(matches.affinity) if len(matches.index) else np.ones(1)
     scale = float(np.median(np.sqrt(areas)))
@@ -237,26 +229,3 @@ def nearby_corners(
 
     in_threads(measure, np.unique(strip).tolist())
     return corners, strength
-
-
-def spread(
-    points: np.ndarray,
-    strength: np.ndarray,
-    size: tuple[int, ...],
-    most: int,
-    side: float = 1.0,
-    growth: float = 1.1,
-) -> np.ndarray:
-    """Indices of at most `most` of the points (N, 2): the strongest of each square block.
-
-    strength: (N,). size: (width, height) of the image of the points. side: of the blocks at the
-    least, which grow by a factor until `most` are enough.
-    """
-    order = np.argsort(-strength, kind="stable")
-    x, y = points[order].T
-    while True:
-        blocks = np.floor(x / side) + np.floor(y / side) * (size[0] // side + 1)
-        if np.count_nonzero(np.diff(np.sort(blocks))) < most:
-            _, first = np.unique(blocks, return_index=True)
-            return np.sort(order[first])
-        side *= growth

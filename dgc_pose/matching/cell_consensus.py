@@ -1,14 +1,20 @@
-"""Likely cells of stride 16 for each cell, by consensus among neighbours, at native resolution.
+"""Which cells of two images match, at native resolution: the likely ones of stride 16 by consensus
+among neighbours, and those near each other's epipolar lines under a hypothesis of the pose.
 
 Belief propagation as in `network.correlation`: a match (s, t) is supported by matches near (s + d,
 t + d) of the eight neighbours t + d. All pairs of thousands of cells would be too many: each cell
 has a few candidates, the most similar cells and those that the dense map points to.
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
 
+from dgc_pose.cameras.camera import Camera, TwoViews
+from dgc_pose.geometry.epipolar import homogeneous
+from dgc_pose.matching.view import View
 from dgc_pose.network.config import FLOOR, PASSES, REACH, WEIGHT
 from dgc_pose.network.correlation import log_softmax
 from dgc_pose.runtime.engine import NativeFeatures
@@ -17,6 +23,7 @@ from dgc_pose.system.parallel import in_threads, slices
 _CHUNK = 128  # cells compared at a time, which stay in the processor's cache
 _NEIGHBOURS = [(1, 0), (-1, 1), (0, 1), (1, 1)]  # the other four are their opposites
 _NEVER = -1e3  # score of a candidate that is there already, or that is not allowed
+_BAND = 1.0  # Sampson distance of the centres of two cells, in cells, below which they may match
 _UNMATCHED = 1e-30  # likelihood of a cell that matches none
 
 
@@ -133,3 +140,47 @@ def _largest(values: np.ndarray, count: int) -> np.ndarray:
         column[:] = values.argmax(1)
         np.put_along_axis(values, column[:, None], -np.inf, 1)
     return largest
+
+
+class EpipolarBand:
+    """The cells of a source and a target, row by row, of stride 16 or as `children` of stride 8."""
+
+    def __init__(
+        self,
+        views: TwoViews,
+        source: tuple[View, NativeFeatures],
+        target: tuple[View, NativeFeatures],
+        *,
+        children: bool,
+    ) -> None:
+        finer = 2 if children else 1
+        self.points1, side1 = _normalised(*source, views.camera1, finer)
+        self.points2, side2 = _normalised(*target, views.camera2, finer)
+        self.E = views.E.astype(np.float32)
+        self.limit = _BAND * (side1 + side2) / 2  # Sampson distance, in the points' unit
+
+    def all(self) -> np.ndarray:
+        """(n, m) bool, for each cell of the target which of the source it may match."""
+        every1, every2 = (np.arange(len(points))[None] for points in (self.points1, self.points2))
+        parts = slices(every2.size, _CHUNK)
+        return np.concatenate([self.among(every2[:, part], every1)[0] for part in parts])
+
+    def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
+        """(n, q, m) bool, which of the source's cells (n, m) each of the target's (n, q) may
+        match."""
+        lines1, lines2 = self.points2[cells2] @ self.E, self.points1 @ self.E.T
+        distance = np.abs(lines1 @ self.points1[cells1].transpose(0, 2, 1))
+        norms2 = (lines2[:, :2] ** 2).sum(1)[cells1]
+        norms = (lines1[..., :2] ** 2).sum(2)[:, :, None] + norms2[:, None]
+        return distance < self.limit * np.sqrt(norms)
+
+
+def _normalised(
+    view: View, features: NativeFeatures, camera: Camera, finer: int
+) -> tuple[np.ndarray, float]:
+    """Centres (n, 3) float32 of the cells, normalised by the camera of the whole image and
+    homogeneous, and the side of one."""
+    rows, columns = (finer * side for side in features.coarse.shape[:2])
+    points = homogeneous(camera.normalise(view.centres((columns, rows)).reshape(-1, 2)))
+    area = math.prod(view.size) / (rows * columns) / view.scale**2
+    return points.astype(np.float32), math.sqrt(area) / camera.focal

@@ -1,20 +1,32 @@
-"""The dense map of two images."""
+"""The dense map of two images, the matches selected from it, and what it shows of the images:
+rotation, scale, and the parts that match."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
+from dgc_pose.geometry.pixels import Size, rescale
+from dgc_pose.geometry.sampling import bilinear, spread
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
+from dgc_pose.system.options import check_options, option
 
 # Error of a good match of a map along one axis, in cells of its grid; see docs/experiments.md.
 ERROR_CELLS = 0.5
 # Mean matchability below which the images may be rotated or of different scales
 WEAK = 0.25
+MATCHABILITY = 0.7  # least of a match
+MIN_SHARE = 0.01  # of all cells that must pass; a smaller patch matches by chance
 _SAMPLE = 40  # cells a row of the sample of a map
+_MATCHABLE = 0.5  # matchability of the cells that rotation, scale and window are of
+_LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
+_OUTER = 1.0  # percent of the points, on each side, that may lie outside a window
+_WINDOW_MARGIN = 0.25  # on each side of a window, of its sides
+_MOST_SHARE = 0.4  # of an image's area; a larger window is not worth cutting out
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,3 +97,128 @@ class CorrespondenceMap:
             return self
         used = ~(image1.is_masked(self.map) | image2.is_masked(self.grid))
         return replace(self, matchability=self.matchability * used, used=used)
+
+
+@dataclass(frozen=True)
+class MatchingOptions:
+    """Which matches a dense map gives. Raises InputError, naming the field, for a value out of
+    range.
+
+    Attributes:
+        aligned: Whether a network's matches are refined on the originals: those of its features,
+            and those selected from its map if they are few. Other matchers refine nothing.
+    """
+
+    max_matches: int = option(
+        2000, "Most matches, evenly spread.", metavar="N", min=1, max=2**31, section="matching"
+    )
+    aligned: Literal["none", "auto"] = option(
+        "auto",
+        "Matches aligned on the originals: auto, those of the encoder's features at native "
+        "resolution, and those of the map if they are few; none.",
+        metavar="SOURCE",
+        flag="--refine",
+        section="matching",
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def select_matches(
+    dense: CorrespondenceMap,
+    options: MatchingOptions,
+    min_share: float = MIN_SHARE,
+    min_matchability: float = MATCHABILITY,
+) -> Matches:
+    """The cells of enough matchability that the map sends into image 1, as matches; none if they
+    are less than a share of all. With 0 and 0 these are all such cells."""
+    width, height = dense.size1
+    keep = dense.matchability >= min_matchability
+    keep &= (dense.map >= -0.5).all(-1) & (dense.map <= (width - 0.5, height - 0.5)).all(-1)
+    if keep.mean() < min_share:
+        keep = np.zeros_like(keep)
+    # Evenly spread, the matches condition the essential matrix well where the confident cells
+    # concentrate on one object.
+    cells, confidence = np.argwhere(keep)[:, ::-1], dense.matchability[keep]
+    side = max(1.0, math.sqrt(len(cells) / options.max_matches))
+    rows = spread(cells, confidence, keep.shape[::-1], options.max_matches, side, 1.05)
+    points1, points2 = dense.map[keep][rows], dense.grid[keep][rows]
+    return Matches(points1, points2, confidence[rows], error_px=dense.error_px)
+
+
+def points_in_image1(dense: CorrespondenceMap, points2: np.ndarray) -> np.ndarray:
+    """The map at points (N, 2) of image 2: (N, 2) float64, pixels of image 1.
+
+    Bilinear between the map's cells, constant beyond the outer ones.
+    """
+    height, width = dense.matchability.shape
+    cells = rescale(points2, dense.size2, (width, height))
+    planes = np.moveaxis(dense.map, -1, 0)
+    return np.concatenate(
+        [bilinear(np.ascontiguousarray(plane), cells[:, None]) for plane in planes], -1
+    ).astype(np.float64)
+
+
+def rotation_between(points1: np.ndarray, points2: np.ndarray) -> float:
+    """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
+    `numpy.rot90`) to have the orientation of image 1.
+
+    From the similarity that best fits points (N, 2) of one image and the other; 0 without any.
+    """
+    if len(points1) == 0:
+        return 0.0
+    points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
+    # As complex numbers, points1 = a points2: |a| is the scale, its argument the angle from 2 to 1.
+    a = (points1 @ (1, 1j) * (points2 @ (1, -1j))).sum()
+    # y points down, so a counter-clockwise rotation is by a negative angle.
+    return float(-np.angle(a, deg=True))
+
+
+def matchable_points(dense: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
+    """The matchable cells: (N, 2) float64 in image 1 and image 2; none if they are few."""
+    matchable = dense.matchability >= _MATCHABLE
+    if matchable.mean() < _LEAST_SHARE:
+        matchable = np.zeros_like(matchable)
+    points1, points2 = dense.map[matchable], dense.grid[matchable]
+    return points1.astype(np.float64), points2.astype(np.float64)
+
+
+def window_shown(points: np.ndarray, size: Size) -> tuple[Size, tuple[float, float]]:
+    """The part of an image of `size` (width, height) that holds nearly all of its points (N, 2)
+    and a margin: (width, height), and the pixel at its centre. The whole image if that is not much
+    larger, or without points.
+    """
+    whole = size, ((size[0] - 1) / 2, (size[1] - 1) / 2)
+    if len(points) == 0:
+        return whole
+    low, high = np.percentile(points, (_OUTER, 100 - _OUTER), axis=0)
+    margin = _WINDOW_MARGIN * (high - low)
+    # Whole pixels, so that a window is cut without resampling.
+    first = np.floor(np.maximum(low - margin, 0)).astype(int)
+    last = np.ceil(np.minimum(high + margin, np.subtract(size, 1))).astype(int)
+    width, height = (int(side) for side in last - first + 1)
+    if width * height > _MOST_SHARE * math.prod(size):
+        return whole
+    x, y = (float(middle) for middle in (first + last) / 2)
+    return (width, height), (x, y)
+
+
+def scale_between(dense: CorrespondenceMap) -> float:
+    """Pixels of image 1 per pixel of image 2: the median over the matchable cells.
+
+    From areas of the map over a thirtieth of the image, which its errors hardly change; clipped to
+    1/10 to 10. If few cells are matchable, that of equal fields of view.
+    """
+    matchable = dense.matchability >= _MATCHABLE
+    step = max(1, len(matchable) // 30)
+    corners = matchable[:-step, :-step] & matchable[step:, :-step] & matchable[:-step, step:]
+    if corners.mean() < _LEAST_SHARE:
+        areas = [math.prod(size) for size in (dense.size1, dense.size2)]
+        return math.sqrt(areas[0] / areas[1])
+    measured = []
+    for points in (dense.map.astype(np.float64), dense.grid.astype(np.float64)):
+        across = (points[:-step, step:] - points[:-step, :-step])[corners]
+        down = (points[step:, :-step] - points[:-step, :-step])[corners]
+        measured.append(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
+    return float(np.sqrt(np.median(measured[0] / measured[1])).clip(0.1, 10.0))

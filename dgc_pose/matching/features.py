@@ -13,19 +13,18 @@ import math
 from collections.abc import Sequence
 from functools import partial
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
-from dgc_pose.geometry.pixels import Size, cell_centres, rescale, window_offsets, within
+from dgc_pose.geometry.pixels import Size, window_offsets, within
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache
-from dgc_pose.matching.cell_consensus import likely_cells
-from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
-from dgc_pose.matching.epipolar_band import EpipolarBand
-from dgc_pose.matching.map_geometry import (
+from dgc_pose.matching.cell_consensus import EpipolarBand, likely_cells
+from dgc_pose.matching.correspondence_map import (
+    WEAK,
+    CorrespondenceMap,
     matchable_points,
     points_in_image1,
     rotation_between,
@@ -54,6 +53,9 @@ _NEAR = np.abs(_WINDOW[:, None] - _WINDOW).max(-1) <= 1  # which of its cells ar
 _WINDOWS = 128  # compared at a time, which stays in the processor's cache
 _CHUNK = 128  # coarse cells compared at a time, likewise
 
+Shown = tuple[View, Size]  # a view, and the columns and rows of stride 16 that it is resized to
+Encoded = tuple[View, NativeFeatures]
+
 
 def feature_matches(
     engine: Engine,
@@ -62,90 +64,99 @@ def feature_matches(
     dense: CorrespondenceMap,
     cache: ImageCache,
     long_side: int = LONG_SIDE,
-) -> Matches:
-    """Mutual nearest neighbours of the features, guided by the map; the confidence is their cosine,
-    at least 0.
+    hypotheses: Sequence[TwoViews] | None = None,
+) -> tuple[list[Matches], list[Encoded], float]:
+    """Mutual nearest neighbours of the features, guided by the map, in pixels of the images, by
+    each of several comparisons; the confidence is their cosine, at least 0. And the views of both
+    images that are compared, and their scale, see `_compared_views`.
 
-    Features are invariant neither to scale nor to rotation: the images, or the parts that the map
-    shows to match, are resized to one scale, with long sides of about `long_side` pixels, and image
-    2 is rotated as the map shows. cache: of the features, by image, view, and columns and rows of
-    stride 16.
-    """
-    first, second = _views(image1, image2, dense, long_side)
-    return _compared(engine, dense, cache, [(first, second, None)])[0]
+    hypotheses: of the pose. None for one comparison of both views; otherwise further matches:
 
-
-def encoded_views(
-    engine: Engine,
-    image1: Image,
-    image2: Image,
-    dense: CorrespondenceMap,
-    cache: ImageCache,
-    long_side: int = LONG_SIDE,
-) -> tuple[list[tuple[View, NativeFeatures]], float]:
-    """The views that `feature_matches` compares, with their features; and their sides over those at
-    full resolution."""
-    keys = _views(image1, image2, dense, long_side)
-    full = _views(image1, image2, dense, LONG_SIDE)
-    views = [(key.view, key.cached(engine, cache)) for key in keys]
-    return views, max(keys[0].cells) / max(full[0].cells)
-
-
-def guided_matches(
-    engine: Engine,
-    image1: Image,
-    image2: Image,
-    dense: CorrespondenceMap,
-    cache: ImageCache,
-    hypotheses: Sequence[TwoViews],
-) -> list[Matches]:
-    """As `feature_matches`, further matches by each of several comparisons:
-
-    - with one image narrower or lower than it is: a surface that one camera sees from the side and
+    - with one view narrower or lower than it is: a surface that one camera sees from the side and
       the other from the front becomes alike;
-    - for each of the first hypotheses of the pose, those near its epipolar lines.
+    - for each of the first hypotheses, those near its epipolar lines.
     """
-    first, second = _views(image1, image2, dense, LONG_SIDE)
-    comparisons: list[_Comparison] = []
-    for axis in (0, 1):
-        comparisons.append((first.squeezed(axis), second, None))
-        comparisons.append((first, second.squeezed(axis), None))
-    comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
-    return _compared(engine, dense, cache, comparisons)
-
-
-def _compared(
-    engine: Engine, dense: CorrespondenceMap, cache: ImageCache, comparisons: Sequence[_Comparison]
-) -> list[Matches]:
-    """The matches of each comparison, in pixels of the images."""
-    views = dict.fromkeys(chain(*((first, second) for first, second, _ in comparisons)))
+    first, second, scale = _compared_views(image1, image2, dense, long_side)
+    comparisons: list[tuple[Shown, Shown, TwoViews | None]] = [(first, second, None)]
+    if hypotheses is not None:
+        comparisons = []
+        for axis in (0, 1):
+            comparisons.append((_squeezed(first, axis), second, None))
+            comparisons.append((first, _squeezed(second, axis), None))
+        comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
+    encoded: dict[Shown, Encoded] = {}
     # In turn: one image occupies all processors, and memory for one is enough.
-    features = {view: view.cached(engine, cache) for view in views}
+    for view, cells in dict.fromkeys(chain(*(comparison[:2] for comparison in comparisons))):
+        make = partial(_encode, engine, view, cells)
+        encoded[view, cells] = view, cache.get(view.image, (view, cells), make)
 
-    def compare(comparison: _Comparison) -> Matches:
-        first, second, hypothesis = comparison
-        seen = (first, features[first]), (second, features[second])
-        return _neighbours(engine, dense, *seen, hypothesis)
+    def compare(comparison: tuple[Shown, Shown, TwoViews | None]) -> Matches:
+        source, target, hypothesis = comparison
+        return _neighbours(engine, dense, encoded[source], encoded[target], hypothesis)
 
-    return in_threads(compare, comparisons)
+    return in_threads(compare, comparisons), [encoded[first], encoded[second]], scale
+
+
+def _compared_views(
+    image1: Image, image2: Image, dense: CorrespondenceMap, long_side: int
+) -> tuple[Shown, Shown, float]:
+    """Views of the parts of both images that the map shows to match, at one orientation; with the
+    columns and rows of stride 16 at one scale, with long sides of about `long_side` pixels; and
+    their sides over those at full resolution.
+
+    Features are invariant neither to scale nor to rotation. The scale is that of the map to the
+    octave, as features tolerate half of one.
+    """
+    scale = 2.0 ** round(math.log2(scale_between(dense)))
+    points1, points2 = matchable_points(dense)
+    angle = rotation_between(points1, points2)
+    # What a weak map shows is too little to crop by, unless the fields of view differ.
+    wider = scale * math.sqrt(math.prod(dense.size2) / math.prod(dense.size1))
+    if dense.mean_matchability < WEAK and 1 / _WIDER < wider < _WIDER:
+        points1, points2 = points1[:0], points2[:0]
+    window1 = window_shown(points1[within(points1, dense.size1)], dense.size1)
+    window2 = window_shown(points2, dense.size2)
+    angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
+    view1 = View.window(image1, *window1, 0.0, 1.0)
+    view2 = View.window(image2, *window2, angle, 1.0)
+    factor1, factor2 = equal_scales(view1.size, view2.size, scale, long_side)
+    full1, _ = equal_scales(view1.size, view2.size, scale, LONG_SIDE)
+    if angle % 90:  # the image is resized before it is rotated: mostly it is shrunk
+        view2 = View.window(image2, *window2, angle, factor2)
+    first, second, full = _shown(view1, factor1), _shown(view2, factor2), _shown(view1, full1)
+    return first, second, max(first[1]) / max(full[1])
+
+
+def _shown(view: View, factor: float) -> Shown:
+    """A view at a scale of about `factor`: its sides become the nearest multiples of 16."""
+    columns, rows = (max(1, round(side * (factor / view.scale) / STRIDE)) for side in view.size)
+    return view, (columns, rows)
+
+
+def _squeezed(shown: Shown, axis: int) -> Shown:
+    """A view made narrower (axis 0) or lower (1)."""
+    sides = [round(_SQUEEZE * n) if k == axis else n for k, n in enumerate(shown[1])]
+    return shown[0], (max(1, sides[0]), max(1, sides[1]))
+
+
+def _encode(engine: Engine, view: View, cells: Size) -> NativeFeatures:
+    return engine.native(view.pixels(), cells)
 
 
 def _neighbours(
     engine: Engine,
     dense: CorrespondenceMap,
-    first: tuple[_Encoded, NativeFeatures],
-    second: tuple[_Encoded, NativeFeatures],
+    first: Encoded,
+    second: Encoded,
     hypothesis: TwoViews | None,
 ) -> Matches:
     """Mutual nearest neighbours of two views, with a hypothesis those near its epipolar lines."""
-    (image1, view1, _), source = first
-    (image2, view2, _), target = second
-    guided = _guided_cells(dense, source, target, view1, view2)
+    (view1, source), (view2, target) = first, second
+    guided = _guided_cells(dense, first, second)
     coarse, middle = None, None
     if hypothesis is not None:
-        seen = (source, view1), (target, view2)
-        coarse = EpipolarBand(hypothesis, *seen, children=False).all()
-        middle = EpipolarBand(hypothesis, *seen, children=True)
+        coarse = EpipolarBand(hypothesis, first, second, children=False).all()
+        middle = EpipolarBand(hypothesis, first, second, children=True)
     candidates = likely_cells(
         source,
         target,
@@ -158,13 +169,12 @@ def _neighbours(
     candidates = np.concatenate([candidates, guided], 1)
     cells1, cells2, cosine = mutual_neighbours(source, target, candidates, middle)
     fine1, fine2 = subcell_points(source.fine, target.fine, cells1, cells2)
-    points1 = view1.to_image(rescale(fine1, source.fine.shape[1::-1], source.size))
-    points2 = view2.to_image(rescale(fine2, target.fine.shape[1::-1], target.size))
-    inside = within(points1, image1.size) & within(points2, image2.size)
-    inside &= ~(image1.is_masked(points1) | image2.is_masked(points2))
+    points1 = view1.to_image(fine1, source.fine.shape[1::-1])
+    points2 = view2.to_image(fine2, target.fine.shape[1::-1])
+    inside = view1.shows(points1) & view2.shows(points2)
     area1, area2 = (  # of a cell of stride 4, pixels of the original
-        math.prod(features.size) / math.prod(features.fine.shape[:2]) / view.scale**2
-        for features, view in ((source, view1), (target, view2))
+        math.prod(view.size) / math.prod(features.fine.shape[:2]) / view.scale**2
+        for view, features in (first, second)
     )
     return Matches(
         points1[inside],
@@ -173,59 +183,6 @@ def _neighbours(
         error_px=ERROR_CELLS * math.sqrt(math.sqrt(area1 * area2)),
         weights=engine.fingerprint,
     )
-
-
-class _Encoded(NamedTuple):
-    """What is encoded of an image: the key of its features."""
-
-    image: Image
-    view: View
-    cells: Size  # columns and rows of stride 16 that the view is resized to
-
-    def encoded(self, engine: Engine) -> NativeFeatures:
-        return engine.native(self.view.cut(self.image.pixels), self.cells)
-
-    def cached(self, engine: Engine, cache: ImageCache) -> NativeFeatures:
-        features: NativeFeatures = cache.get(self, partial(self.encoded, engine))
-        return features
-
-    def squeezed(self, axis: int) -> _Encoded:
-        """The view made narrower (axis 0) or lower (1)."""
-        sides = [round(_SQUEEZE * n) if k == axis else n for k, n in enumerate(self.cells)]
-        return self._replace(cells=(max(1, sides[0]), max(1, sides[1])))
-
-
-# Two views, and the hypothesis near whose epipolar lines they match, if there is one.
-_Comparison = tuple[_Encoded, _Encoded, TwoViews | None]
-
-
-def _views(
-    image1: Image, image2: Image, correspondence_map: CorrespondenceMap, long_side: int
-) -> tuple[_Encoded, _Encoded]:
-    """Views of the parts of both images that the map shows to match, at one orientation; and the
-    columns and rows of stride 16 at one scale: that of the map, to the octave, as features tolerate
-    half of one."""
-    scale = 2.0 ** round(math.log2(scale_between(correspondence_map)))
-    points1, points2 = matchable_points(correspondence_map)
-    angle = rotation_between(points1, points2)
-    size1, size2 = correspondence_map.size1, correspondence_map.size2
-    # What a weak map shows is too little to crop by, unless the fields of view differ.
-    wider = scale * math.sqrt(math.prod(size2) / math.prod(size1))
-    if correspondence_map.mean_matchability < WEAK and 1 / _WIDER < wider < _WIDER:
-        points1, points2 = points1[:0], points2[:0]
-    window1 = window_shown(points1[within(points1, size1)], size1)
-    window2 = window_shown(points2, size2)
-    angle = 0.0 if abs(angle) <= _UPRIGHT else _ANGLE_STEP * round(angle / _ANGLE_STEP) % 360
-    factors = equal_scales(window1[0], View.window(*window2, angle, 1.0).size, scale, long_side)
-    turned = (image1, window1, 0.0, factors[0]), (image2, window2, angle, factors[1])
-    views = []
-    for image, window, turn, factor in turned:
-        # Before a rotation by other than quarter turns the image is resized: mostly it is shrunk.
-        view = View.window(*window, turn, 1.0 if turn % 90 == 0 else factor)
-        # Sides become the nearest multiples of 16, so the actual scale differs a little.
-        columns, rows = (max(1, round(side * (factor / view.scale) / STRIDE)) for side in view.size)
-        views.append(_Encoded(image, view, (columns, rows)))
-    return views[0], views[1]
 
 
 def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tuple[float, float]:
@@ -319,19 +276,12 @@ def subcell_points(
     return 2 * cells1 + 0.5 + weights @ _WINDOW, 2 * cells2 + 0.5
 
 
-def _guided_cells(
-    correspondence_map: CorrespondenceMap,
-    source: NativeFeatures,
-    target: NativeFeatures,
-    view1: View,
-    view2: View,
-) -> np.ndarray:
+def _guided_cells(dense: CorrespondenceMap, first: Encoded, second: Encoded) -> np.ndarray:
     """The 2x2 cells of stride 16 around the map's point for each cell of the target: (n, 4)."""
+    (view1, source), (view2, target) = first, second
     rows, columns = source.coarse.shape[:2]
-    centres = cell_centres(target.coarse.shape[1::-1], target.size).reshape(-1, 2)
-    points2 = view2.to_image(centres)
-    points1 = view1.to_view(points_in_image1(correspondence_map, points2))
-    cells = rescale(points1, source.size, (columns, rows))
+    points2 = view2.centres(target.coarse.shape[1::-1]).reshape(-1, 2)
+    cells = view1.to_view(points_in_image1(dense, points2), (columns, rows))
     corner = np.floor(cells).astype(np.int64)[:, None] + ((0, 0), (1, 0), (0, 1), (1, 1))
     corner = corner.clip(0, (columns - 1, rows - 1))
     return corner[..., 1] * columns + corner[..., 0]

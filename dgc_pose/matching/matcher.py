@@ -10,9 +10,9 @@ import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
 from dgc_pose.errors import InputError
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.cache import ImageCache
 from dgc_pose.matching.correspondence_map import CorrespondenceMap
 from dgc_pose.matching.texture import Texture, texture, textured
 from dgc_pose.runtime.engine import Engine
@@ -39,12 +39,11 @@ class MatchResult:
 
 
 class Matcher:
-    """Anything that matches two images: the network, SIFT, optical flow, or files.
+    """Anything that matches two images: the network, SIFT, a detector, or files.
 
-    `match` is all that an image pair needs. A schedule has steps beside it, which a matcher may
-    have: `coarse` before, for an easy pair; `refined`, at full resolution by the coarse map; and
-    `guided` after, by the hypotheses of the pose. Each is None if it has no other matches than
-    those that are there.
+    `match` is all that an image pair needs. `solve_pair` has steps beside it, which a matcher may
+    have: `coarse`, `refined` and `guided`. Each is None if it has no other matches than those that
+    are there.
     """
 
     name: str  # in results and tables
@@ -53,7 +52,7 @@ class Matcher:
     @cached_property
     def cache(self) -> ImageCache:
         """What is computed of an image; by default that of the last three images is kept."""
-        return ImageCache()
+        return ImageCache(None)
 
     @property
     def fingerprint(self) -> str | None:
@@ -89,7 +88,7 @@ class Matcher:
 
     def forget(self, image: Image) -> None:
         """Drop all that is kept of an image."""
-        self.cache.drop(lambda key: key[0] is image)
+        self.cache.forget(image)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, also where an image has no structure: what a subclass defines."""
@@ -101,5 +100,5 @@ class Matcher:
         return textured(matches.subset(~masked), *self._textures(image1, image2))
 
     def _textures(self, image1: Image, image2: Image) -> list[Texture]:
-        made = [((image, "texture"), partial(texture, image)) for image in (image1, image2)]
+        made = [(image, "texture", partial(texture, image)) for image in (image1, image2)]
         return self.cache.get_all(made, in_turn=False)

@@ -8,24 +8,22 @@ from dataclasses import replace
 import numpy as np
 
 from dgc_pose.cameras.camera import TwoViews
-from dgc_pose.errors import InputError
+from dgc_pose.geometry.sampling import spread
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching.align import MIN_MATCHES, refine, spread
-from dgc_pose.matching.cache import ImageCache
-from dgc_pose.matching.correspondence_map import WEAK, CorrespondenceMap
-from dgc_pose.matching.dense import dense_map, map_features
-from dgc_pose.matching.features import (
-    LONG_SIDE,
-    encoded_views,
-    feature_matches,
-    guided_matches,
+from dgc_pose.matching.align import CORNER_RADIUS, MIN_MATCHES, refine
+from dgc_pose.matching.correspondence_map import (
+    WEAK,
+    CorrespondenceMap,
+    MatchingOptions,
+    select_matches,
 )
+from dgc_pose.matching.dense import dense_map, map_features
+from dgc_pose.matching.features import LONG_SIDE, Encoded, feature_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.selection import MatchingOptions, select_matches
-from dgc_pose.matching.surroundings import surroundings
+from dgc_pose.matching.texture import surroundings
 from dgc_pose.matching.view import View
-from dgc_pose.network.config import INPUT_SIZE
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
@@ -39,11 +37,9 @@ MIN_ALIGNED = 100  # fewer aligned matches are completed by those that agree wit
 class NetworkMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target.
 
-    The steps beside `match` are None where no features of the network are matched
-    (`MatchingOptions.aligned`).
+    The steps beside `match` are None where nothing is refined (`MatchingOptions.aligned`).
 
     cache: of features, textures and small copies; None to keep those of the last three images.
-    Raises InputError if `finest` is a level that the network's mask is not made for.
     """
 
     engine: Engine
@@ -54,14 +50,9 @@ class NetworkMatcher(Matcher):
         options: MatchingOptions | None = None,
         cache: ImageCache | None = None,
     ) -> None:
-        self.cache = cache or ImageCache()
+        self.cache = cache or ImageCache(None)
         self.engine, self.name = engine, engine.config.name
         self.options = options or MatchingOptions()
-        if engine.config.matchability == "network" and self.options.finest != INPUT_SIZE:
-            raise InputError(
-                f"the mask network of {self.name} works at {INPUT_SIZE} cells alone: finest must "
-                f"be {INPUT_SIZE}, not {self.options.finest}"
-            )
 
     @property
     def fingerprint(self) -> str:
@@ -70,14 +61,13 @@ class NetworkMatcher(Matcher):
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """As `Matcher`; those of the whole image."""
-        (features,) = map_features(self.engine, self.cache, (image, View.whole(image.size)))
+        (features,) = map_features(self.engine, self.cache, View.whole(image))
         return np.concatenate(self.engine.coarsest(features))
 
     @one_blas_thread()
     def match(self, image1: Image, image2: Image) -> MatchResult:
-        """As `Matcher`: by the map at `finest` cells. Matches of the features at native resolution
-        are refined, or else those of the map; the map's are as they are where refinement leaves too
-        few."""
+        """As `Matcher`: matches of the features at native resolution are refined, or else those of
+        the map, which stay as they are where refinement leaves too few."""
         given = super().match(image1, image2)
         return self.refined(image1, image2, given) or given
 
@@ -85,31 +75,26 @@ class NetworkMatcher(Matcher):
         """Match with the map of 60 cells and small images: enough for an easy pair. None too if it
         leaves too few matches, and for images that may be rotated or of different scales, which it
         does not search."""
-        if not self._has_features or self.engine.config.matchability == "network":
+        if self.options.aligned == "none" or self.engine.config.matchability == "network":
             return None  # a mask network needs the finest map
-        images, cache = (image1, image2), self.cache
-        for cells in (_FIRST_CELLS, COARSE_CELLS) if self.engine.goes_on else (COARSE_CELLS,):
-            dense = dense_map(self.engine, *images, cache, cells=cells, search=False)
+        for cells in (_FIRST_CELLS, COARSE_CELLS) if self.engine.can_resume else (COARSE_CELLS,):
+            dense = dense_map(self.engine, image1, image2, self.cache, cells=cells, search=False)
             if dense.mean_matchability < WEAK:
                 return None
-        matches = feature_matches(self.engine, *images, dense, cache, COARSE_SIDE)
-        parts = refine(*images, matches, self.options.max_matches, COARSE_CORNER_RADIUS)
-        return self._chosen(*images, *parts, dense, COARSE_SIDE)
+        (part,), views, scale = self._refined(image1, image2, dense, COARSE_SIDE)
+        return self._chosen(*part, dense, views, scale)
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
         """Match at full resolution by the map of a result: refine the matches of the features, then
         those of the result, until one leaves enough."""
-        dense, most = result.correspondence_map, self.options.max_matches
-        assert dense is not None
-        if self._has_features:
-            matches = feature_matches(self.engine, image1, image2, dense, self.cache)
-            parts = refine(image1, image2, matches, most)
-            if refined := self._chosen(image1, image2, *parts, dense):
-                return refined
-        if self.options.aligned not in ("auto", "map"):
+        dense = result.correspondence_map
+        if self.options.aligned == "none" or dense is None:
             return None
-        parts = refine(image1, image2, result.matches, most)
-        return self._chosen(image1, image2, *parts, dense)
+        (part,), views, scale = self._refined(image1, image2, dense, LONG_SIDE)
+        if found := self._chosen(*part, dense, views, scale):
+            return found
+        part = refine(image1, image2, result.matches, self.options.max_matches)
+        return self._chosen(*part, dense, views, scale)
 
     def guided(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
@@ -118,62 +103,57 @@ class NetworkMatcher(Matcher):
         each part is refined by itself. All go together: the matches near the lines of a single pose
         would agree with it, right or wrong."""
         dense = result.correspondence_map
-        if not self._has_features or result.aligned is None or dense is None:
+        if result.aligned is None or dense is None:
             return None
-        images, most = (image1, image2), self.options.max_matches
-        matches = guided_matches(self.engine, *images, dense, self.cache, hypotheses)
-        parts = in_threads(lambda part: refine(*images, part, most), matches)
+        parts, views, scale = self._refined(image1, image2, dense, LONG_SIDE, hypotheses)
         aligned = Matches.joined([result.aligned, *(part for part, _ in parts)])
         agreeing = Matches.joined([result.matches, *(part for _, part in parts)])
-        return self._chosen(*images, aligned, agreeing, dense)
-
-    @property
-    def _has_features(self) -> bool:
-        return self.options.aligned in ("auto", "features")
+        return self._chosen(aligned, agreeing, dense, views, scale)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        dense = dense_map(self.engine, image1, image2, self.cache, cells=self.options.finest)
+        dense = dense_map(self.engine, image1, image2, self.cache)
         matches = select_matches(dense, self.options)
         return MatchResult(replace(matches, weights=self.fingerprint), dense)
 
-    def _chosen(
+    def _refined(
         self,
         image1: Image,
         image2: Image,
+        dense: CorrespondenceMap,
+        side: int,
+        hypotheses: Sequence[TwoViews] | None = None,
+    ) -> tuple[list[tuple[Matches, Matches]], list[Encoded], float]:
+        """As `feature_matches`; of each comparison the matches that are aligned on the images and
+        those that agree with their neighbours, see `refine`."""
+        found, views, scale = feature_matches(
+            self.engine, image1, image2, dense, self.cache, side, hypotheses
+        )
+        most = self.options.max_matches
+        radius = COARSE_CORNER_RADIUS if side == COARSE_SIDE else CORNER_RADIUS
+        parts = in_threads(lambda part: refine(image1, image2, part, most, radius), found)
+        return parts, views, scale
+
+    def _chosen(
+        self,
         aligned: Matches,
         agreeing: Matches,
         dense: CorrespondenceMap,
-        long_side: int = LONG_SIDE,
+        views: Sequence[Encoded],
+        scale: float,
     ) -> MatchResult | None:
-        """The aligned matches, or all that agree, where the images have structure, with what
-        surrounds them; None if they are too few. long_side: as of `feature_matches`."""
+        """The aligned matches, or all that agree, where the images have structure, evenly spread,
+        with what surrounds them; None if they are too few. scale: as of `surroundings`."""
+        image1, image2 = (view.image for view, _ in views)
         aligned = self._textured(image1, image2, aligned)
-        if len(aligned) >= MIN_ALIGNED:
-            aligned = self._surrounded(image1, image2, aligned, dense, long_side)
-            return MatchResult(aligned, dense, aligned)
         # Patches of views far apart often differ too much. What is left of them is more accurate,
         # but too little to distinguish a pose from chance: both together have the error that all of
         # them had before.
-        completed = self._textured(image1, image2, agreeing)
-        if len(completed) < MIN_MATCHES:
+        enough = len(aligned) >= MIN_ALIGNED
+        chosen = aligned if enough else self._textured(image1, image2, agreeing)
+        if len(chosen) < MIN_MATCHES:
             return None
-        completed = self._surrounded(image1, image2, completed, dense, long_side)
-        return MatchResult(completed, dense, aligned)
-
-    def _surrounded(
-        self,
-        image1: Image,
-        image2: Image,
-        matches: Matches,
-        dense: CorrespondenceMap,
-        long_side: int,
-    ) -> Matches:
-        """The matches, evenly spread, with what surrounds them."""
-        most, images = self.options.max_matches, (image1, image2)
-        kept = spread(matches.points2, matches.confidence, image2.size, most)
-        matches = matches.subset(kept)
-        if not self._has_features:
-            return matches
-        views, scale = encoded_views(self.engine, *images, dense, self.cache, long_side)
-        share = surroundings(images, views, self._textures(*images), matches, scale)
-        return replace(matches, surroundings=share)
+        most = self.options.max_matches
+        chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
+        share = surroundings(views, self._textures(image1, image2), chosen, scale)
+        chosen = replace(chosen, surroundings=share)
+        return MatchResult(chosen, dense, chosen if enough else aligned)

@@ -1,19 +1,33 @@
-"""Where an image has structure: no match is made without it.
+"""Where an image has structure, without which no match is made, and what surrounds the matches.
 
 Two blank patches, or two patches of noise, agree with each other wherever they lie. A point can be
 located where the image changes around it in every direction: where both eigenvalues of the
 structure tensor (Förstner and Gülch 1987) are larger than those of the image's noise. Along an edge
 or a stripe the smaller one is not (the aperture problem). Uniform bars at the border are no scene.
+
+Matches of one place go on to an occlusion, to the end of an image, or to a surface without texture.
+Those of two places that have an object, a wall or a window alike end with it, in the midst of
+texture. Cells near the matches are therefore looked for in the other image, where the affinity
+of their nearest match has them. Likeness is the cosine of the frozen features there, over that at
+random places.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.pixels import pixel_grid, rescale, window_offsets, within
+from dgc_pose.geometry.sampling import nearest_to
 from dgc_pose.images.image import Image, resize_by
 from dgc_pose.matches import Matches
+from dgc_pose.matching.patches import consistent
+from dgc_pose.matching.view import View
+from dgc_pose.runtime.engine import NativeFeatures
+from dgc_pose.system.parallel import in_threads
 
 LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
 _GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
@@ -28,6 +42,17 @@ _BAR_SHARE = 0.02  # of the pixels of a row or column that may differ at each en
 _BAR_EDGE = 8  # pixels beside a bar that its edge, smeared by compression, may reach
 # Variance of the derivative of white noise of variance 1 after the Gaussian: 1 / (8 pi s^4).
 _NOISE_GRADIENT = 1 / (8 * np.pi * _GRADIENT**4)
+_NEIGHBOURS = 8  # matches, whose affinity predicts where a cell lies
+# Cells of stride 8, at full resolution, from a cell to the nearest match: below, it is at a match;
+# between, it is around the matches
+_AT_MATCHES, _RIM = 1.5, (3.0, 8.0)
+_MOST = 250  # cells of each kind, drawn at random
+_REACH = 2  # cells searched about a place
+_PLACES = 4  # at random, that a cell is compared with
+_LEAST = 8  # cells of each kind, of an image that counts
+_LEAST_LIKENESS = 0.01  # of cells at matches
+_SEED = 0
+_AROUND = window_offsets(_REACH).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,3 +160,71 @@ def _varied(row: np.ndarray) -> bool:
         return False
     low, high = np.quantile(row.astype(float), (_BAR_SHARE, 1 - _BAR_SHARE))
     return bool(high - low > _BAR_RANGE)
+
+
+def surroundings(
+    views: Sequence[tuple[View, NativeFeatures]],
+    textures: Sequence[Texture],
+    matches: Matches,
+    scale: float = 1.0,
+) -> float | None:
+    """The likeness of what surrounds the matches of two images, over that at the matches; means
+    over cells with structure and no mask, and of both images the lesser. None if nothing surrounds
+    them.
+
+    views: of both images, with their features; textures: of both; scale: of the views' sides, over
+    those at full resolution.
+    """
+    first, second = views
+
+    def likeness(is_swapped: bool) -> list[np.ndarray]:
+        if is_swapped:
+            return _likeness(second, first, textures[0], matches.swapped(), scale)
+        return _likeness(first, second, textures[1], matches, scale)
+
+    shares = []
+    for at_matches, around in in_threads(likeness, (False, True)):
+        if min(len(at_matches), len(around)) >= _LEAST:
+            shares.append(float(around.mean()) / max(float(at_matches.mean()), _LEAST_LIKENESS))
+    return min(shares, default=None)
+
+
+def _likeness(
+    source: tuple[View, NativeFeatures],
+    target: tuple[View, NativeFeatures],
+    texture: Texture,
+    every: Matches,
+    scale: float,
+) -> list[np.ndarray]:
+    """The likeness of cells of the target, image 2 of the matches: at matches, and around them."""
+    matches = consistent(every, _NEIGHBOURS)
+    rng = np.random.default_rng(_SEED)
+    (view1, features1), (view2, features2) = source, target
+    sides1, sides2 = (features.middle.shape[1::-1] for features in (features1, features2))
+    centres1, centres = (
+        view.centres(sides).reshape(-1, 2) for view, sides in ((view1, sides1), (view2, sides2))
+    )
+    random = pixel_grid(sides1).reshape(-1, 2)[within(centres1, view1.image.size)]
+    at = view2.to_view(matches.points2, sides2)
+    distance, nearest = nearest_to(pixel_grid(sides2).reshape(-1, 2), at)
+    distance = distance / scale
+    usable, result = texture.at(centres) & ~view2.image.is_masked(centres), []
+    for kind in (distance < _AT_MATCHES, (distance >= _RIM[0]) & (distance < _RIM[1])):
+        chosen = rng.permutation(np.flatnonzero(kind & usable))[:_MOST]
+        near = matches.subset(nearest[chosen])
+        offsets = centres[chosen] - near.points2
+        points = near.points1 + np.einsum("nij,nj->ni", near.affinity, offsets)
+        place = view1.to_view(points, sides1)
+        shown = within(place, sides1) & view1.shows(points)
+        wanted = features2.middle.reshape(len(centres), -1)[chosen[shown]]
+        places = random[rng.integers(len(random), size=(_PLACES, len(wanted)))]
+        elsewhere = [_best(features1.middle, wanted, of) for of in places]
+        result.append(_best(features1.middle, wanted, place[shown]) - np.mean(elsewhere, 0))
+    return result
+
+
+def _best(middle: np.ndarray, wanted: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """The largest cosine (N,) of features (N, C) within a window about places (N, 2) of a level."""
+    cells = np.rint(places).astype(np.int64)[:, None] + _AROUND
+    x, y = cells.clip(0, np.subtract(middle.shape[1::-1], 1)).transpose(2, 0, 1)
+    return (middle[y, x] @ wanted[:, :, None])[..., 0].max(1)

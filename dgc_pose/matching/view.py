@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from dgc_pose.geometry.pixels import Size, cell_centres, within
-from dgc_pose.images.image import resize_by
+from dgc_pose.geometry.pixels import Size, pixel_grid, rescale, within
+from dgc_pose.images.image import Image, resize_by
 
 # Around the image: ImageNet's mean colour, which is zero for the network, as is its padding.
 _BORDER = (124, 116, 104)
@@ -19,50 +19,59 @@ _BORDER = (124, 116, 104)
 class View:
     """A window on an image, rotated and resized; hashable, so that caches take it as a key."""
 
+    image: Image
     angle_deg: float  # of the image's rotation, counter-clockwise, as by `numpy.rot90`
     scale: float  # pixels of the view per pixel of the image
     centre: tuple[float, float]  # pixel of the image, x and y, at the centre of the view
     size: Size  # (width, height) of the view, its pixels
 
     @staticmethod
-    def whole(size: Size, angle_deg: float = 0.0, scale: float = 1.0) -> View:
-        """The smallest view that holds the whole of an image of `size` (width, height)."""
-        return View.window(size, ((size[0] - 1) / 2, (size[1] - 1) / 2), angle_deg, scale)
+    def whole(image: Image, angle_deg: float = 0.0, scale: float = 1.0) -> View:
+        """The smallest view that holds the whole of an image."""
+        width, height = image.size
+        return View.window(image, image.size, ((width - 1) / 2, (height - 1) / 2), angle_deg, scale)
 
     @staticmethod
-    def window(extent: Size, centre: tuple[float, float], angle_deg: float, scale: float) -> View:
+    def window(
+        image: Image, extent: Size, centre: tuple[float, float], angle_deg: float, scale: float
+    ) -> View:
         """The smallest view that holds `extent` (width, height) of the image around a pixel."""
         cosine, sine = _cosine_sine(angle_deg)
         width = abs(extent[0] * cosine) + abs(extent[1] * sine)
         height = abs(extent[0] * sine) + abs(extent[1] * cosine)
         # Rounding errors must not add a pixel.
         sides = (max(1, math.ceil(side * scale - 1e-6)) for side in (width, height))
-        return View(angle_deg, scale, centre, (next(sides), next(sides)))
+        return View(image, angle_deg, scale, centre, (next(sides), next(sides)))
 
     @property
     def matrix(self) -> np.ndarray:
         """(2, 3) float64: from pixels of the image to pixels of the view."""
-        cosine, sine = _cosine_sine(self.angle_deg)
-        # y points down, so a counter-clockwise rotation takes (1, 0) to (cos, -sin).
-        linear = self.scale * np.array([[cosine, sine], [-sine, cosine]])
+        linear = similarity(self.angle_deg, self.scale)
         middle = (np.array(self.size) - 1) / 2
         return np.column_stack([linear, middle - linear @ self.centre])
 
-    def to_view(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 2) of the image, in pixels of the view."""
+    def to_view(self, points: np.ndarray, cells: Size | None = None) -> np.ndarray:
+        """Points (..., 2) of the image, in pixels of the view, or in `cells` (columns, rows) of a
+        grid over it."""
         matrix = self.matrix
-        return points @ matrix[:, :2].T + matrix[:, 2]
+        points = points @ matrix[:, :2].T + matrix[:, 2]
+        return points if cells is None else rescale(points, self.size, cells)
 
-    def to_image(self, points: np.ndarray) -> np.ndarray:
-        """Points (..., 2) of the view, in pixels of the image."""
+    def to_image(self, points: np.ndarray, cells: Size | None = None) -> np.ndarray:
+        """Points (..., 2) of the view, likewise, in pixels of the image."""
         matrix = self.matrix
+        points = points if cells is None else rescale(points, cells, self.size)
         return (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
 
-    def cut(self, pixels: np.ndarray) -> np.ndarray:
-        """The view (height, width, 3) of an image (H, W, 3) uint8: area means to shrink, bilinear
-        otherwise, ImageNet's mean colour outside the image."""
-        size = (pixels.shape[1], pixels.shape[0])
-        if self == View.whole(size, self.angle_deg) and self.angle_deg % 90 == 0:
+    def centres(self, cells: Size) -> np.ndarray:
+        """Centres (H, W, 2) of a grid of `cells` over the view, in pixels of the image."""
+        return self.to_image(pixel_grid(cells), cells)
+
+    def pixels(self) -> np.ndarray:
+        """(height, width, 3) uint8: area means to shrink, bilinear otherwise, ImageNet's mean
+        colour outside the image."""
+        pixels, size = self.image.pixels, self.image.size
+        if self == View.whole(self.image, self.angle_deg) and self.angle_deg % 90 == 0:
             return np.ascontiguousarray(np.rot90(pixels, round(self.angle_deg / 90)))
         matrix = self.matrix
         if self.scale < 1:
@@ -76,10 +85,21 @@ class View:
             pixels, matrix, self.size, borderMode=cv2.BORDER_CONSTANT, borderValue=_BORDER
         )
 
-    def inside(self, size: Size, cells: Size) -> np.ndarray:
-        """Which of `cells` (columns, rows) over the view have their centre within the image of
-        `size` (width, height): (rows, columns) bool."""
-        return within(self.to_image(cell_centres(cells, self.size)), size)
+    def mask(self, cells: Size) -> np.ndarray:
+        """Which of `cells` (columns, rows) over the view have their centre on the image: (rows,
+        columns) bool."""
+        return within(self.centres(cells), self.image.size)
+
+    def shows(self, points: np.ndarray) -> np.ndarray:
+        """Which points (..., 2) lie on the image, and on no pixel that is masked: (...) bool."""
+        return within(points, self.image.size) & ~self.image.is_masked(points)
+
+
+def similarity(angle_deg: float, scale: float) -> np.ndarray:
+    """(2, 2): a rotation, counter-clockwise as by `numpy.rot90`, and a scale of pixels."""
+    cosine, sine = _cosine_sine(angle_deg)
+    # y points down, so a counter-clockwise rotation takes (1, 0) to (cos, -sin).
+    return scale * np.array([[cosine, sine], [-sine, cosine]])
 
 
 def _cosine_sine(angle_deg: float) -> tuple[float, float]:

@@ -37,12 +37,12 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.folder import frames_folder
 from dgc_pose.images.image import flipped, load_image
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model, colmap_camera
 from dgc_pose.pose import solve_pair
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
@@ -178,7 +178,7 @@ def estimate_rig(
             none = {name: Location("nowhere", reason, ()) for name in pictures}
             return Rig(none, warnings=left_out)
 
-    loaded, each = matcher.load(image_cache()), list[dict[str, Location]]()
+    loaded, each = matcher.load(ImageCache()), list[dict[str, Location]]()
     for number, of_model in enumerate(models):
         locator = Locator(of_model, loaded, estimation, out / PICTURES)
         each.append({})

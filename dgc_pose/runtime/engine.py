@@ -38,7 +38,6 @@ class NativeFeatures:
     coarse: np.ndarray  # (h, w, C) float32, stride 16
     middle: np.ndarray  # (2 h, 2 w, C') float32, stride 8
     fine: np.ndarray  # (4 h, 4 w, C'') float32, stride 4
-    size: tuple[int, int]  # (width, height) of the image before it was resized
 
     @property
     def middle_by_cell(self) -> np.ndarray:
@@ -52,17 +51,6 @@ class NativeFeatures:
         return self.coarse.nbytes + self.middle.nbytes + self.fine.nbytes
 
 
-@dataclass(frozen=True, eq=False)
-class DecodedMap:
-    """The dense map of a pair, on the grid of the level that was asked for."""
-
-    # (H, W, 2) float32, x and y in the source of each cell of the target, pixels of the source as
-    # it was resized; no NaN
-    points: np.ndarray
-    matchability: np.ndarray  # (H, W) float32 in [0, 1]; 1 everywhere for a network without a mask
-    size: tuple[int, int]  # (width, height) of the source as it was resized
-
-
 class Engine(Protocol):
     """A frozen network with its weights, run by some library on some device.
 
@@ -72,7 +60,7 @@ class Engine(Protocol):
 
     config: NetworkConfig
     concurrent: bool  # whether several threads encode images faster than one
-    goes_on: bool  # whether a finer map of the last pair costs its own levels alone
+    can_resume: bool  # whether decoding further reuses the last pair's coarser levels
 
     # (levels,) float32, inverse temperatures of the correlated levels, coarsest first
     correlation_scales: np.ndarray
@@ -87,8 +75,12 @@ class Engine(Protocol):
     def coarsest(self, features: MapFeatures) -> np.ndarray:
         """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
 
-    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
-        """The map of a pair from the features that `encode` gives.
+    def decode(
+        self, source: MapFeatures, target: MapFeatures, finest: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The map of a pair from the features that `encode` gives: for each cell of the target its
+        x and y (H, W, 2) float32, pixels of the source as it was resized, no NaN; and the
+        matchability (H, W) float32 in [0, 1], 1 everywhere for a network without a mask.
 
         finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
         """

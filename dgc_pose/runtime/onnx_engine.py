@@ -1,16 +1,20 @@
 """The network run by ONNX Runtime and NumPy, on the CPU, without torch."""
 
+from __future__ import annotations
+
 import json
 import os
 import threading
+from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import PIL.Image
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import (
     COARSEST,
@@ -26,12 +30,15 @@ from dgc_pose.network.config import (
     preset,
 )
 from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_evidence
-from dgc_pose.network.stored import check_state, fingerprint, folded, read_safetensors
+from dgc_pose.network.weights import check_state, fingerprint, folded, read_safetensors
 from dgc_pose.runtime import engine as graphs
-from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
-from dgc_pose.runtime.session import Session
+from dgc_pose.runtime.engine import MapFeatures, NativeFeatures
+from dgc_pose.system.files import open_file
+from dgc_pose.system.onnx_library import SHARED_ARENA, onnxruntime
 from dgc_pose.system.parallel import in_threads
 
+_QUIET = 4  # errors are raised, and need not be printed
+_MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
 _MAKING = threading.Lock()  # a session, which two threads might ask for at once
 
 
@@ -44,7 +51,7 @@ class OnnxEngine:
     """
 
     concurrent = True  # each thread computes on, instead of waiting for the others at each layer
-    goes_on = True
+    can_resume = True
 
     def __init__(self, path: Path) -> None:
         name, self._stored = read_safetensors(path)
@@ -81,9 +88,11 @@ class OnnxEngine:
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         image = resize(pixels, (cells[0] * STRIDE, cells[1] * STRIDE)).astype(np.float32)
         fine, middle, coarse = self._session(graphs.NATIVE)(image)
-        return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
+        return NativeFeatures(coarse, middle, fine)
 
-    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+    def decode(
+        self, source: MapFeatures, target: MapFeatures, finest: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         last, begun = LEVEL_SIZES.index(finest), self._begun
         if begun and begun[0] is source and begun[1] is target and begun[2] >= last:
             above, state = begun[2:]
@@ -104,7 +113,7 @@ class OnnxEngine:
         self._begun = source, target, last, state
         normalised = np.nan_to_num(state[0, :2].transpose(1, 2, 0), nan=-2.0)  # edges at -1 and 1
         points = ((normalised + 1) * np.array(source.size, np.float32) - 1) / 2
-        return DecodedMap(points, 1 / (1 + np.exp(-state[0, 2])), source.size)
+        return points, 1 / (1 + np.exp(-state[0, 2]))
 
     def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
         """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
@@ -170,3 +179,53 @@ def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
         for plane in np.ascontiguousarray(image.transpose(2, 0, 1))
     ]
     return np.stack([np.asarray(plane) for plane in planes], -1)
+
+
+class Session:
+    """A graph, called with arrays in the order of its inputs.
+
+    weights: by the names of the graph's initializers, no others. The number of threads is that of
+    `session_threads` when the session is made. Safe to call from several threads at once. Raises
+    WeightsError if weights are missing or do not fit, OSError, with the path, if the graph cannot
+    be read.
+    """
+
+    def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
+        open_file(path, WeightsError).close()  # ONNX Runtime hides the system's message
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = session_threads()
+        options.inter_op_num_threads = 1
+        options.log_severity_level = _QUIET
+        options.add_session_config_entry(SHARED_ARENA, "1")
+        # Threads that wait for work must not take the processor from other processes.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        # The values must outlive the session.
+        self._values = [
+            onnxruntime.OrtValue.ortvalue_from_numpy(value) for value in weights.values()
+        ]
+        options.add_external_initializers(list(weights), self._values)
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(path),
+                options,
+                providers=["CPUExecutionProvider"],
+                enable_fallback=0,  # it would try the same again, and print
+            )
+        except Exception as error:  # onnxruntime's errors have no common base
+            raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
+        self.inputs, self.outputs = (
+            [(tensor.name, tensor.shape) for tensor in tensors]
+            for tensors in (self._session.get_inputs(), self._session.get_outputs())
+        )
+
+    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
+        """The outputs."""
+        inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
+        return self._session.run(None, inputs)
+
+
+def session_threads() -> int:
+    """As many threads as OpenCV uses (`dgc_pose.system.threads`), and as OMP_NUM_THREADS allows."""
+    most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
+    allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
+    return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

@@ -12,8 +12,8 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import COARSEST, STRIDE
 from dgc_pose.network.net import DGCNet, normalise, to_pixels
-from dgc_pose.network.stored import fingerprint
-from dgc_pose.runtime.engine import DecodedMap, MapFeatures, NativeFeatures
+from dgc_pose.network.weights import fingerprint
+from dgc_pose.runtime.engine import MapFeatures, NativeFeatures
 
 Net = TypeVar("Net", bound=nn.Module)
 
@@ -22,7 +22,7 @@ class TorchEngine:
     """A network as an `Engine`, on the device where its weights are; see `for_inference`."""
 
     concurrent = False  # its layers use all threads, or the GPU
-    goes_on = False
+    can_resume = False
 
     def __init__(self, net: DGCNet) -> None:
         weights = ((key, value.cpu().numpy()) for key, value in net.state_dict().items())
@@ -41,20 +41,22 @@ class TorchEngine:
         return _unit(features.levels[COARSEST])
 
     @torch.inference_mode()
-    def decode(self, source: MapFeatures, target: MapFeatures, finest: int) -> DecodedMap:
+    def decode(
+        self, source: MapFeatures, target: MapFeatures, finest: int
+    ) -> tuple[np.ndarray, np.ndarray]:
         prediction = self.net.decode(source.levels, target.levels, finest)
         normalised = prediction.maps[-1][0].movedim(0, -1).float().nan_to_num(-2.0)
         points = to_pixels(normalised, source.size, self.config.align_corners)
         mask = torch.ones(points.shape[:2])
         if prediction.logits:
             mask = prediction.logits[-1][0, 0].float().sigmoid()
-        return DecodedMap(points.cpu().numpy(), mask.cpu().numpy(), source.size)
+        return points.cpu().numpy(), mask.cpu().numpy()
 
     @torch.inference_mode()
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         planes = network_input(pixels, (cells[0] * STRIDE, cells[1] * STRIDE), self._device)
         fine, middle, coarse = map(_unit, self.net.coarse_features(planes))
-        return NativeFeatures(coarse, middle, fine, (pixels.shape[1], pixels.shape[0]))
+        return NativeFeatures(coarse, middle, fine)
 
 
 def for_inference(net: Net) -> Net:

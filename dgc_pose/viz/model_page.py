@@ -13,8 +13,8 @@ import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.geometry.epipolar import homogeneous
-from dgc_pose.geometry.neighbours import nearest
 from dgc_pose.geometry.rotation import aligning_rotation
+from dgc_pose.geometry.sampling import nearest
 from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.model import Model
 from dgc_pose.pair_result import PairResult

@@ -14,9 +14,9 @@ from dgc_pose.estimation import RelativePose
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.rotation import rotation_angle_deg
+from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import Location
-from dgc_pose.matching.align import spread
 from dgc_pose.model import Model
 from dgc_pose.pair_result import PairResult
 from dgc_pose.viz.figure import (

@@ -9,6 +9,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from dgc_pose.benchmarks.flow import scaled_map
 from dgc_pose.benchmarks.maps import (
     PCK_THRESHOLDS,
     VIEWPOINTS,
@@ -24,9 +25,8 @@ from dgc_pose.benchmarks.maps import (
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
-from dgc_pose.matching.flow import scaled_map
+from dgc_pose.matching.correspondence_map import MatchingOptions, select_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.selection import MatchingOptions, select_matches
 from dgc_pose.training.views import MapPairs
 
 CELLS = 60  # of 4 pixels

@@ -112,7 +112,7 @@ HANDLERS = """
 import os, signal, time
 signal.signal(signal.SIGTERM, lambda *_: None)
 from dgc_pose.system.colmap_library import pycolmap
-import dgc_pose.runtime.session
+import dgc_pose.runtime.onnx_engine
 os.kill(os.getpid(), signal.SIGTERM)
 time.sleep(1)
 print(pycolmap.__name__, "goes on", os.environ["ORT_DISABLE_TELEMETRY"])

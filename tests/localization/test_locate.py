@@ -11,9 +11,9 @@ from worlds import K as DATABASE_K
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.images.cache import ImageCache
 from dgc_pose.localization import locate
 from dgc_pose.matchers import load_matcher
-from dgc_pose.matching.cache import image_cache
 from dgc_pose.model import Model
 
 
@@ -25,13 +25,13 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
         for name, view in zip(write_views(tmp_path, views), views, strict=True)
     }
     model = Model(tmp_path, dict.fromkeys(poses, Camera(DATABASE_K, SIZE)), poses)
-    cache = image_cache()
+    cache = ImageCache()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
     locator = locate.Locator(model, load_matcher(cache=cache), options)
-    locator._images.limit_bytes = 1
+    cache.limit_bytes = 1
     location = locator.locate(photo.pixels, DATABASE_K)
     assert location.success and cache.made > 8
-    kept = {key[0].name for key in cache._kept}
+    kept = {image.name for image in cache._kept}
     assert len(kept) <= 1 and "query" not in kept
 
 

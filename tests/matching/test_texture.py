@@ -1,5 +1,6 @@
-"""No match without structure, whatever makes the matches."""
+"""No match without structure, whatever makes the matches; and what surrounds them, as drawn."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -10,14 +11,22 @@ import pytest
 from dgc_pose.benchmarks.probability.planned import BLANKS, BlankKind, blank
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, estimate_pose
+from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.matching import Matcher, MatchingOptions
 from dgc_pose.matching.key_points import SiftMatcher
-from dgc_pose.matching.texture import LONG_SIDE, noise_level, structured, texture, textured
+from dgc_pose.matching.texture import (
+    LONG_SIDE,
+    Texture,
+    noise_level,
+    structured,
+    surroundings,
+    texture,
+)
+from dgc_pose.matching.view import View
+from dgc_pose.runtime.engine import NativeFeatures
 
 SIZE = (320, 240)
-PIXELS = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), -1).reshape(-1, 2)
 
 
 @pytest.fixture(scope="module")
@@ -25,23 +34,17 @@ def photograph() -> Image:
     return Image(dense_scene.pictures()[0])
 
 
-def _blank(kind: BlankKind, seed: int = 0) -> Image:
+def _blank(kind: BlankKind) -> Image:
     """An image without structure."""
-    return Image(blank(kind, SIZE, np.random.default_rng([seed, BLANKS.index(kind)])))
+    return Image(blank(kind, SIZE, np.random.default_rng([0, BLANKS.index(kind)])))
 
 
-def _everywhere(options: MatchingOptions | None = None) -> Matcher:
-    """A network that is sure of every pixel of any two images."""
+@pytest.mark.parametrize("source", ["map", "sift"])
+def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image) -> None:
+    """A map that is sure of every pixel of any two images, and key points."""
     dense = dense_scene.true_map()
     sure = replace(dense, matchability=np.ones_like(dense.matchability))
-    return dense_scene.MapMatcher(sure, options)
-
-
-@pytest.mark.parametrize("source", ["map", "map refined", "sift"])
-def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image) -> None:
-    matcher = SiftMatcher() if source == "sift" else _everywhere()
-    if source == "map refined":
-        matcher = _everywhere(MatchingOptions(aligned="map"))
+    matcher = SiftMatcher() if source == "sift" else dense_scene.MapMatcher(sure)
     camera = Camera(dense_scene.K, SIZE)
     for kind in BLANKS:
         image = _blank(kind)
@@ -55,8 +58,7 @@ def test_no_source_gives_a_match_or_a_pose(source: str, photograph: Image) -> No
 
 @pytest.mark.parametrize("kind", BLANKS)
 def test_a_blank_image_has_no_structure_anywhere(kind: BlankKind) -> None:
-    for seed in range(4):
-        assert texture(_blank(kind, seed)).mask.mean() < 0.02
+    assert texture(_blank(kind)).mask.mean() < 0.02
 
 
 def test_fine_and_coarse_texture_is_structure_at_any_contrast_above_the_noise() -> None:
@@ -112,21 +114,93 @@ def test_points_are_looked_up_on_images_of_any_size() -> None:
     assert found.at(np.zeros((0, 2))).shape == (0,)
 
 
-def test_both_points_need_structure_and_the_rest_of_a_match_stays() -> None:
-    picture = dense_scene.pictures()[0]
-    half = picture.copy()
-    half[:, :160] = 128
-    points = PIXELS[:: 7 * 3].astype(float)
-    confidence = np.linspace(0, 1, len(points))
-    matches = Matches(points, points, confidence, 0.7, True)
-    whole, part = texture(Image(picture)), texture(Image(half))
-    kept, other = textured(matches, whole, part), textured(matches, part, whole)
-    assert np.array_equal(kept.points1, other.points1) and (kept.points1[:, 0] > 150).all()
-    assert (kept.error_px, kept.key_points) == (0.7, True) and 0 < len(kept) < len(points) / 2
-    assert np.isin(kept.confidence, confidence).all()
-
-
 def test_tiny_images_have_no_structure() -> None:
     for size in ((1, 1), (3, 200), (8, 8)):
         pixels = np.random.default_rng(0).integers(0, 255, (*size, 3), np.uint8)
         assert not texture(Image(pixels)).mask.any()
+
+
+SIDES, CELL, SHIFT = (60, 40), 8, 3  # columns and rows of stride 8, pixels of one, columns moved
+EXTENT = (SIDES[0] * CELL, SIDES[1] * CELL)
+BLACK = Image(np.zeros((*EXTENT[::-1], 3), np.uint8))
+
+
+def _features(middle: np.ndarray) -> NativeFeatures:
+    unit = middle / np.linalg.norm(middle, axis=-1, keepdims=True)
+    empty = np.zeros((1, 1, 1), np.float32)
+    return NativeFeatures(empty, unit.astype(np.float32), empty)
+
+
+def _views(seed: int, inside: np.ndarray | None = None, images: Sequence[Image] = (BLACK, BLACK)):
+    """Features of two images, the second of which shows all `SHIFT` cells further to the left;
+    outside of `inside` (rows, columns) bool it shows something else."""
+    rng = np.random.default_rng(seed)
+    first = rng.standard_normal((*SIDES[::-1], 32))
+    second = np.roll(first, -SHIFT, 1)
+    if inside is not None:
+        second[~inside] = rng.standard_normal(second[~inside].shape)
+    return [(View.whole(of), _features(k)) for of, k in zip(images, (first, second), strict=True)]
+
+
+def _matches(inside: np.ndarray) -> Matches:
+    """Matches at the middle of the cells of image 2 within `inside`."""
+    cells = pixel_grid(SIDES)[inside]
+    points2 = (cells + 0.5) * CELL - 0.5
+    return Matches(points2 + (SHIFT * CELL, 0), points2, np.ones(len(cells)), error_px=1.0)
+
+
+WITH_TEXTURE = Texture(np.ones(EXTENT[::-1], bool), EXTENT)
+INSIDE = np.zeros(SIDES[::-1], bool)
+INSIDE[12:28, 20:40] = True
+
+
+def test_what_goes_on_around_the_matches_is_as_alike_as_they_are():
+    share = surroundings(_views(0), [WITH_TEXTURE] * 2, _matches(INSIDE))
+    assert share is not None and 0.95 < share < 1.05
+
+
+def test_of_two_places_that_have_a_part_alike_the_rest_is_not():
+    views = _views(0, np.pad(INSIDE[1:-1, 1:-1], 1))
+    share = surroundings(views, [WITH_TEXTURE] * 2, _matches(INSIDE))
+    assert share is not None and share < 0.25
+    swapped = surroundings(views[::-1], [WITH_TEXTURE] * 2, _matches(INSIDE).swapped())
+    assert swapped == pytest.approx(share, abs=0.1)
+
+
+def test_what_has_no_texture_does_not_count():
+    """The same two places, of which all but the part is smooth in image 2, or in both."""
+    smooth = [
+        Texture(np.kron(np.roll(INSIDE, shift, 1), np.ones((CELL, CELL), bool)), EXTENT)
+        for shift in (SHIFT, 0)
+    ]
+    assert surroundings(_views(0, INSIDE), smooth, _matches(INSIDE)) is None
+    share = surroundings(_views(0, INSIDE), [WITH_TEXTURE, smooth[1]], _matches(INSIDE))
+    assert share is not None and share < 0.25
+
+
+def test_what_is_masked_does_not_count():
+    """The same two places, of which a mask leaves the part alone in image 2, or in both."""
+    masked = [
+        Image(BLACK.pixels, mask=np.kron(np.roll(INSIDE, shift, 1), np.ones((CELL, CELL), bool)))
+        for shift in (SHIFT, 0)
+    ]
+    for images in ((BLACK, masked[1]), masked):
+        views = _views(0, INSIDE, images)
+        assert surroundings(views, [WITH_TEXTURE] * 2, _matches(INSIDE)) is None
+
+
+def test_what_a_turned_view_pads_an_image_with_does_not_count():
+    """Views that show a margin around both images, in which features are alike."""
+    rng = np.random.default_rng(2)
+    middle = rng.standard_normal((*SIDES[::-1], 32))
+    inner = (EXTENT[0] - 16 * CELL, EXTENT[1] - 16 * CELL)
+    view = replace(View.whole(Image(np.zeros((*inner[::-1], 3), np.uint8))), size=EXTENT)
+    points = pixel_grid((SIDES[0] - 16, SIDES[1] - 16)).reshape(-1, 2) * CELL + (CELL - 1) / 2
+    matches = Matches(points, points, np.ones(len(points)), error_px=1.0)
+    texture = Texture(np.ones(inner[::-1], bool), inner)
+    assert surroundings([(view, _features(middle))] * 2, [texture] * 2, matches) is None
+
+
+def test_matches_everywhere_and_no_matches_have_no_surroundings():
+    assert surroundings(_views(0), [WITH_TEXTURE] * 2, _matches(np.ones_like(INSIDE))) is None
+    assert surroundings(_views(0), [WITH_TEXTURE] * 2, _matches(np.zeros_like(INSIDE))) is None

@@ -1,14 +1,21 @@
-"""The assembled network: shapes, sizes and keys as published."""
+"""The assembled network: shapes, sizes and keys as published, images in their own shape, and the
+same maps from a network made for inference."""
 
 from dataclasses import replace
+from importlib import resources
 
+import numpy as np
 import pytest
 import torch
-from map_nets import SMALL
+from torch import nn
 
-from dgc_pose.errors import InputError
-from dgc_pose.network.config import PRESETS, preset
+from dgc_pose.images.image import Image, load_image, resize
+from dgc_pose.matchers import load_matcher
+from dgc_pose.network.config import preset
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet, to_normalised, to_pixels
+from dgc_pose.network.weights import load_network
+from dgc_pose.runtime.torch_engine import for_inference, network_input
 
 _DECODERS = (  # parameters and dilations
     (335_618, [1, 4, 12, 16]),
@@ -59,14 +66,14 @@ def test_keys_are_the_published_ones():
         assert set(DGCNet(preset(name)).state_dict()) == _published_keys(mask)
 
 
-@pytest.mark.parametrize("name", sorted(PRESETS))
+@pytest.mark.parametrize("name", ["dgcm", "dgcm-lite0"])
 def test_maps_come_at_five_sizes(name):
     net = DGCNet(preset(name)).eval()
     image = torch.randn(1, 3, 240, 240, generator=torch.Generator().manual_seed(1))
     with torch.no_grad():
         prediction = net(image, image.flip(3))
     assert [m.shape[1:] for m in prediction.maps] == [(2, s, s) for s in (15, 30, 60, 120, 240)]
-    masks = {"dgc": [], "dgcm": [240]}.get(name, [15, 30, 60, 120, 240])
+    masks = [240] if name == "dgcm" else [15, 30, 60, 120, 240]
     assert [m.shape[1:] for m in prediction.logits] == [(1, s, s) for s in masks]
 
 
@@ -84,9 +91,9 @@ def test_align_corners_modes_sample_at_their_points():
         torch.testing.assert_close(to_pixels(place, (60, 60), align_corners), pixels)
 
 
-@pytest.mark.parametrize("config", [SMALL, preset("dgcm-lite0")])
-def test_a_part_of_a_level_decodes_as_the_whole_does(config):
+def test_a_part_of_a_level_decodes_as_the_whole_does():
     """Away from the part's border, as training needs it."""
+    config = preset("dgcm-lite0")
     net = DGCNet(config).eval()
     generator = torch.Generator().manual_seed(5)
     channels = config.level_channels[1]
@@ -103,6 +110,72 @@ def test_a_part_of_a_level_decodes_as_the_whole_does(config):
     torch.testing.assert_close(found[:, :, inner, inner], expected, atol=1e-5, rtol=1e-4)
 
 
-def test_unknown_presets_are_refused():
-    with pytest.raises(InputError, match="no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"):
-        preset("vgg")
+def test_the_grid_has_the_images_shape_and_about_225_cells():
+    config = preset("dgcm-lite0")
+    assert config.input_size((800, 800)) == (240, 240)
+    assert config.input_size((480, 640)) == config.input_size((640, 480))[::-1]
+    for width in range(40, 2000, 37):
+        columns, rows = (side / 16 for side in config.input_size((width, 300)))
+        assert columns == int(columns) and rows == int(rows)
+        if 1 / 9 <= width / 300 <= 9:
+            assert 200 <= columns * rows <= 250
+            assert abs(np.log(columns / rows / (width / 300))) < 0.15
+    assert config.input_size((5000, 10)) == (720, 80)  # squeezed to 9:1
+    assert preset("dgcm").input_size((1242, 375)) == (240, 240)
+
+
+def test_a_wide_pair_is_matched_in_its_shape():
+    """Two overlapping crops, 3 to 1, of smooth noise."""
+    rng = np.random.default_rng(3)
+    picture = np.zeros((220, 640, 3))
+    for cells in (6, 20, 60):
+        noise = rng.uniform(0, 255, (cells, 3 * cells, 3)).astype(np.uint8)
+        picture += resize(noise, (640, 220)).astype(float) / 3
+    pixels = picture.astype(np.uint8)
+    pair = Image(pixels[:180, :540].copy()), Image(pixels[30:210, 60:600].copy())
+    dense = load_matcher("dgcm-lite0").match(*pair).correspondence_map
+    height, width = dense.matchability.shape
+    assert (width, height) == preset("dgcm-lite0").input_size((540, 180))
+    offset = (dense.map - dense.grid)[height // 4 : -height // 4, width // 4 : -width // 4]
+    assert np.abs(np.median(offset, (0, 1)) - (60, 30)).max() < 2
+    # The grid covers image 2: its outer cells end at the image's edges.
+    step = dense.grid[0, 1, 0] - dense.grid[0, 0, 0]
+    assert dense.grid[0, 0, 0] == pytest.approx(step / 2 - 0.5, abs=1e-3)
+    assert dense.grid[0, -1, 0] == pytest.approx(539 - step / 2 + 0.5, abs=1e-2)
+
+
+def test_features_of_a_rotated_image_lie_in_the_rotated_cells():
+    """By 180 degrees, kernels too. With odd kernels of stride 2 they would be half a cell off."""
+    torch.manual_seed(0)
+    pyramid = EfficientPyramid().eval().requires_grad_(False)
+    image = torch.randn(1, 3, 96, 64)
+    upright = pyramid(image)
+    for module in pyramid.modules():
+        if isinstance(module, nn.Conv2d):
+            module.weight.copy_(module.weight.flip(-1, -2))
+    rotated = pyramid(image.flip(-1, -2))
+    # Level 1 has an odd kernel of stride 2, as in dgcm-lite0, and is not matched between rotations.
+    for level in (0, 2, 3, 4):
+        expected = upright[level].flip(-1, -2)
+        assert torch.allclose(rotated[level], expected, atol=1e-4 * expected.abs().max())
+
+
+def test_a_network_made_for_inference_gives_the_same_map():
+    net = load_network("dgcm-lite0")
+    fast = for_inference(net)
+    assert nn.BatchNorm2d not in [type(module) for module in fast.modules()]
+    folder = resources.files("dgc_pose") / "data" / "rendered"
+    images = [load_image(str(folder / f"image{number}.jpg")).pixels for number in (1, 2)]
+    inputs = [network_input(pixels, (240, 240), torch.device("cpu")) for pixels in images]
+    with torch.inference_mode():
+        wanted, found = net(*inputs), fast(*inputs)
+    apart_px = 120 * (found.maps[-1] - wanted.maps[-1]).norm(dim=1)
+    assert wanted.maps[-1].std() > 1e-3  # a map that is the same everywhere would show nothing
+    assert apart_px.median() < 1e-3 and apart_px.quantile(0.99) < 0.05
+    assert len(found.logits) == len(wanted.logits)
+    # As probabilities: a logit of -10 carries a hundredth of rounding, which means nothing.
+    off = (found.logits[-1].sigmoid() - wanted.logits[-1].sigmoid()).abs()[:, 0]
+    # On image 1's border warped features fade, and their norm magnifies it.
+    from_border_px = 120 * (wanted.maps[-1].abs().amax(1) - 1).abs()
+    assert off[from_border_px > 2].max() < 1e-3
+    assert off.quantile(0.999) < 1e-4 and off.max() < 1e-2

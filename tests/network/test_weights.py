@@ -1,13 +1,18 @@
-"""Weights: our files, the authors' layout, and errors that name the file and the keys."""
+"""Weights: those shipped, our files, the authors' layout, and errors that name file and keys."""
+
+import hashlib
+import re
+from importlib import resources
 
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import save_file
 
 from dgc_pose.errors import InputError, WeightsError
-from dgc_pose.network.config import preset
+from dgc_pose.network.config import PRESETS, preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.weights import choose_device, load_network
+from dgc_pose.network.weights import choose_device, load_network, shipped
 from dgc_pose.training.run import save_weights
 
 
@@ -87,3 +92,18 @@ def test_the_first_differing_keys_are_named(tmp_path):
 def test_devices_that_no_part_runs_on_are_refused(name):
     with pytest.raises(InputError, match=f"device must be auto, cpu, cuda or cuda:N, not '{name}'"):
         choose_device(name)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_each_of_those_shipped_loads_in_half_precision_and_has_a_card(name):
+    folder = resources.files("dgc_pose") / "weights"
+    net = load_network(name)
+    assert name in PRESETS and net.config == PRESETS[name]
+    with resources.as_file(folder / f"{name}.safetensors") as path:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        with safe_open(path, "pt") as file:
+            assert {file.get_tensor(key).dtype for key in file.keys()} == {torch.float16}
+    card = (folder / f"{name}.md").read_text(encoding="utf-8")
+    assert digest in card
+    for entry in ("Preset", "Data", "Steps", "Hardware", "Seed", "Command", "Scores"):
+        assert re.search(rf"^\| {entry} \|", card, re.MULTILINE), entry

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from dgc_pose.errors import DgcPoseError, InputError, WeightsError
 from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
-from dgc_pose.network.stored import COUNTER, folded, read_safetensors
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.weights import COUNTER, folded, load_network, read_safetensors
 from dgc_pose.training import run
 from dgc_pose.training.losses import EncoderStage
 from dgc_pose.training.options import Shares, TrainingOptions

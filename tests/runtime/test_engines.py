@@ -1,25 +1,25 @@
-"""ONNX Runtime gives what torch gives, without importing it, in every process and thread."""
+"""ONNX Runtime gives what torch gives, in every process and thread, and torch what its net does."""
 
 import json
 import multiprocessing
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from importlib import resources
 
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from safetensors.numpy import load_file, save_file
 
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import load_image, resize
+from dgc_pose.matchers import load_engine
 from dgc_pose.network.config import preset
-from dgc_pose.network.net import DGCNet
-from dgc_pose.network.stored import find_weights, folded
-from dgc_pose.network.weights import load_network
+from dgc_pose.network.net import DGCNet, normalise
+from dgc_pose.network.weights import find_weights, folded, load_network
 from dgc_pose.runtime.engine import GRAPHS, WEIGHTS
-from dgc_pose.runtime.load import load_engine
-from dgc_pose.runtime.onnx_engine import OnnxEngine
-from dgc_pose.runtime.session import session_threads
+from dgc_pose.runtime.onnx_engine import OnnxEngine, session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, for_inference
 from dgc_pose.training.run import save_weights
 
@@ -54,15 +54,14 @@ def test_the_map_is_torch_s(engines, pictures, shape):
     crops = _crops(pictures, shape)
     onnx, by_torch = ([engine.encode(crop) for crop in crops] for engine in engines)
     for finest in (240, 60, 240):  # the last goes on from that before
-        found = engines[0].decode(*onnx, finest)
-        wanted = engines[1].decode(*by_torch, finest)
-        assert found.size == wanted.size
-        assert found.points.dtype == found.matchability.dtype == np.float32
-        apart = np.linalg.norm(found.points - wanted.points, axis=-1)
+        found, matchability = engines[0].decode(*onnx, finest)
+        wanted, expected = engines[1].decode(*by_torch, finest)
+        assert found.dtype == matchability.dtype == np.float32
+        apart = np.linalg.norm(found - wanted, axis=-1)
         assert np.median(apart) < 1e-3 and np.quantile(apart, 0.99) < 0.02
-        off = np.abs(found.matchability - wanted.matchability)
+        off = np.abs(matchability - expected)
         assert np.quantile(off, 0.99) < 1e-3
-        assert wanted.points.std() > 1  # a map that is the same everywhere would show nothing
+        assert wanted.std() > 1  # a map that is the same everywhere would show nothing
 
 
 def test_features_are_torch_s(engines, pictures):
@@ -72,7 +71,6 @@ def test_features_are_torch_s(engines, pictures):
     np.testing.assert_allclose(coarsest, wanted, atol=1e-4)
     assert onnx.encode(pictures[0]).nbytes == by_torch.encode(pictures[0]).nbytes
     found, native = (engine.native(pictures[0], (13, 9)) for engine in engines)
-    assert found.size == native.size
     for level in ("coarse", "middle", "fine"):
         own, other = getattr(found, level), getattr(native, level)
         assert own.flags.c_contiguous and own.dtype == np.float32 and own.shape == other.shape
@@ -98,7 +96,7 @@ def test_one_s_own_weights_of_a_preset_run_too(tmp_path, pictures):
     for key, value in own.items():
         np.testing.assert_allclose(value, wanted[key].numpy(), atol=1e-5, rtol=1e-4)
     features = [onnx.encode(one) for one in pictures]
-    assert np.isfinite(onnx.decode(*features, 60).points).all()
+    assert np.isfinite(onnx.decode(*features, 60)[0]).all()
 
 
 def test_the_graphs_hold_no_weights_and_know_their_preset():
@@ -127,7 +125,7 @@ def test_the_same_in_threads_and_in_a_forked_process(pictures):
 
 
 def test_threads_are_opencv_s_and_no_more_than_openmp_allows(monkeypatch):
-    monkeypatch.setattr("dgc_pose.runtime.session.cv2.getNumThreads", lambda: 4)
+    monkeypatch.setattr("dgc_pose.runtime.onnx_engine.cv2.getNumThreads", lambda: 4)
     for allowed, expected in (("", 4), ("1", 1), ("3,2", 3), ("6", 4), ("many", 4), ("0", 4)):
         monkeypatch.setenv("OMP_NUM_THREADS", allowed)
         assert session_threads() == expected
@@ -143,3 +141,27 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
         save_file(weights, tmp_path / "w.safetensors", {"preset": preset_name})
         with pytest.raises(error, match=words):
             OnnxEngine(tmp_path / "w.safetensors")
+
+
+def test_features_are_those_of_the_net():
+    """In double precision."""
+    torch.manual_seed(0)
+    net = DGCNet(preset("dgcm-lite0")).eval().requires_grad_(False)
+    pixels = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
+    found = TorchEngine(net).native(pixels, (6, 4))
+    planes = torch.from_numpy(pixels).permute(2, 0, 1)[None].double() / 255
+    truth = net.double().pyramid(normalise(planes))
+    for level, exact in zip((found.fine, found.middle, found.coarse), truth[2:], strict=True):
+        wanted = F.normalize(exact[0], dim=0).permute(1, 2, 0).numpy()
+        assert (wanted * level).sum(-1).min() > 1 - 1e-5
+
+
+def test_every_tensor_is_on_the_device_of_the_network(monkeypatch):
+    """Operations on tensors of two devices are refused, on one without numbers too."""
+    monkeypatch.setattr(torch, "autocast", lambda *_, **__: nullcontext())
+    with torch.inference_mode():
+        for name, shape in (("dgcm-lite0", (96, 128)), ("dgcm", (240, 240))):
+            net = DGCNet(preset(name)).eval().to("meta")
+            prediction = net(*torch.rand(2, 1, 3, *shape, device="meta"))
+            assert all(part.is_meta for part in prediction.maps + prediction.logits)
+            assert prediction.maps[-1].shape == (1, 2, *shape)

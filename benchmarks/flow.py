@@ -6,10 +6,10 @@ import numpy as np
 from dgc_pose.geometry.pixels import pixel_grid, rescale
 from dgc_pose.geometry.sampling import bilinear
 from dgc_pose.images.image import Image, resize
-from dgc_pose.matching.correspondence_map import CorrespondenceMap
+from dgc_pose.matching.correspondence_map import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.selection import MatchingOptions, select_matches
 
+NAME = "dis"  # in lists of methods
 LONGEST_SIDE = 640  # pixels; larger images are shrunk to it before the flow is computed
 _LEAST_SIDE = 16  # pixels
 
@@ -17,7 +17,7 @@ _LEAST_SIDE = 16  # pixels
 class FlowMatcher(Matcher):
     """Dense inverse search (Kroeger et al., ECCV 2016; OpenCV's DIS) from image 2 to image 1."""
 
-    name = "dis"
+    name = NAME
 
     def __init__(self, options: MatchingOptions | None = None) -> None:
         self.options = options or MatchingOptions()

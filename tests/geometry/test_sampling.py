@@ -1,10 +1,10 @@
-"""Nearest neighbours against SciPy's tree."""
+"""Nearest neighbours against SciPy's tree, and an even choice of points."""
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from dgc_pose.geometry.neighbours import nearest, nearest_to
+from dgc_pose.geometry.sampling import nearest, nearest_to, spread
 
 
 def _grid() -> np.ndarray:
@@ -47,3 +47,11 @@ def test_without_points_all_are_infinitely_far_and_without_queries_there_are_non
     some, none = np.ones((3, 2)), np.zeros((0, 2))
     assert np.isinf(nearest_to(some, none)[0]).all()
     assert [len(part) for part in nearest_to(none, some)] == [0, 0]
+
+
+def test_spread_keeps_the_strongest_of_each_block() -> None:
+    points = np.array([[10.0, 10.0], [12.0, 11.0], [200.0, 10.0], [10.0, 200.0]])
+    strength = np.array([1.0, 2.0, 0.1, 0.2])
+    assert spread(points, strength, (300, 300), 10).tolist() == [0, 1, 2, 3]
+    assert spread(points, strength, (300, 300), 3).tolist() == [1, 2, 3]
+    assert spread(points[:0], strength[:0], (300, 300), 3).tolist() == []

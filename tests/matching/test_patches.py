@@ -3,7 +3,7 @@
 import numpy as np
 
 from dgc_pose.matches import Matches
-from dgc_pose.matching.consistency import consistent
+from dgc_pose.matching.patches import consistent
 
 _AFFINITY = np.array([[0.9, -0.35], [0.2, 1.1]])
 
