@@ -20,6 +20,8 @@ import numpy as np
 import torch
 from torch import nn
 
+from dgc_pose.benchmarks.flow import NAME as FLOW
+from dgc_pose.benchmarks.flow import FlowMatcher
 from dgc_pose.benchmarks.report import (
     calibration_error,
     decimals,
@@ -193,14 +195,13 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
     chosen = choose_device(device)
     methods: dict[str, MapMethod] = {}
     for name in names:
-        options = MatcherOptions(name)
-        if not options.has_map:
-            words = f"{name}: has key points alone and no dense map"
-            raise InputError(ArgumentName("methods"), words)
-        if options.is_network:
+        if name == FLOW:
+            methods[name] = partial(compare_matcher, FlowMatcher())
+        elif MatcherOptions(name).is_network:
             methods[name] = partial(compare, load_network(name, chosen))
         else:
-            methods[name] = partial(compare_matcher, options.load())
+            words = f"{name}: has key points alone and no dense map"
+            raise InputError(ArgumentName("methods"), words)
     return methods
 
 

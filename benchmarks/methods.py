@@ -1,9 +1,9 @@
 """Methods by name: what matches, with which options and which cameras.
 
 A method is `NAME[/all][:K=K][:K_scale=F]`, as `dgcm-lite0:K=auto:shared`. NAME is that of a matcher
-(see `load_matcher`), `dis` (`flow.py`), or that of stored matches. `NAME/all` takes every pixel that
-the map of NAME sends into image 1, whatever its matchability, and refines nothing. K and K_scale
-are those of `CameraTrial`.
+(see `load_matcher`), `dis` (`flow.py`), or that of stored matches. `NAME/all` takes every pixel
+that the map of NAME sends into image 1, whatever its matchability, and refines nothing. K and
+K_scale are those of `CameraTrial`.
 """
 
 import re

@@ -53,7 +53,7 @@ def _worker(photos, memory_bytes):
 def test_a_pair_is_matched_as_alone_and_an_image_is_encoded_once(tmp_path, monkeypatch):
     """To the bit, with memory for all images and for hardly one, and matches that are searched
     again as of a pose in doubt."""
-    monkeypatch.setattr("dgc_pose.schedule.in_doubt", lambda *arguments: True)
+    monkeypatch.setattr("dgc_pose.pose.in_doubt", lambda *arguments: True)
     view_folder(tmp_path, COUNT)
     ample, matched = _worker(tmp_path, COUNT * IMAGE_BYTES)
     # Of the map and of native resolution, its texture, and squeezed along either axis.
