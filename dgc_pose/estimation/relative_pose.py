@@ -59,9 +59,10 @@ def estimate_pose(
     pose = None
     if stay.any():
         of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
-        of_moving = replace(matches.subset(~stay), surroundings=None)  # measured with the others
-        moving = _estimated(TwoViewProblem.of(of_moving, *cameras, options), of_map, fit_cameras)
-        pose = None if are_far(moving, camera1) else of_the_moving(moving, stay)
+        moving = replace(matches.subset(~stay), surroundings=None)  # measured with the others
+        problem = TwoViewProblem.of(moving, *cameras, options)
+        pose = _estimated(problem, of_map, fit_cameras)
+        pose = None if are_far(pose, camera1) else of_the_moving(pose, stay)
     if pose is None:
         problem = TwoViewProblem.of(matches, *cameras, options)
         pose = _estimated(problem, map_matches, fit_cameras)

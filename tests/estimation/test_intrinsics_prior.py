@@ -50,7 +50,8 @@ def test_the_slopes_are_the_differences_of_the_errors(lens):
     if lens in RADIAL:
         basis[OF_LENSES] = np.random.default_rng(4).standard_normal((4, 4)) * 0.02
         at = DEVIATIONS + 0.03 * np.isin(np.arange(2 * SIZE), OF_LENSES[:3])
-    problem, prior = replace(scene.problem(), lenses=(lens, lens)), IntrinsicsPrior(basis)
+    through_lens = replace(CAMERA, distortion=lens), replace(CAMERA, distortion=lens)
+    problem, prior = replace(scene.problem(), cameras=through_lens), IntrinsicsPrior(basis)
     _, slopes, tangent = error_slopes(problem, scene.R, scene.t, prior, at)
     assert slopes.shape == (50, 9)
     np.testing.assert_allclose(tangent.T @ tangent, np.eye(2), atol=1e-12)

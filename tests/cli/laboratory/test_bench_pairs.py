@@ -87,17 +87,6 @@ def test_the_finished_pairs_are_on_disk_when_a_later_one_fails(folder, monkeypat
     assert len(rows_of("run")) == 3
 
 
-def test_a_method_has_options_of_its_own(folder):
-    methods = "true,true/all,true:max_matches=900:runs=2,true:max_matches=100,sift:max_matches=300"
-    result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
-    assert result.exit_code == 0, result.stderr
-    rows = rows_of("run")
-    assert [row["method"] for row in rows] == methods.split(",")
-    counts = [int(row["num_matches"]) for row in rows]
-    assert counts[3] <= 100 < counts[2] < counts[0] <= 2000
-    assert all(float(row["rotation_error_deg"]) < 1 for row in rows)
-
-
 def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
     methods = "true,true:K=auto:shared,true:K_scale=0.8"
     result = bench("pairs.txt", "--methods", methods, "--limit", "1", "--out", "run")
