@@ -2,21 +2,21 @@
 
 import os
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.cameras.by_image import Calibration, may_be_of, times
+from dgc_pose.cameras.by_image import Calibration, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.lines import log_likelihoods
 from dgc_pose.cameras.pair_list import read_pair_list
 from dgc_pose.cameras.prior import by_lines
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
-from dgc_pose.geometry.pixels import Size, exif_turn
+from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.decoding import Header, image_header
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
 from dgc_pose.images.image import load_image, size_in_file
@@ -108,7 +108,7 @@ def survey(
     cannot be used; and the states of the files, absent for a file without one.
 
     Raises InputError if an image has no camera or one for another size, or if one K is given for
-    images of several sizes, unless these are turned by 90 degrees, see `Camera.turned_either_way`.
+    images that have several sizes both as stored and upright.
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
@@ -128,20 +128,19 @@ def survey(
             bad[name] = f"{path}: its pixels as stored are a mirror image, by EXIF"
         else:
             headers[name] = header
-    common = {n: h for n, h in headers.items() if calibration.named(source.root, n) is None}
-    size = _size_of_common(calibration, common.values())
+    common = [h for n, h in headers.items() if calibration.named(source.root, n) is None]
+    stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
+    if calibration.common is not None and len(stored) > 1 and len(upright) > 1:
+        first, second, *_ = map(times, stored)
+        sizes = f"one K for images of several sizes ({first} and {second})"
+        raise InputError(f"{sizes}: give a file with a K for each image")
     for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)
         if listed is not None and calibration.lacks(source.root, name):
             where = "the list" if listed.size is None else "the database"
             of_image = Calibration(where, {name: listed})
-        of_K = size if size is not None and name in common else header.size
-        if of_K in (header.size, size_in_file(header)):
-            camera = of_image.camera(source.root, name, header)
-        else:  # stored turned, without an EXIF orientation that does it
-            unturned = replace(header, size=of_K, exif=replace(header.exif, orientation=1))
-            camera = of_image.camera(source.root, name, unturned).turned_either_way(of_K)
+        camera = of_image.camera(source.root, name, header)
         cameras[name] = replace(camera, size=header.size)
     return _with_lines(source, cameras), bad, states
 
@@ -164,23 +163,3 @@ def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Came
     found = dict(zip(some, in_threads(lines, some), strict=True))
     with_lines = by_lines([*cameras.values()], [found.get(name) for name in cameras])
     return dict(zip(cameras, with_lines, strict=True))
-
-
-def _size_of_common(calibration: Calibration, headers: Collection[Header]) -> Size | None:
-    """The size of the images, as stored or upright, that the K of all is for; None without such a
-    K. Raises InputError for images of several sizes that are not turned by 90 degrees."""
-    if calibration.common is None or not headers:
-        return None
-    sizes = sorted({size_in_file(header) for header in headers})
-    K, stated = calibration.common, calibration.details.size
-    known = [
-        size
-        for size in {*sizes, *(header.size for header in headers)}
-        if may_be_of(K, size, stated) and not may_be_of(K, size[::-1], stated)
-    ]
-    if len({tuple(sorted(size)) for size in sizes}) > 1 or (len(sizes) > 1 and not known):
-        raise InputError(
-            f"one K for images of several sizes ({' and '.join(map(times, sizes[:2]))}): give a "
-            "file with a K for each image"
-        )
-    return known[0] if known else sizes[0]

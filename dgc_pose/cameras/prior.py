@@ -20,8 +20,7 @@ import PIL.Image
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.cameras.camera import Camera, FocalSource
-from dgc_pose.cameras.focal_belief import LOG_FOCALS, FocalBelief, Part
+from dgc_pose.cameras.camera import LOG_FOCALS, Camera, FocalBelief, FocalSource, Part
 from dgc_pose.images.decoding import Exif
 from dgc_pose.system.files import scratch_folder
 from dgc_pose.system.parallel import in_threads, one_blas_thread

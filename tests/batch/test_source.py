@@ -90,67 +90,31 @@ def _two(folder, *sizes, orientations=(1, 1)):
     return Source(folder, ("a.jpg", "b.jpg"), None, {})
 
 
-# fx, fy, cx, cy of an image of 64 x 48, and the same in COLMAP's line and for twice the size.
-K = (50.0, 52.0, 33.0, 23.0)
-KS = {
-    "numbers": ("50,52,33,23", None),
-    "line": ("RADIAL,64,48,50,33.5,23.5,0.1,0.01", None),
-    "size": ("100,104,66.5,46.5", (128, 96)),
-}
-
-
-@pytest.mark.parametrize("form", KS)
-@pytest.mark.parametrize("orientation", [1, 6, 8])
-def test_one_K_serves_photographs_that_are_turned(tmp_path, form, orientation):
-    """Of those with an EXIF orientation the upright image has this K; without one the principal
-    point is the middle and its offset a deviation."""
-    text, size = KS[form]
-    source = _two(tmp_path, (64, 48), (48, 64), orientations=(1, orientation))
-    cameras, bad, _ = survey(source, read_calibration(text, "K", KDetails(size)))
-    fx, fy, cx, cy = K if form != "line" else (50, 50, 33, 23)
-    np.testing.assert_allclose(cameras["a.jpg"].K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    assert cameras["a.jpg"].centre_std == 0 and not bad
-    turned = cameras["b.jpg"]
-    if orientation == 1:
-        assert (turned.size, turned.K[0, 0], turned.K[1, 1]) == ((48, 64), fy, fx)
-        assert turned.K[:2, 2].tolist() == [23.5, 31.5]
-        assert turned.centre_std == pytest.approx(np.hypot(1.5, 0.5))
-        assert turned.identity is None and not turned.exact
-    else:
-        assert (turned.size, turned.centre_std) == ((64, 48), 0)
-        np.testing.assert_array_equal(turned.K, cameras["a.jpg"].K)
-    assert turned.warnings == () and turned.distortion == cameras["a.jpg"].distortion
-
-
-def test_a_lens_is_turned_with_its_photograph(tmp_path):
-    """A point of the upright image is a quarter turn around the axis from that as stored."""
-    source = _two(tmp_path, (64, 48), (64, 48), orientations=(1, 6))
-    line = "OPENCV,64,48,50,52,33.5,23.5,0.1,0.02,0.01,-0.03"
-    stored, upright = survey(source, read_calibration(line))[0].values()
-    points = np.random.default_rng(0).uniform(-0.4, 0.4, (20, 2))
-    x, y = stored.project(points).T
-    # (x, y) of the stored image is (47 - y, x) of the upright one.
-    np.testing.assert_allclose(
-        upright.project(points @ [[0, 1], [-1, 0]]), np.column_stack([47 - y, x]), atol=1e-9
-    )
-    prism = "THIN_PRISM_FISHEYE,64,48,50,52,33.5,23.5,0,0,0,0,0,0,0.01,0"
-    with pytest.raises(InputError, match="a prism or a cylinder, which are not turned"):
-        survey(source, read_calibration(prism))
-
-
 @pytest.mark.parametrize(
-    ("K", "size", "words"),
-    [
-        ("50,52,33,23", (48, 60), "one K for images of several sizes .48x60 and 64x48."),
-        ("50,52,27,27", (48, 64), "one K for images of several sizes .48x64 and 64x48."),
-        ("OPENCV,64,48,50,52,33.5,23.5,0,0,0.01,0", (48, 64), "another lens in turned photographs"),
-    ],
+    ("size", "orientation", "upright"),
+    [((64, 48), 1, (64, 48)), ((48, 64), 8, (64, 48)), ((64, 48), 6, (48, 64))],
 )
-def test_what_one_K_does_not_serve(tmp_path, K, size, words):
-    """Images of another shape; a K that may be of either; a lens with a direction."""
+def test_one_K_serves_photographs_of_one_size_as_stored_or_upright(
+    tmp_path, size, orientation, upright
+):
+    """It is turned with the pixels of one that is stored as all others."""
+    source = _two(tmp_path, (64, 48), size, orientations=(1, orientation))
+    cameras, bad, _ = survey(source, read_calibration("50,52,33,23", "K", KDetails()))
+    first, second = cameras["a.jpg"], cameras["b.jpg"]
+    np.testing.assert_allclose(first.K, [[50, 0, 33], [0, 52, 23], [0, 0, 1]])
+    assert not bad and second.size == upright and second.exact
+    expected = [52, 50, 24, 33] if upright == (48, 64) else [50, 52, 33, 23]
+    K = second.K
+    np.testing.assert_allclose([K[0, 0], K[1, 1], *K[:2, 2]], expected)
+
+
+@pytest.mark.parametrize("size", [(48, 60), (48, 64)])
+def test_one_K_does_not_serve_several_sizes(tmp_path, size):
+    """Nor photographs that are turned without an EXIF orientation."""
     source = _two(tmp_path, (64, 48), size)
+    words = f"one K for images of several sizes .48x{size[1]} and 64x48.: give a file with a K"
     with pytest.raises(InputError, match=words):
-        survey(source, read_calibration(K))
+        survey(source, read_calibration("50,52,33,23"))
 
 
 def _boxes(folder, *focals):

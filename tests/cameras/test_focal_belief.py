@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dgc_pose.cameras.focal_belief import LOG_FOCALS, FocalBelief, Part
+from dgc_pose.cameras.camera import LOG_FOCALS, FocalBelief, Part
 
 USUAL, TAIL = Part(math.log(0.85), math.log(0.9), 0.35), Part(math.log(0.15), math.log(2.0), 0.7)
 FLAT = np.zeros(len(LOG_FOCALS))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from boxes import box_picture, grey
 
-from dgc_pose.cameras.focal_belief import Part
+from dgc_pose.cameras.camera import Part
 from dgc_pose.cameras.lines import (
     CHANCE,
     LOG_FOCALS,
