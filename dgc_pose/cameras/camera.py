@@ -9,16 +9,19 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion, intrinsics, parameters
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.pixels import Size, rescale, turn_points
 from dgc_pose.system.arrays import as_numpy
 from dgc_pose.system.options import check_type
+
+if TYPE_CHECKING:
+    import pycolmap
 
 FocalSource = Literal["given", "exif", "size", "lines", "matches"]
 # Logarithms of the focal lengths that lines are evidence of, over the longer side.
@@ -221,6 +224,27 @@ def matrix_camera(K: Any, name: str = "K") -> Camera:
         return Camera(matrix, (K.width, K.height), lens)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+
+
+def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
+    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
+    where the lens is not known.
+
+    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
+    """
+    from dgc_pose.system.colmap_library import pycolmap
+
+    assert camera.size is not None
+    lens = camera.distortion
+    if lens is None and camera.lens_std > 0:
+        lens = Distortion(RADIAL, (0.0, 0.0))
+    try:
+        model, values = parameters(camera.K, lens)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)
+    converted.params = values
+    return converted
 
 
 def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:

@@ -67,11 +67,11 @@ def read_file(path: Path) -> Calibration:
 def _read_file(path: Path) -> Calibration:
     ending = path.suffix.lower()
     if path.is_dir():
-        return colmap.read_model(path)
+        return colmap.read_model(path)[0]
     if ending == ".npy":
         return Calibration(common=numbers_camera(read_array(path)))
     if ending == ".bin":
-        return colmap.read_cameras(path)
+        return colmap.read_model(path)[0]
     text = read_text(path, "a file of cameras")
     if not text.strip():
         raise InputError(path, "is empty")
@@ -89,7 +89,7 @@ def _read_file(path: Path) -> Calibration:
     lines = [line for line in lines if line.strip()] or [""]
     if colmap.is_line(lines[0]):
         if lines[0].split()[0].isdecimal():
-            return colmap.read_cameras(path)
+            return colmap.read_model(path)[0]
         if len(lines) == 1:
             return Calibration(common=colmap.parse_line(lines[0]))
     if ending == ".csv" and numbers(lines[0]) is None:
