@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.localization.location import Location
-from dgc_pose.rigs.comparison import compared
+from dgc_pose.rigs.files import compared
 
 STD = 2e-4  # of each axis of the rotations, radians, and of the centres
 Poses = dict[str, tuple[np.ndarray, np.ndarray]]  # R and centre

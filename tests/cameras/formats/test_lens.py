@@ -88,15 +88,19 @@ def _lens(path: str) -> Distortion | None:
 
 
 @pytest.mark.parametrize("format", FORMATS)
-@pytest.mark.parametrize(
-    "key", ["k5", "dist_something", "lensDistortion", "xi", "skew", "K_right", "fisheye_params"]
-)
-def test_a_key_that_may_matter_and_is_not_read_is_refused(
-    tmp_path: Path, format: str, key: str
-) -> None:
-    for value in (0.1, [0.0, 0.1], "text"):
-        with pytest.raises(InputError, match=f" {key} may be of the lens or of another camera"):
-            _lens(_write(tmp_path, format, **{key: value}))
+def test_a_key_of_a_lens_that_is_not_read_is_refused(tmp_path: Path, format: str) -> None:
+    for key in ("k5", "dist_something", "lensDistortion", "xi", "skew", "fisheye_params"):
+        for value in (0.1, [0.0, 0.1], "text"):
+            with pytest.raises(InputError, match=f" {key} may be of the lens, and is not read$"):
+                _lens(_write(tmp_path, format, **{key: value}))
+
+
+@pytest.mark.parametrize("format", ["YAML", "JSON, deeper", "ROS", "Kalibr", "NeRF, frame", "CSV"])
+def test_a_key_of_another_camera_has_a_warning(tmp_path: Path, format: str) -> None:
+    path = _write(tmp_path, format, K_right=[[9.0]], new_camera_matrix=7)
+    camera = read_calibration(path).camera(Path(), "a.png", Header("PNG", SIZE), "K1")
+    assert camera.K.tolist() == K
+    assert camera.warnings == ("not read, of another camera: K_right, new_camera_matrix",)
 
 
 @pytest.mark.parametrize("format", FORMATS)
