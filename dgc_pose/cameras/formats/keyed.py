@@ -266,7 +266,9 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
 
 
 def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
-    """The cameras of a rig, each of the images below a folder of its name; the first is that of
-    other images."""
+    """The cameras of a rig, each of the images below a folder of its name; if all are the same, one
+    is that of other images."""
     parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return Calibration(parts=parts, common=next(iter(parts.values())))
+    is_one = len({(camera.K.tobytes(), camera.distortion) for camera in parts.values()}) == 1
+    common = next(iter(parts.values())) if is_one else None
+    return Calibration(parts=parts, common=common, rig=(*parts,))

@@ -143,7 +143,8 @@ def test_ros_kalibr_and_euroc(
 ) -> None:
     if text in (ROS, KALIBR):
         text = text.format(model=model, count=len(coefficients), coefficients=coefficients)
-    camera = parse_camera(_write(tmp_path / "c.yaml", text))
+    path = _write(tmp_path / "c.yaml", text)
+    camera = parse_camera(f"{path}:cam0" if "cam1" in text else path)
     np.testing.assert_array_equal(camera.K, K)
     assert camera.size == SIZE
     _assert_lens(camera, model, coefficients or [0.0] * 4)
@@ -152,7 +153,7 @@ def test_ros_kalibr_and_euroc(
 def test_kalibr_fov(tmp_path: Path) -> None:
     """Devernay and Faugeras: r_distorted = atan(2 r tan(w / 2)) / w."""
     text = KALIBR.format(model="fov", coefficients=[0.8])
-    camera = parse_camera(_write(tmp_path / "camchain.yaml", text))
+    camera = parse_camera(f"{_write(tmp_path / 'camchain.yaml', text)}:cam0")
     ideal = np.array([[0.3, -0.2], [0.5, 0.4]])
     radius = np.linalg.norm(ideal, axis=1, keepdims=True)
     distorted = ideal * np.arctan(2 * radius * np.tan(0.4)) / 0.8 / radius
@@ -160,18 +161,18 @@ def test_kalibr_fov(tmp_path: Path) -> None:
 
 
 def test_which_camera_of_a_rig(tmp_path: Path) -> None:
-    """By the image's folder, by FILE:PART, or else the first, with a warning."""
+    """By the image's folder, by FILE:PART, or of a pair by their order, with a warning."""
     path = _write(tmp_path / "camchain.yaml", KALIBR.format(model="none", coefficients=[]))
     calibration, header = read_calibration(path), Header("PNG", SIZE)
     for image, focal in (("mav0/cam0/data/1.png", 500), ("mav0/cam1/data/1.png", 400)):
         camera = calibration.camera(tmp_path, image, header)
         assert (camera.K[0, 0], camera.warnings) == (focal, ())
-    for image in ("1.png", "cam2/1.png"):
-        camera = calibration.camera(tmp_path, image, header)
-        (warning,) = camera.warnings
-        assert camera.K[0, 0] == 500
-        assert "has 2 cameras" in warning and f"cam0 is taken; {path}:cam1 is another" in warning
+    with pytest.raises(InputError, match=r"no camera for cam2/1\.png: state one of cam0, cam1, as"):
+        calibration.camera(tmp_path, "cam2/1.png", header)
     image = Image(np.zeros((480, 640, 3), np.uint8))
+    first, second = pair_cameras(path, path, image, image)
+    assert (first.K[0, 0], second.K[0, 0]) == (500, 400)
+    assert "by their order cam0 is that of image 1" in first.warnings[0]
     assert pair_cameras(path, f"{path}:cam1", image, image)[1].warnings == ()
     with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
         parse_camera(f"{path}:cam2")

@@ -105,15 +105,16 @@ def test_kittis_odometry_by_the_images_folder(tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     lines = [f"P{i}: {500 + i} 0 320 {-0.5 * i} 0 {500 + i} 240 0 0 0 1 0" for i in range(4)]
     path.write_text("\n".join([*lines, "Tr: 1 0 0"]))
-    for image, focal, count in (
-        ("image_2/000001.png", 502, 0),
-        ("image_03/data/1.png", 503, 0),
-        ("image_0/1.png", 500, 0),
-        ("1.png", 500, 1),
+    for image, focal in (
+        ("image_2/000001.png", 502),
+        ("image_03/data/1.png", 503),
+        ("image_0/1.png", 500),
     ):
         camera = read_calibration(str(path)).camera(tmp_path, image, Header("PNG", SIZE))
         assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [focal, focal, 320, 240]
-        assert len(camera.warnings) == count
+        assert camera.warnings == ()
+    with pytest.raises(InputError, match=r"no camera for 1\.png: state one of image_0, image_1, "):
+        read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
     path.write_text(lines[0] + "\n" + lines[0].replace("P0", "P1"))
     camera = read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
     assert camera.warnings == ()
