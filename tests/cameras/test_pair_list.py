@@ -117,7 +117,7 @@ def test_shorter_lines_give_the_names_and_their_cameras(tmp_path):
         ("a b 1 0\n", "rot1 rot2"),
         (f"a b 0 0 {K.replace('500', 'x')} {K}\n", ":1: could not convert"),
         ("a,b\n,c\n", ":2: expected two names"),
-        (f"a,b\n{'a' * 200_000},b\n", "not a list of pairs that can be read .field larger than"),
+        (f"a,b\n{'a' * 200_000},b\n", ":2: field larger than field limit"),
         (f"a b 0 0 {K} {K}\na c 0 0 {K.replace('500', '501')} {K}\n", ":2: another K of a"),
     ],
 )
