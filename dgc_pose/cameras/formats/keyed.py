@@ -1,5 +1,5 @@
-"""Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, Kalibr's camchain.yaml,
-EuRoC's sensor.yaml, tables, and JSON as `camera_data` writes it.
+"""Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, tables, and JSON as
+`camera_data` writes it.
 
 A key that may be of the lens and is not read is refused: without it the pose is wrong, and nothing
 shows it. A key that may be of another camera is told in a warning. cv::FileStorage does not read
@@ -124,27 +124,6 @@ def _size(data: Mapping[str, Any]) -> Size | None:
     return None
 
 
-def camchain(data: Mapping[str, Any], path: Path) -> Calibration | None:
-    """The cameras of a camchain by their names, of one alone as "cam0". None for other files.
-
-    path: for the identity of the cameras. Raises InputError as `keyed_camera`.
-    """
-    listed = {
-        str(name): values
-        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
-        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
-    }
-    cameras: dict[str, Camera] = {}
-    for name, values in listed.items():
-        try:
-            cameras[name] = keyed_camera({"distortion_model": "none", **values}, "intrinsics")
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-    if cameras and data is not listed.get("cam0"):
-        unread(data, *listed)
-    return rig(cameras, path) if cameras else None
-
-
 def read_table(text: str, path: Path) -> Calibration:
     """The cameras of a .csv with the columns name, fx, fy, cx, cy, and optionally width, height,
     focal_std, centre_std_px, lens_std, camera, equal for images of one camera, those of a lens, and
@@ -263,12 +242,3 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     if array.size == 9 and array[2, :2].any() and not array[:2, 2].any():
         array = array.T  # column by column, as Open3D and Record3D write it
     return matrix_camera(array, name)
-
-
-def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
-    """The cameras of a rig, each of the images below a folder of its name; if all are the same, one
-    is that of other images."""
-    parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    is_one = len({(camera.K.tobytes(), camera.distortion) for camera in parts.values()}) == 1
-    common = next(iter(parts.values())) if is_one else None
-    return Calibration(parts=parts, common=common, rig=(*parts,))

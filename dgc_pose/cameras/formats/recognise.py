@@ -81,8 +81,8 @@ def _read_file(path: Path) -> Calibration:
         return _of_mapping(json.loads(text), path)
     if ending in (".yaml", ".yml") or text.startswith("%YAML"):
         return _of_mapping(yaml_data(text, path), path)
-    if _PROJECTION.search(text):
-        return _kitti_cameras(text, path)
+    if _PROJECTION.search(text) and (rig := _kitti_cameras(text, path)) is not None:
+        return rig
     lines = [line.split("#")[0] for line in text.splitlines()]
     lines = [line for line in lines if line.strip()] or [""]
     if colmap.is_line(lines[0]):
@@ -105,25 +105,21 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
         return rig
     if not isinstance(data, dict):
         return Calibration(common=numbers_camera(data))
-    if (rig := keyed.camchain(data, path)) is not None:
-        return rig
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
         return _nerf_cameras(data, str(path))
     return rigs.named_rig(data, path) or keyed.keyed_cameras(data)
 
 
-def _kitti_cameras(text: str, path: Path) -> Calibration:
+def _kitti_cameras(text: str, path: Path) -> Calibration | None:
     """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
     calib_cam_to_cam.txt of raw drives."""
     keyed.unread(dict(_OTHERS.findall(text)))
-    sizes = {
-        key: (int(float(width)), int(float(height))) for key, width, height in _SIZE.findall(text)
-    }
-    parts = {}
+    sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
+    tables = {}
     for key, values in _PROJECTION.findall(text):
         P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
-        parts[f"image_{int(key)}"] = Camera(P[:, :3], sizes.get(key))
-    return keyed.rig(parts, path)
+        tables[f"image_{int(key)}"] = {"matrix": P[:, :3].tolist(), "size": sizes.get(key)}
+    return rigs.calibration(tables, path)
 
 
 def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:

@@ -1,6 +1,7 @@
 """Files that name the cameras of a rig, with their poses if the file has them: OpenCV's of a stereo
 pair, the TOML of anipose, caliscope and Pose2Sim, and COLMAP's rig_config.json, read and written;
-EasyMocap's intri.yml, and rig.json, which has the tables of the TOML, read.
+EasyMocap's intri.yml, Kalibr's camchain, EuRoC's sensor.yaml, and rig.json, which has the tables of
+the TOML, read.
 """
 
 import json
@@ -39,7 +40,7 @@ def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
     path: for the identity of the cameras. Raises InputError, with the camera's name, for what is no
     camera or no rigid pose, and for two cameras of one name; and if no camera is calibrated.
     """
-    return _calibration(_tables(data) or _grouped(data), path)
+    return calibration(_kalibr(data) or _tables(data) or _grouped(data), path)
 
 
 def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
@@ -62,10 +63,12 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
             K, lens = intrinsics(str(camera["camera_model_name"]), values)
             table |= {"matrix": K.tolist(), **({} if lens is None else vars(lens))}
         tables[str(prefix)] = table
-    return _calibration(tables, path)
+    return calibration(tables, path)
 
 
-def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
+def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
+    """The cameras of tables as calibration.toml has them; None without a table. If all are the
+    same, one is that of other images. Raises as `named_rig` does."""
     names = {key: str(table.get("name") or key) for key, table in tables.items()}
     parts: dict[str, Camera] = {}
     poses: dict[str, np.ndarray] = {}
@@ -88,8 +91,10 @@ def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibra
             return None
         raise InputError(f"no matrix of {', '.join(names.values())}")
     by_name = {key: parts[name] for key, name in names.items() if name in parts} | parts
-    is_only = len(tables) == 1 and not _STEREO.fullmatch(name)  # M1 alone is of image 1
-    common, rig = parts[name] if is_only else None, (*names.values(),)
+    kinds = {(camera.K.tobytes(), camera.distortion) for camera in parts.values()}
+    is_one = len(kinds) == 1 and len(parts) == len(tables)
+    is_one &= not _STEREO.fullmatch(name)  # M1 alone is of image 1
+    common, rig = next(iter(parts.values())) if is_one else None, (*names.values(),)
     return Calibration("", by_name, parts, common, poses=poses, rig=rig)
 
 
@@ -106,6 +111,20 @@ def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
         if np.isfinite(pose).all() and is_rotation(pose[:, :3]):
             return pose
     raise InputError("rotation and translation are no rigid pose")
+
+
+def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """By their names, the tables of a camchain; of EuRoC's sensor.yaml as "cam0"."""
+    tables = {
+        str(name): {"name": str(name), "distortion_model": "none", **values}
+        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
+        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
+    }
+    for table in tables.values():
+        table["matrix"] = table.pop("intrinsics")
+    if tables and "intrinsics" not in data:
+        unread(data, *tables)
+    return tables
 
 
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
