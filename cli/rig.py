@@ -74,8 +74,7 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
     from dgc_pose.model import load_model
-    from dgc_pose.rigs.comparison import compared
-    from dgc_pose.rigs.files import FILES, write_rig
+    from dgc_pose.rigs.files import FILES, compared, write_rig
     from dgc_pose.rigs.rig import estimate_rig
     from dgc_pose.system.files import require_no_input, write_text
     from dgc_pose.viz.model_page import model_page

@@ -5,9 +5,7 @@ COLMAP has (0.5, 0.5) at the centre of the top-left pixel, a `Model` (0, 0).
 
 from __future__ import annotations
 
-import codecs
 import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,9 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration, orientation_of
-from dgc_pose.cameras.camera import Camera, matrix_camera
-from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
-from dgc_pose.cameras.colmap_camera import parameters as colmap_parameters
+from dgc_pose.cameras.camera import Camera, colmap_camera, matrix_camera
+from dgc_pose.cameras.formats.colmap import read_model
 from dgc_pose.cameras.formats.recognise import read_file
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.pixels import exif_turn, turn_points
@@ -26,7 +23,7 @@ from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.decoding import image_header
 from dgc_pose.images.image import size_in_file
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import naming_path, read_as, read_bytes, replaced_folder
+from dgc_pose.system.files import naming_path, replaced_folder
 from dgc_pose.system.texts import write_json
 
 HALF_PIXEL = 0.5  # that COLMAP's pixels are more
@@ -162,7 +159,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     path, root = model_path(Path(source)), Path(images)
     if not root.is_dir():
         raise InputError(ArgumentName("images"), f"{root}: no such folder")
-    file = read_file(path)
+    file, colmap = read_model(path, whole=True) if path.is_dir() else (read_file(path), None)
     if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
     calibration = Calibration(str(path), parts=file.parts, common=file.common)
@@ -173,9 +170,8 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
         raise InputError(ArgumentName("images"), f"{root} lacks {count} of {path}")
-    with read_as("a COLMAP model", path):
-        has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
-        whole = Model.of_colmap(_reconstruction(path), root) if has_points else None
+    has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
+    whole = Model.of_colmap(colmap, root) if colmap is not None and has_points else None
     cameras, poses, seen = {}, {}, {}
     for stated, name in names.items():
         pose = file.poses[stated]
@@ -204,22 +200,12 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
 def read_colmap(source: Path) -> pycolmap.Reconstruction:
     """COLMAP's model in a folder. Raises InputError if there is none, or one without images."""
     path = model_path(source)
-    # First by our reader: pycolmap's never ends in an images.bin that is cut within a name.
-    if not read_file(path).poses:
+    if not path.is_dir():
+        raise InputError(ArgumentName("model"), f"{path} is no folder of COLMAP's files")
+    file, colmap = read_model(path, whole=True)
+    if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")
-    with read_as("a COLMAP model", path):
-        return _reconstruction(path)
-
-
-def _reconstruction(folder: Path) -> pycolmap.Reconstruction:
-    """As of pycolmap, which reads no text that has a byte order mark."""
-    texts = [] if any(folder.glob("*.bin")) else [*folder.glob("*.txt")]
-    if all(not read_bytes(text).startswith(codecs.BOM_UTF8) for text in texts):
-        return pycolmap.Reconstruction(folder)
-    with tempfile.TemporaryDirectory() as plain:
-        for text in texts:
-            (Path(plain) / text.name).write_bytes(read_bytes(text).removeprefix(codecs.BOM_UTF8))
-        return pycolmap.Reconstruction(plain)
+    return colmap
 
 
 def model_path(path: Path) -> Path:
@@ -267,25 +253,6 @@ def require_model_folder(folder: Path, *, several: bool = False) -> None:
     own = (path in models if path.is_dir() else path.stem in _MODEL_FILES for path in inside)
     if not all(own) or (folder.exists() and not folder.is_dir()):
         raise InputError(f"{folder}: holds other files than those of a model, and is kept")
-
-
-def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
-    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
-    where the lens is not known.
-
-    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
-    """
-    assert camera.size is not None
-    lens = camera.distortion
-    if lens is None and camera.lens_std > 0:
-        lens = Distortion(RADIAL, (0.0, 0.0))
-    try:
-        model, parameters = colmap_parameters(camera.K, lens)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from None
-    converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)
-    converted.params = parameters
-    return converted
 
 
 def write_points(file: Path, points: np.ndarray, colours: np.ndarray) -> None:

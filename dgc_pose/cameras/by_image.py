@@ -67,12 +67,10 @@ class Calibration:
     def camera(
         self, root: Path, name: str, image: Image | Header, part: str | None = None
     ) -> Camera:
-        """The camera of an upright image or its header, checked against its size; a K of the pixels
-        as stored is turned with them, see `upright_camera`.
+        """The camera of an upright image or its header, see `fitted_camera`.
 
-        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2".
-
-        Raises InputError if there is none, or if it is for another size.
+        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2". Raises
+        InputError if there is none, or if it is for another size.
         """
         camera = self.stated(root, name, part)
         if camera is not None:
@@ -117,34 +115,27 @@ class Calibration:
         """The folders in each name, and the name."""
         names = defaultdict[str, list[tuple[tuple[str, ...], str]]](list)
         for name in self.by_name:
-            parts = [p for p in PurePath(os.path.normpath(name)).parts if p != os.pardir]
-            names["".join(parts[-1:])].append((tuple(parts[:-1]), name))
+            *folders, file = ["", *(p for p in PurePath(os.path.normpath(name)).parts if p != "..")]
+            names[file].append((tuple(folders[1:]), name))
         return names
 
     def _of_part(self, path: Path, part: str | None) -> Camera | None:
+        """The camera of a part that is stated, of a folder, or of two in their order."""
         if part is not None and part in self.parts:
             return self.parts[part]
         for folder in reversed(path.absolute().parts if self.parts else ()):
             match = _PART_FOLDER.fullmatch(folder)
             if match and (key := f"{match[1]}{int(match[2])}") in self.parts:
                 return self.parts[key]
-        if part is not None and len(self.rig) == 2:
-            first, second = self.rig
-            warning = (
-                f"{self.where} has two cameras, and no name is stated: by their order {first} is "
-                f"that of image 1, and {second} that of image 2"
-            )
-            taken = self.parts.get(second if part == "K2" else first)
-            return taken and replace(taken, warnings=(*taken.warnings, warning))
-        kinds = {(*camera.K.ravel().tolist(), camera.distortion) for camera in self.parts.values()}
-        if self.common is None or len(kinds) < 2:
-            return self.common
-        first, *_, last = self.parts
+        if part is None or self.common is not None or len(self.rig) != 2:
+            return None
+        first, second = self.rig
+        taken = self.parts.get(second if part == "K2" else first)
         warning = (
-            f"{self.where} has {len(self.parts)} cameras, and {path} lies in no folder of their "
-            f"names: {first} is taken; {self.where}:{last} is another"
+            f"{self.where} has two cameras, and no name is stated: by their order {first} is that "
+            f"of image 1, and {second} that of image 2"
         )
-        return replace(self.common, warnings=(*self.common.warnings, warning))
+        return taken and replace(taken, warnings=(*taken.warnings, warning))
 
 
 def fitted_camera(
@@ -162,20 +153,18 @@ def fitted_camera(
     """
     is_turned = orientation_of(camera, image, details.size) != 1
     size = size_in_file(image) if is_turned else image.size
-    of_K = details.size or size
-    if details.size is not None:
+    if (of_K := details.size) is None:
+        camera = checked_camera(camera, size, name, shown)
+    else:
         if camera.size not in (None, of_K):
-            raise InputError(
-                f"{name} states {times(camera.size)}, and", ArgumentName("K_size"), times(of_K)
-            )
+            stated = f"{name} states {times(camera.size)}, and"
+            raise InputError(stated, ArgumentName("K_size"), times(of_K))
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
                 f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
                 "aspect ratio: K cannot be scaled to it"
             )
-    camera = checked_camera(camera, of_K, name, shown if details.size is None else "the image")
-    if details.size is not None:
-        camera = replace(camera, size=of_K).resized(size)
+        camera = replace(checked_camera(camera, of_K, name), size=of_K).resized(size)
     camera = upright_camera(camera, image)
     return replace(
         camera,
@@ -196,13 +185,13 @@ def upright_camera(camera: Camera, image: Image | Header) -> Camera:
         return camera
     turned = camera.turned(exif_turn(orientation), size_in_file(image))
     turned = replace(turned, size=camera.size and turned.size)
-    if _fits(camera, image, None) != (True, False) and not np.array_equal(turned.K, camera.K):
-        warning = (
-            f"EXIF orientation {orientation} is applied, and K is turned with the image: it must "
-            "refer to the pixels as stored"
-        )
-        turned = replace(turned, warnings=(*turned.warnings, warning))
-    return turned
+    if _fits(camera, image) == (True, False) or np.array_equal(turned.K, camera.K):
+        return turned
+    warning = (
+        f"EXIF orientation {orientation} is applied, and K is turned with the image: it must refer "
+        "to the pixels as stored"
+    )
+    return replace(turned, warnings=(*turned.warnings, warning))
 
 
 def orientation_of(camera: Camera, image: Image | Header, size: Size | None = None) -> int:
@@ -212,7 +201,14 @@ def orientation_of(camera: Camera, image: Image | Header, size: Size | None = No
     return 1 if _fits(camera, image, size) == (False, True) else image.exif.orientation
 
 
-def may_be_of(camera: Camera, image_size: Size, size: Size | None = None) -> bool:
+def _fits(camera: Camera, image: Image | Header, size: Size | None = None) -> tuple[bool, bool]:
+    """Whether K may be of the pixels as stored, and of the upright image."""
+    if image.exif.orientation not in EXCHANGING:
+        return True, True
+    return _may_be_of(camera, size_in_file(image), size), _may_be_of(camera, image.size, size)
+
+
+def _may_be_of(camera: Camera, image_size: Size, size: Size | None = None) -> bool:
     """Whether K may be of an image of `image_size`, rather than of one turned by 90 degrees. size:
     that K is for, besides that of the camera."""
     size = size or camera.size
@@ -226,21 +222,14 @@ def _offset(camera: Camera, size: Size) -> float:
     return float(np.abs((camera.K[:2, 2] + 0.5) / size - 0.5).max())
 
 
-def _fits(camera: Camera, image: Image | Header, size: Size | None) -> tuple[bool, bool]:
-    """Whether K may be of the pixels as stored, and of the upright image."""
-    if image.exif.orientation not in EXCHANGING:
-        return True, True
-    return may_be_of(camera, size_in_file(image), size), may_be_of(camera, image.size, size)
-
-
 def checked_camera(camera: Camera, size: Size, name: str, image: str = "the image") -> Camera:
-    """The camera of an image of `size` (width, height), called `image`, with warnings.
+    """The camera of an image of `size` (width, height), called `image`, with a warning if its
+    principal point is far from the middle, or that of an image of another size.
 
-    Raises InputError, naming the argument `name`, if the camera's size differs; or if its principal
+    Raises InputError, naming the argument `name`, if the camera's size differs; if its principal
     point lies outside the image, or, of a camera without a size, in the middle of the image turned
     by 90 degrees or of one of far more or fewer pixels; and for a pinhole of a focal length in
-    millimetres, as its field of view shows. Warns if the principal point is that of an
-    image of another size, or is far from the middle.
+    millimetres, as its field of view shows.
     """
     if camera.size is not None and camera.size != size:
         turned = ": K is of the image turned by 90 degrees" if camera.size == size[::-1] else ""
@@ -250,33 +239,24 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
         )
     centre = camera.K[:2, 2]
     place = f"{name} has its principal point at ({centre[0]:g}, {centre[1]:g})"
-    if camera.size is None and (centre > 0).all():
-        of_K = 2 * centre + 1  # the size of an image whose middle the principal point is
+    of_K = 2 * centre + 1  # the size of an image whose middle the principal point is
+    if camera.size is None and (of_K > 1).all():
+        about = times(np.rint(of_K).astype(int))
+        middle = f"{place}, the middle of an image of about {about}, and {image} has {times(size)}"
+        if _may_be_of(camera, size[::-1]) and _offset(camera, size) > _TURNED_OFFSET:
+            raise InputError(f"{middle}: K is of the image turned by 90 degrees")
         x, y = np.log(of_K / size)
-        turned_x, turned_y = np.log(of_K / size[::-1])
-        is_scaled = abs(x - y) <= _SAME_ASPECT
-        is_turned = abs(turned_x - turned_y) <= _SAME_ASPECT
-        is_turned = is_turned and abs(np.log(size[0] / size[1])) > _MAX_SAME_SCALE
-        # About the other middle, and far from that of the image.
-        is_turned |= may_be_of(camera, size[::-1]) and _offset(camera, size) > _TURNED_OFFSET
         scale = abs(np.log(of_K.max() / max(size)))
-        if is_turned or (is_scaled and scale > _MAX_SAME_SCALE):
-            problem = (
-                f"{place}, the middle of an image of about {times(np.rint(of_K).astype(int))}, and "
-                f"{image} has {times(size)}"
-            )
-            if is_turned:
-                raise InputError(f"{problem}: K is of the image turned by 90 degrees")
+        if abs(x - y) <= _SAME_ASPECT and scale > _MAX_SAME_SCALE:
             if scale > _MAX_POSSIBLE_SCALE:
-                raise InputError(f"{problem}: state the size that K is of")
-            return replace(camera, warnings=(*camera.warnings, problem))
-    shares = (centre + 0.5) / size
-    if shares.min() <= 0 or shares.max() >= 1:
+                raise InputError(f"{middle}: state the size that K is of")
+            return replace(camera, warnings=(*camera.warnings, middle))
+    if not ((of_K > 0) & (of_K < 2 * np.array(size))).all():
         raise InputError(f"{place}, outside {image} of {times(size)}")
     if camera.distortion is None and camera.K[0, 0] < _LEAST_FOCAL * size[0]:
         problem = f"{name} has a focal length of {camera.K[0, 0]:g} pixels"
         raise InputError(f"{problem}, a field of view above 150 degrees in {times(size)}")
-    if np.abs(shares - 0.5).max() <= _MAX_USUAL_OFFSET:
+    if _offset(camera, size) <= _MAX_USUAL_OFFSET:
         return camera
     warning = f"{place}, far from the middle of {image} of {times(size)}"
     return replace(camera, warnings=(*camera.warnings, warning))

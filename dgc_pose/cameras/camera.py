@@ -7,20 +7,65 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
-from dgc_pose.cameras.focal_belief import FocalBelief
+from dgc_pose.cameras.colmap_camera import RADIAL, Distortion, intrinsics, parameters
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.geometry.pixels import Size, exif_turn, rescale, turn_points
+from dgc_pose.geometry.pixels import Size, rescale, turn_points
 from dgc_pose.system.arrays import as_numpy
 from dgc_pose.system.options import check_type
 
+if TYPE_CHECKING:
+    import pycolmap
+
 FocalSource = Literal["given", "exif", "size", "lines", "matches"]
+# Logarithms of the focal lengths that lines are evidence of, over the longer side.
+LOG_FOCALS = np.linspace(math.log(0.3), math.log(8.0), 42)
+_LOGS = np.arange(math.log(0.1), math.log(25.0), 0.01)  # of f over the longer side
+
+
+class Part(NamedTuple):
+    """A normal distribution of ln f, f over the longer side of the image."""
+
+    log_weight: float  # logarithm of its probability, up to a constant
+    log_focal: float
+    std: float
+
+    def given(self, lines: np.ndarray) -> Part:
+        """The part after the lines of images, whose log-likelihoods (G,) are of `LOG_FOCALS`; its
+        weight has the evidence."""
+        odds = np.interp(_LOGS, LOG_FOCALS, lines)
+        odds -= ((_LOGS - self.log_focal) / self.std) ** 2 / 2
+        density = np.exp(odds - odds.max())
+        total = float(density.sum())
+        mean = float(density @ _LOGS) / total
+        std = math.sqrt(float(density @ (_LOGS - mean) ** 2) / total)
+        evidence = float(odds.max()) + math.log(total * (_LOGS[1] - _LOGS[0]) / self.std)
+        return Part(self.log_weight + evidence - math.log(2 * math.pi) / 2, mean, std)
+
+
+@dataclass(frozen=True, eq=False)
+class FocalBelief:
+    """What is known of ln f before the matches, where no K states f."""
+
+    usual: Part  # by EXIF data, or of most photographs
+    tail: Part  # of other lenses; of a file whose EXIF data are of another image
+    lines: np.ndarray  # (G,) log-likelihoods of `LOG_FOCALS`
+
+    def parts(self, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
+        """The parts, the likelier first, by the lines (G,) of all images of the camera. Lines of
+        many images of one place err alike: they count by the root of their number."""
+        of_all = np.sum(lines, axis=0) / math.sqrt(max(1.0, len(lines) / 2))
+        first, second = sorted(
+            (part.given(of_all) for part in (self.usual, self.tail)),
+            key=lambda part: -part.log_weight,
+        )
+        return first, second
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,18 +197,6 @@ class Camera:
         width, height = size if turn[0, 0] else size[::-1]
         return replace(self, K=K, size=(width, height), distortion=lens)
 
-    def turned_either_way(self, size: Size) -> Camera:
-        """The camera of an image of `size` (width, height) after a turn by 90 degrees, in which
-        sense is not known: the principal point is the middle, with a deviation, and the camera is
-        of its image alone. Raises InputError as `turned`, and if the sense changes the lens."""
-        camera = self.turned(exif_turn(6), size)
-        if camera.distortion != self.distortion:
-            raise InputError("K has another lens in turned photographs: give a K for each image")
-        K, middle = camera.K.copy(), (np.array(size[::-1]) - 1) / 2
-        std = math.hypot(self.centre_std, *(K[:2, 2] - middle))
-        K[:2, 2] = middle
-        return replace(camera, K=K, centre_std=std, identity=None)
-
 
 @dataclass(frozen=True, eq=False)
 class TwoViews:
@@ -191,6 +224,27 @@ def matrix_camera(K: Any, name: str = "K") -> Camera:
         return Camera(matrix, (K.width, K.height), lens)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+
+
+def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
+    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
+    where the lens is not known.
+
+    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
+    """
+    from dgc_pose.system.colmap_library import pycolmap
+
+    assert camera.size is not None
+    lens = camera.distortion
+    if lens is None and camera.lens_std > 0:
+        lens = Distortion(RADIAL, (0.0, 0.0))
+    try:
+        model, values = parameters(camera.K, lens)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    converted = pycolmap.Camera.create_from_model_name(0, model, 1.0, *camera.size)
+    converted.params = values
+    return converted
 
 
 def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.focal_belief import LOG_FOCALS
+from dgc_pose.cameras.camera import LOG_FOCALS
 from dgc_pose.images.image import Image, resize_by
 
 # The likelihood of a focal length, by its score s and the number n of segments, is that of the best

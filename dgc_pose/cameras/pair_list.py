@@ -10,6 +10,7 @@ import csv
 import gzip
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
 from itertools import chain
@@ -73,12 +74,11 @@ def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
     pairs = []
     for line, where in _lines(path):
         words = line.split()
-        if len(words) != FIELDS:
-            raise InputError(
-                f"{where}: a pair needs {FIELDS} fields, and this line has {len(words)}"
-            )
-        camera1, camera2 = _cameras(words, where)
-        R, t = _pose(_numbers(words[22:], where).reshape(4, 4), where)
+        with _naming_line(where):
+            if len(words) != FIELDS:
+                raise InputError(f"a pair needs {FIELDS} fields, and this line has {len(words)}")
+            camera1, camera2 = _cameras(words)
+            R, t = _pose(np.array(words[22:], np.float64).reshape(4, 4))
         pairs.append(Pair(words[0], words[1], folder, camera1, camera2, R, t))
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
@@ -95,24 +95,25 @@ def read_pair_list(path: Path) -> PairList:
     is_table = path.suffix.lower() == ".csv"
     pairs: dict[frozenset[str], Names] = {}
     cameras: dict[str, Camera] = {}
-    with read_as("a list of pairs", path):
-        for line, where in _lines(path):
-            # Of a table the first two cells.
-            words = [w.strip() for w in next(csv.reader([line]))[:2]] if is_table else line.split()
+    for line, where in _lines(path):
+        with _naming_line(where):
+            words = line.split()
+            if is_table:
+                words = [word.strip() for word in next(csv.reader([line]))[:2]]
             if len(words) not in (*_SHORTER, FIELDS) or not all(words):
                 raise InputError(
-                    f"{where}: expected two names, or SuperGlue's 4, 22 or 38 fields, "
-                    f"not {shortened(line.strip())!r} (names with blanks need a .csv)"
+                    "expected two names, or SuperGlue's 4, 22 or 38 fields, not "
+                    f"{shortened(line.strip())!r} (names with blanks need a .csv)"
                 )
             name1, name2 = words[:2]
             if not pairs and is_table and _is_heading(name1.lower(), name2.lower()):
                 continue
             if name1 == name2:
-                raise InputError(f"{where}: {name1} is paired with itself")
-            for name, camera in zip((name1, name2), _cameras(words, where), strict=False):
+                raise InputError(f"{name1} is paired with itself")
+            for name, camera in zip((name1, name2), _cameras(words), strict=False):
                 if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
-                    raise InputError(f"{where}: another K of {name} than in a line before")
-            pairs.setdefault(frozenset((name1, name2)), (name1, name2))
+                    raise InputError(f"another K of {name} than in a line before")
+        pairs.setdefault(frozenset((name1, name2)), (name1, name2))
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")
     listed = tuple(pairs.values())
@@ -134,17 +135,16 @@ def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:
 
     Raises InputError for a name with a blank in it, which the format cannot hold.
     """
-    save_text(path, "".join(_line(pair) + "\n" for pair in pairs))
-
-
-def _line(pair: Pair) -> str:
-    for name in (pair.name1, pair.name2):
-        if len(name.split()) != 1:
-            raise InputError(f"a pair list cannot hold the name {name!r}: no blanks, not empty")
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = pair.R, pair.t
-    numbers = np.concatenate([pair.camera1.K.ravel(), pair.camera2.K.ravel(), T.ravel()])
-    return " ".join([pair.name1, pair.name2, "0", "0", *(f"{value:.12g}" for value in numbers)])
+    lines = []
+    for pair in pairs:
+        for name in (pair.name1, pair.name2):
+            if len(name.split()) != 1:
+                raise InputError(f"a pair list cannot hold the name {name!r}: no blanks, not empty")
+        T = np.block([[pair.R, pair.t[:, None]], [0, 0, 0, 1]])
+        numbers = np.concatenate([pair.camera1.K.ravel(), pair.camera2.K.ravel(), T.ravel()])
+        words = pair.name1, pair.name2, "0", "0", *(f"{value:.12g}" for value in numbers)
+        lines.append(" ".join(words) + "\n")
+    save_text(path, "".join(lines))
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
@@ -165,34 +165,33 @@ def _is_heading(first: str, second: str) -> bool:
     return _COLUMN.fullmatch(first) is not None and second in alike
 
 
-def _cameras(words: list[str], where: str) -> list[Camera]:
+@contextmanager
+def _naming_line(where: str) -> Iterator[None]:
+    """Around a line that is read: its errors begin with its place."""
+    try:
+        yield
+    except (InputError, ValueError, csv.Error) as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _cameras(words: list[str]) -> list[Camera]:
     if len(words) > 2 and words[2:4] != ["0", "0"]:
         raise InputError(
-            f"{where}: rot1 rot2 must be 0 0, not {words[2]} {words[3]}: "
-            "images that have to be rotated first are not supported"
+            f"rot1 rot2 must be 0 0, not {words[2]} {words[3]}: images that have to be rotated "
+            "first are not supported"
         )
-    matrices = _numbers(words[4:22], where).reshape(-1, 3, 3)
-    try:
-        return [matrix_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=False)]
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
+    matrices = np.array(words[4:22], np.float64).reshape(-1, 3, 3)
+    return [matrix_camera(K, name) for K, name in zip(matrices, ("K1", "K2"), strict=False)]
 
 
-def _numbers(words: list[str], where: str) -> np.ndarray:
-    try:
-        return np.array(words, dtype=np.float64)
-    except ValueError as error:
-        raise InputError(f"{where}: {error}") from None
-
-
-def _pose(T: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
+def _pose(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     R, t = T[:3, :3], T[:3, 3]
     if not (is_rotation(R) and np.array_equal(T[3], [0, 0, 0, 1])):
-        raise InputError(f"{where}: T is no rotation and translation with the last row 0 0 0 1")
+        raise InputError("T is no rotation and translation with the last row 0 0 0 1")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(t)
     if not 0 < length < np.inf:
-        raise InputError(f"{where}: T has no translation, so its direction cannot be scored")
+        raise InputError("T has no translation, so its direction cannot be scored")
     # The nearest rotation: rounding e in a list could show as an angle of sqrt(e) otherwise.
     U, _, Vt = np.linalg.svd(R)
     return U @ Vt, t

@@ -10,18 +10,16 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from itertools import chain
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 import PIL.Image
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.cameras.camera import Camera, FocalSource
-from dgc_pose.cameras.focal_belief import LOG_FOCALS, FocalBelief, Part
+from dgc_pose.cameras.camera import LOG_FOCALS, Camera, FocalBelief, FocalSource, Part
 from dgc_pose.images.decoding import Exif
 from dgc_pose.system.files import scratch_folder
 from dgc_pose.system.parallel import in_threads, one_blas_thread
@@ -65,15 +63,11 @@ _ZOOM_STD, _CUT_STD = 0.1, 0.05
 _PLAUSIBLE_FOCALS = (0.2, 20.0)  # over the longer side: fields of view of 136 to 3 degrees
 _SENSOR_RANGE_MM = (1.5, 80.0)  # widths and diagonals
 _MAX_WIDTH_DIFFERENCE = 0.1  # of the logarithms of two widths of one sensor
-# Whether the focal length on 35 mm film has the digital zoom in it, by the make, as in files of
-# theirs. EXIF leaves it open, and others do either.
-_ZOOM_IN_FILM = {"apple": True, "samsung": False}
 # Sensors are 5:4 to 3:2; images of another shape are mostly parts of one of 4:3.
 _SENSOR_ASPECT_RANGE, _USUAL_ASPECT = (1.24, 1.52), 4 / 3
 
 
-@dataclass(frozen=True)
-class _Whole:
+class _Whole(NamedTuple):
     """The image that the camera wrote, of which there may be a part, at the part's scale."""
 
     width: float
@@ -165,29 +159,31 @@ def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> l
         if own is not None and own.any():
             together[key].append(own)
     return [
-        _by_lines(camera, own, together[key]) if camera.belief and together[key] else camera
+        _by_lines(camera, camera.belief, own, together[key])
+        if camera.belief and together[key]
+        else camera
         for key, camera, own in zip(keys, cameras, lines, strict=True)
     ]
 
 
-def _by_lines(camera: Camera, own: np.ndarray | None, lines: Sequence[np.ndarray]) -> Camera:
-    """The camera by the likelier part of its belief. own, lines: (G,) of its image, and of all
-    images of the camera."""
-    assert camera.belief is not None
-    part, _ = camera.belief.parts(lines)
-    found = of_part(camera, part)
+def _by_lines(
+    camera: Camera, belief: FocalBelief, own: np.ndarray | None, lines: Sequence[np.ndarray]
+) -> Camera:
+    """own, lines: (G,) of the camera's image, and of all images of the camera."""
+    part, _ = belief.parts(lines)
+    found, before = of_part(camera, part), belief.usual
     if own is not None:
-        found = replace(found, belief=replace(camera.belief, lines=own))
-    before = camera.belief.usual
-    off = abs(part.log_focal - before.log_focal)
-    if camera.focal_source == "exif" and off > 3 * math.hypot(before.std, part.std):
-        warning = (
-            f"the lines of the image agree with f = {found.focal:.0f} px +- "
-            f"{100 * part.std:.0f} %, and EXIF says {camera.focal:.0f}"
-        )
-        return replace(found, focal_source="lines", warnings=(*camera.warnings, warning))
-    by_lines = camera.focal_source != "exif" and part.std < _BY_LINES * before.std
-    return replace(found, focal_source="lines") if by_lines else found
+        found = replace(found, belief=replace(belief, lines=own))
+    if camera.focal_source != "exif":
+        by_lines = part.std < _BY_LINES * before.std
+        return replace(found, focal_source="lines") if by_lines else found
+    if abs(part.log_focal - before.log_focal) <= 3 * math.hypot(before.std, part.std):
+        return found
+    warning = (
+        f"the lines of the image agree with f = {found.focal:.0f} px +- {100 * part.std:.0f} %, "
+        f"and EXIF says {camera.focal:.0f}"
+    )
+    return replace(found, focal_source="lines", warnings=(*camera.warnings, warning))
 
 
 def of_part(camera: Camera, part: Part) -> Camera:
@@ -201,10 +197,9 @@ def of_part(camera: Camera, part: Part) -> Camera:
 def _exif_focal(exif: Exif, size: tuple[float, float]) -> tuple[float, float, float] | None:
     """The focal length of an image of `size` (width, height), pixels; the standard deviation of its
     logarithm; and how many pixels the image that the camera wrote is larger. None without one."""
-    whole = _whole(exif, size)
-    if whole is None:
+    if (whole := _whole(exif, size)) is None:
         return None
-    for focal, std in chain(_on_film(exif, whole), _on_sensor(exif, whole)):
+    for focal, std in _exif_focals(exif, whole):
         if _PLAUSIBLE_FOCALS[0] <= focal / max(size) <= _PLAUSIBLE_FOCALS[1]:
             margin = max(whole.width - size[0], whole.height - size[1])
             return focal, math.hypot(std, whole.std), margin
@@ -258,42 +253,36 @@ def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
     return None
 
 
-def _on_film(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
-    film, zoom = exif.focal_35mm, exif.digital_zoom
-    if film is None:
+def _exif_focals(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
+    """The focal lengths and their deviations by that on film, and by that of the lens with the
+    resolution of the sensor, which editors leave in an image that they made smaller unless the
+    table contradicts it, and with its width in the table."""
+    film, lens, zoom = exif.focal_35mm, exif.focal_mm, exif.digital_zoom
+    zoom_std = _ZOOM_STD if zoom > 1 else 0.0
+    longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
+    sensor = 0.0 if lens is None or film is None else _FILM_DIAGONAL_MM * lens / film
+    if film is not None and (lens is None or _is_sensor(sensor) or _is_sensor(sensor * zoom)):
+        # An image of no sensor's shape: between its diagonal and that of the sensor's image.
+        diagonal, shape_std = math.hypot(longer, shorter), 0.0
+        if not _SENSOR_ASPECT_RANGE[0] <= longer / shorter <= _SENSOR_ASPECT_RANGE[1]:
+            whole_diagonal = max(longer, _USUAL_ASPECT * shorter) * math.hypot(1, 1 / _USUAL_ASPECT)
+            shape_std = math.log(whole_diagonal / diagonal) / 2
+            diagonal = math.sqrt(diagonal * whole_diagonal)
+        # EXIF leaves open whether the focal length on film has the zoom in it: some makers' does.
+        std = math.hypot(
+            *(_FILM_FOCAL_STD, _ROUNDING_STD_MM / film, shape_std, zoom_std, math.log(zoom) / 2)
+        )
+        yield math.sqrt(zoom) * film / _FILM_DIAGONAL_MM * diagonal, std
+    if lens is None:
         return
-    if exif.focal_mm is not None:
-        sensor = _FILM_DIAGONAL_MM * exif.focal_mm / film
-        if not (_is_sensor(sensor) or _is_sensor(sensor * zoom)):
-            return
-    diagonal, shape_std = _diagonal(whole)
-    more, zoom_std = 1.0, 0.0
-    if zoom > 1:
-        inside = _ZOOM_IN_FILM.get(exif.make.lower())
-        more = {True: 1.0, False: zoom, None: math.sqrt(zoom)}[inside]
-        zoom_std = _ZOOM_STD if inside is not None else math.hypot(_ZOOM_STD, math.log(zoom) / 2)
-    std = math.hypot(_FILM_FOCAL_STD, _ROUNDING_STD_MM / film, shape_std, zoom_std)
-    yield more * film / _FILM_DIAGONAL_MM * diagonal, std
-
-
-def _on_sensor(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
-    """The focal length and its deviation by that of the lens.
-
-    Editors leave the resolution of an image that they made smaller: the table overrules it.
-    """
-    if exif.focal_mm is None:
-        return
-    longer = max(whole.width, whole.height)
-    focal = exif.focal_mm * exif.digital_zoom
-    zoom_std = _ZOOM_STD if exif.digital_zoom > 1 else 0.0
     in_table = _sensor_width_mm(exif.make, exif.model)
     if exif.pixels_per_mm is not None:
         width = longer / whole.scale / exif.pixels_per_mm
         same = in_table is None or abs(math.log(width / in_table)) <= _MAX_WIDTH_DIFFERENCE
         if _is_sensor(width) and same:
-            yield focal / width * longer, math.hypot(_SENSOR_RESOLUTION_STD, zoom_std)
+            yield lens * zoom / width * longer, math.hypot(_SENSOR_RESOLUTION_STD, zoom_std)
     if in_table is not None:
-        yield focal / in_table * longer, math.hypot(_SENSOR_TABLE_STD, zoom_std)
+        yield lens * zoom / in_table * longer, math.hypot(_SENSOR_TABLE_STD, zoom_std)
 
 
 @lru_cache(maxsize=256)
@@ -304,9 +293,7 @@ def _sensor_width_mm(make: str, model: str) -> float | None:
         return None
     from dgc_pose.system.colmap_library import pycolmap
 
-    # The table itself is out of reach: COLMAP gives the focal length in pixels of an image file
-    # whose lens has 1 mm. Of a photograph it would decode all pixels, prefer the focal length on
-    # 35 mm film without its deviation, and not read HEIC.
+    # The table itself is out of reach: COLMAP gives the focal length of an image file in pixels.
     exif = PIL.Image.Exif()
     exif[Base.Make], exif[Base.Model] = make, model
     exif.get_ifd(IFD.Exif)[Base.FocalLength] = IFDRational(1, 1)
@@ -315,19 +302,6 @@ def _sensor_width_mm(make: str, model: str) -> float | None:
         PIL.Image.new("L", (_BLANK_WIDTH, 8)).save(path, exif=exif)
         camera = pycolmap.infer_camera_from_image(path)
     return _BLANK_WIDTH / camera.focal_length if camera.has_prior_focal_length else None
-
-
-def _diagonal(whole: _Whole) -> tuple[float, float]:
-    """The diagonal that stands for that of the film, and the deviation of its logarithm.
-
-    Of an image of no sensor's shape: between its diagonal and that of the sensor's image.
-    """
-    longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
-    diagonal = math.hypot(longer, shorter)
-    if _SENSOR_ASPECT_RANGE[0] <= longer / shorter <= _SENSOR_ASPECT_RANGE[1]:
-        return diagonal, 0.0
-    sensor = max(longer, _USUAL_ASPECT * shorter) * math.hypot(1, 1 / _USUAL_ASPECT)
-    return math.sqrt(diagonal * sensor), math.log(sensor / diagonal) / 2
 
 
 def _is_sensor(mm: float) -> bool:

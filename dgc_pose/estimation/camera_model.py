@@ -12,9 +12,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, Part
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
-from dgc_pose.cameras.focal_belief import Part
 from dgc_pose.cameras.prior import CENTRE_STD, OTHER_STD, of_part
 from dgc_pose.estimation.camera_fit import JointPose
 from dgc_pose.estimation.evidence import ModelName

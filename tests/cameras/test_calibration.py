@@ -1,4 +1,5 @@
-"""Cameras of many images from each kind of file."""
+"""Cameras of many images from files and options; a K of the pixels as stored or of the upright
+image, for the upright image."""
 
 import json
 from pathlib import Path
@@ -7,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from dgc_pose.cameras.by_image import Calibration, KDetails
+from dgc_pose.cameras.by_image import Calibration, KDetails, upright_camera
 from dgc_pose.cameras.calibration import (
     camera_data,
     pair_cameras,
@@ -18,8 +19,8 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.prior import LENS_STD
 from dgc_pose.errors import InputError
-from dgc_pose.images.decoding import Header
-from dgc_pose.images.image import Image
+from dgc_pose.images.decoding import Exif, Header
+from dgc_pose.images.image import Image, turned
 
 SIZE = (640, 480)
 K = [[500, 0, 320], [0, 510, 238], [0, 0, 1]]
@@ -122,7 +123,7 @@ def test_a_K_of_another_size_is_scaled() -> None:
     (image,) = _images((320, 240))
     expected = Camera(np.array(K), SIZE).resized((320, 240))
     details = KDetails(size=SIZE)
-    for value in ("500,510,320,238", "PINHOLE,640,480,500,510,320.5,238.5", np.array(K)):
+    for value in ("PINHOLE,640,480,500,510,320.5,238.5", np.array(K)):
         camera, _ = pair_cameras(value, value, image, image, details=details)
         np.testing.assert_allclose(camera.K, expected.K)
         assert (camera.size, camera.warnings) == ((320, 240), ())
@@ -174,3 +175,54 @@ def test_a_lens_that_is_not_known(text: str, std: float) -> None:
     cameras = pair_cameras(text, text, image, image, ("--K", "--K"))
     assert [camera.lens_std for camera in cameras] == [std, std]
     assert all(camera.exact == (std == 0) and camera.focal_std == 0 for camera in cameras)
+
+
+LENS = Distortion("OPENCV", (0.1, 0.02, 0.01, -0.03))
+
+
+def _header(orientation: int) -> Header:
+    size = SIZE if orientation < 5 else SIZE[::-1]
+    return Header("JPEG", size, Exif(orientation=orientation))
+
+
+@pytest.mark.parametrize(
+    ("orientation", "centre", "size", "is_turned", "warns"),
+    [
+        (1, (280, 280), None, False, False),
+        (6, (280, 280), None, True, True),
+        (6, (320, 239), None, True, False),  # the middle of the pixels as stored
+        (6, (239, 320), None, False, False),  # the middle of the upright image
+        (8, (280, 280), SIZE, True, False),  # by the size of K
+        (8, (280, 280), SIZE[::-1], False, False),
+        (3, (300, 239), SIZE, True, True),  # upside down
+        (3, (319.5, 239.5), SIZE, True, False),  # K stays
+    ],
+)
+def test_a_K_that_was_given_is_turned_unless_it_is_of_the_upright_image(
+    orientation: int,
+    centre: tuple[float, float],
+    size: tuple[int, int] | None,
+    is_turned: bool,
+    warns: bool,
+) -> None:
+    K = np.array([[440.0, 0, centre[0]], [0, 450, centre[1]], [0, 0, 1]])
+    given = Camera(K, size, warnings=("a",))
+    camera = upright_camera(given, _header(orientation))
+    assert (camera is not given) is is_turned
+    assert camera.warnings[0] == "a" and len(camera.warnings) == 1 + warns
+    assert all(f"orientation {orientation} is applied" in text for text in camera.warnings[1:])
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_point_projects_to_the_pixel_that_is_turned(orientation: int) -> None:
+    """Of both signs of the tangential coefficients, by the turn of the pixels themselves."""
+    K = np.array([[440.0, 0, 310.0], [0, 450, 250], [0, 0, 1]])
+    stored = Camera(K, SIZE, LENS)
+    numbers = np.arange(SIZE[0] * SIZE[1]).reshape(SIZE[::-1])
+    upright, pixels = upright_camera(stored, _header(orientation)), turned(numbers, orientation)
+    y, x = np.divmod(np.random.default_rng(0).choice(numbers.ravel(), 20), SIZE[0])
+    rays = stored.normalise(np.column_stack([x, y]))
+    in_upright = np.array([np.argwhere(pixels == number)[0, ::-1] for number in numbers[y, x]])
+    turned_rays = upright.normalise(in_upright.astype(np.float64))
+    np.testing.assert_allclose(np.abs(turned_rays).sum(1), np.abs(rays).sum(1), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(turned_rays, axis=1), np.linalg.norm(rays, axis=1))

@@ -1,18 +1,17 @@
 """Focal lengths by the lines of pictures that are drawn with a known one, and of pictures that tell
-none."""
+none; a belief of a focal length after the lines, against a numerical integration."""
 
+import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from boxes import box_picture, grey
 
-from dgc_pose.cameras.focal_belief import Part
+from dgc_pose.cameras.camera import LOG_FOCALS, FocalBelief, Part
 from dgc_pose.cameras.lines import (
     CHANCE,
-    LOG_FOCALS,
     SHARPNESS,
     calibrated,
     focal_scores,
@@ -23,15 +22,14 @@ from dgc_pose.images.image import Image
 SIZE = (960, 720)
 STEP = LOG_FOCALS[1] - LOG_FOCALS[0]
 PRIOR = Part(0.0, np.log(0.9), 0.35)
-TURNS = [(30, 20, 3), (40, -25, -5), (-35, 15, 10), (20, 10, 0)]
 
 
 def _peak(lines: np.ndarray) -> float:
     return float(LOG_FOCALS[lines.argmax()])
 
 
-@pytest.mark.parametrize("focal", [0.5, 0.7, 0.9, 1.3, 2.0, 3.0])
-@pytest.mark.parametrize("turn_deg", TURNS)
+@pytest.mark.parametrize("focal", [0.5, 0.9, 1.3, 3.0])
+@pytest.mark.parametrize("turn_deg", [(30, 20, 3), (-35, 15, 10)])
 def test_the_likeliest_focal_length_is_that_of_the_picture(
     focal: float, turn_deg: tuple[float, float, float]
 ) -> None:
@@ -55,11 +53,6 @@ def test_the_size_and_the_colours_of_a_picture_do_not_matter(size: tuple[int, in
     assert abs(_peak(lines) - np.log(0.9)) < 1.5 * STEP
     inverse = log_likelihoods(Image(255 - pixels))
     assert abs(_peak(inverse) - np.log(0.9)) < 1.5 * STEP
-
-
-def test_the_same_picture_has_the_same_lines() -> None:
-    image = Image(box_picture(0.9))
-    np.testing.assert_array_equal(log_likelihoods(image), log_likelihoods(image))
 
 
 def _noise(seed: int) -> np.ndarray:
@@ -102,18 +95,8 @@ def _grid(angle_deg: float) -> np.ndarray:
     )
 
 
-def _circles(seed: int) -> np.ndarray:
-    rng, picture = np.random.default_rng(seed), np.full(SIZE[::-1], 90, np.uint8)
-    for _ in range(40):
-        centre, radius = rng.integers(0, SIZE).tolist(), int(rng.integers(10, 120))
-        cv2.circle(picture, centre, radius, int(rng.integers(100, 255)), 2, cv2.LINE_AA)
-    return picture
-
-
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize(
-    "drawn", [_clouds, lambda seed: _scribble(seed, 60), lambda seed: _scribble(seed, 12), _circles]
-)
+@pytest.mark.parametrize("drawn", [_clouds, lambda seed: _scribble(seed, 60)])
 def test_a_picture_without_three_directions_tells_hardly_anything(
     drawn: Callable[[int], np.ndarray], seed: int
 ) -> None:
@@ -123,7 +106,7 @@ def test_a_picture_without_three_directions_tells_hardly_anything(
     assert abs(found.log_focal - PRIOR.log_focal) < 0.5 * PRIOR.std
 
 
-@pytest.mark.parametrize("angle_deg", [0.0, 10.0, 45.0])
+@pytest.mark.parametrize("angle_deg", [0.0, 10.0])
 def test_a_plane_that_the_camera_faces_agrees_with_every_focal_length(angle_deg: float) -> None:
     image = Image(grey(_grid(angle_deg)))
     scores, count = focal_scores(image)
@@ -138,9 +121,8 @@ def test_a_plane_that_the_camera_faces_agrees_with_every_focal_length(angle_deg:
         _noise(0),
         _drawn([[100, 100], [800, 150]], [[100, 600], [700, 500]]),
         np.zeros((1, 1), np.uint8),
-        np.zeros((2, 300), np.uint8),
     ],
-    ids=["blank", "noise", "two lines", "one pixel", "two rows"],
+    ids=["blank", "noise", "two lines", "one pixel"],
 )
 def test_a_picture_without_segments_tells_nothing(picture: np.ndarray) -> None:
     image = Image(grey(picture))
@@ -160,19 +142,9 @@ def test_lines_on_masked_pixels_do_not_count() -> None:
     lines = log_likelihoods(image)
     assert 8 <= focal_scores(image)[1] < focal_scores(Image(glued))[1]
     assert abs(_peak(lines) - np.log(0.8)) < 1.5 * STEP
-    # Whatever is below the mask.
-    glued[:, :390] = grey(_scribble(0, 60))[:, :390]
-    np.testing.assert_allclose(log_likelihoods(Image(glued, mask=mask)), lines, atol=0.1)
     nothing = Image(pixels, mask=np.zeros_like(mask))
     np.testing.assert_array_equal(log_likelihoods(nothing), 0)
-    every = Image(pixels, mask=np.ones_like(mask))
-    np.testing.assert_array_equal(log_likelihoods(every), log_likelihoods(Image(pixels)))
-
-
-def test_pixels_that_are_not_square_tell_nothing() -> None:
-    image = Image(box_picture(0.9))
-    assert log_likelihoods(image).any()
-    np.testing.assert_array_equal(log_likelihoods(replace(image, pixel_aspect=1.25)), 0)
+    np.testing.assert_array_equal(log_likelihoods(Image(pixels, pixel_aspect=1.25)), 0)
 
 
 def test_likelihoods_by_scores() -> None:
@@ -189,3 +161,75 @@ def test_likelihoods_by_scores() -> None:
     assert calibrated(scores, 10_000).min() == pytest.approx(np.log(CHANCE))
     np.testing.assert_allclose(calibrated(scores, 160, 0.0, 0.1), 0, atol=1e-12)
     np.testing.assert_allclose(calibrated(scores, 160, 3.0, 1.0), 0, atol=1e-12)
+
+
+USUAL, TAIL = Part(math.log(0.85), math.log(0.9), 0.35), Part(math.log(0.15), math.log(2.0), 0.7)
+FLAT = np.zeros(len(LOG_FOCALS))
+
+
+def _lines(focal: float, width: float = 0.1, height: float = 6.0) -> np.ndarray:
+    """Log-likelihoods with a peak."""
+    return height * np.exp(-(((LOG_FOCALS - np.log(focal)) / width) ** 2) / 2)
+
+
+def _integrated(part: Part, lines: np.ndarray) -> Part:
+    """By the trapezium rule, over 8 standard deviations or what a lens may have."""
+    first = max(part.log_focal - 8 * part.std, math.log(0.1))
+    last = min(part.log_focal + 8 * part.std, math.log(25.0))
+    count = 20_000
+    step = (last - first) / count
+    total = mean = square = 0.0
+    for k in range(count + 1):
+        at = first + k * step
+        place = (at - LOG_FOCALS[0]) / (LOG_FOCALS[1] - LOG_FOCALS[0])
+        place = min(max(place, 0.0), len(LOG_FOCALS) - 1.0)
+        below = min(int(place), len(LOG_FOCALS) - 2)
+        line = lines[below] + (place - below) * (lines[below + 1] - lines[below])
+        normal = math.exp(-(((at - part.log_focal) / part.std) ** 2) / 2)
+        density = math.exp(line) * normal / (part.std * math.sqrt(2 * math.pi))
+        density *= step if 0 < k < count else step / 2
+        total, mean, square = total + density, mean + density * at, square + density * at**2
+    mean, square = mean / total, square / total
+    return Part(part.log_weight + math.log(total), mean, math.sqrt(square - mean**2))
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        _lines(0.9),
+        _lines(2.0),
+        _lines(0.6) + _lines(1.5, 0.3, 5.0),
+        np.random.default_rng(0).normal(0, 2.0, len(LOG_FOCALS)),
+    ],
+    ids=["middle", "long", "two", "rough"],
+)
+@pytest.mark.parametrize("part", [USUAL, TAIL, Part(-1.0, math.log(1.2), 0.08)])
+def test_a_part_after_the_lines(part: Part, lines: np.ndarray) -> None:
+    found = part.given(lines)
+    np.testing.assert_array_less(
+        abs(np.subtract(found, _integrated(part, lines))), (8e-3, 3e-3, 2e-3)
+    )
+    assert part.given(lines - 700).log_weight == pytest.approx(found.log_weight - 700)
+
+
+@pytest.mark.parametrize(("focal", "usual_first"), [(0.8, True), (1.2, True), (4.0, False)])
+def test_the_likelier_part_comes_first(focal: float, usual_first: bool) -> None:
+    lines = _lines(focal)
+    first, second = FocalBelief(USUAL, TAIL, FLAT).parts([lines])
+    assert first.log_weight > second.log_weight
+    assert (first == USUAL.given(lines)) is usual_first
+    assert {first, second} == {USUAL.given(lines), TAIL.given(lines)}
+    assert first.log_focal == pytest.approx(math.log(focal), abs=0.1)
+
+
+def test_lines_of_many_images_count_by_the_root_of_their_number() -> None:
+    """Of one or two images all of them, of 8 half."""
+    belief, lines = FocalBelief(USUAL, TAIL, FLAT), _lines(1.1, 0.2, 1.0)
+    for many, few in (
+        ([lines, lines], [2 * lines]),
+        (8 * [lines], [4 * lines]),
+        ([lines, -lines], [FLAT]),
+    ):
+        np.testing.assert_allclose(belief.parts(many), belief.parts(few), atol=1e-9)
+    stds = [belief.parts(count * [lines])[0].std for count in (1, 2, 8, 32)]
+    assert stds == sorted(stds, reverse=True)

@@ -8,9 +8,8 @@ from boxes import box_picture
 
 from dgc_pose.cameras.calibration import camera_data, image_camera, pair_cameras, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.lines import LOG_FOCALS, log_likelihoods
+from dgc_pose.cameras.lines import log_likelihoods
 from dgc_pose.cameras.prior import (
-    SHARED,
     SIZE_FOCAL,
     SIZE_STD,
     auto_camera,
@@ -91,9 +90,7 @@ def test_the_sensor_in_the_table_of_colmap() -> None:
     ("exif", "warning"),
     [
         (Exif(focal_35mm=35856), "35856 mm on 35 mm film"),
-        (Exif(focal_35mm=3), "3 mm on 35 mm film"),
         (Exif(focal_35mm=177, focal_mm=3.99), "177 mm on 35 mm film and 3.99 mm of the lens"),
-        (Exif(focal_mm=50, pixels_per_mm=4), "50 mm of the lens"),
         (Exif(focal_mm=50, pixels_per_mm=4e6), "50 mm of the lens"),
         (Exif(focal_35mm=26, size=(1000, 3000)), "26 mm on 35 mm film"),
     ],
@@ -108,18 +105,12 @@ def test_a_focal_length_that_no_camera_has(exif: Exif, warning: str) -> None:
     assert (camera.focal_source, camera.warnings) == ("exif", ())
 
 
-def test_a_digital_zoom_is_in_the_equivalent_of_some_makers() -> None:
-    """Apple: 24 mm at five times, of which two are the sensor's middle: 121 mm, and 2.539 as the
-    zoom. Samsung: 23 mm at 2.539 times."""
-    for make, film, lens, mm in (("Apple", 121, 6.765, 121), ("samsung", 23, 6.3, 2.539 * 23)):
-        exif = Exif(make, focal_35mm=film, focal_mm=lens, digital_zoom=2.539)
-        zoomed = auto_camera(photo(exif))
-        assert zoomed.focal == pytest.approx(mm / 43.27 * 5000, rel=1e-4)
-        assert zoomed.warnings == () and 0.1 < zoomed.focal_std < 0.15
-    other = auto_camera(photo(Exif(focal_35mm=50, digital_zoom=4)))  # 50 or 200 mm
+def test_a_digital_zoom_may_be_in_the_focal_length_on_film() -> None:
+    """50 mm at four times are 50 or 200 mm."""
+    camera = auto_camera(photo(Exif("Apple", focal_35mm=50, digital_zoom=4)))
     ends = np.log(np.array([50, 200]) / 43.27 * 5000)
-    assert np.abs(ends - np.log(other.focal)).max() < 1.05 * other.focal_std < 0.8
-    assert other.focal_source == "exif"
+    assert np.abs(ends - np.log(camera.focal)).max() < 1.05 * camera.focal_std < 0.8
+    assert (camera.focal_source, camera.warnings) == ("exif", ())
 
 
 @pytest.mark.parametrize(
@@ -150,11 +141,9 @@ def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) 
     assert camera.warnings == () and 0.07 < camera.focal_std < 0.1
 
 
-@pytest.mark.parametrize(
-    "exif", [NO_EXIF, PHONE, replace(PHONE, size=SIZE), replace(SENSOR, size=SIZE)]
-)
+@pytest.mark.parametrize("exif", [NO_EXIF, PHONE, replace(SENSOR, size=SIZE)])
 @pytest.mark.parametrize("whole", [SIZE, SIZE[::-1]])
-@pytest.mark.parametrize("squeezed", [(3000, 3000), (4000, 1500), (1000, 3000)])
+@pytest.mark.parametrize("squeezed", [(3000, 3000), (1000, 3000)])
 def test_pixels_that_are_not_square(
     exif: Exif, whole: tuple[int, int], squeezed: tuple[int, int]
 ) -> None:
@@ -177,24 +166,15 @@ WIDE = replace(photo(EXIF), pixel_aspect=1.25)
         (photo(EXIF), photo(EXIF), True),
         (photo(EXIF), photo(EXIF, SIZE[::-1]), True),
         (photo(EXIF), photo(EXIF, orientation=6), True),
-        *(
-            (photo(EXIF), photo(replace(EXIF, **values)), False)
-            for values in (
-                {"digital_zoom": 2},
-                {"focal_35mm": 13},
-                {"focal_mm": 1.5},
-                {"lens": "front camera"},
-                {"make": "Other"},
-                {"model": "X2"},
-                {"size": (4000, 2250)},
-            )
-        ),
+        (photo(EXIF), photo(replace(EXIF, digital_zoom=2)), False),
+        (photo(EXIF), photo(replace(EXIF, focal_mm=1.5)), False),
+        (photo(EXIF), photo(replace(EXIF, lens="front camera")), False),
+        (photo(EXIF), photo(replace(EXIF, model="X2")), False),
+        (photo(EXIF), photo(replace(EXIF, size=(4000, 2250))), False),
         (photo(EXIF), photo(EXIF, (2000, 1500)), False),
         (photo(EXIF), photo(), False),
-        (photo(), photo(orientation=8), True),
         (photo(), photo(size=SIZE[::-1]), True),
         (photo(), photo(size=(4000, 2999)), False),
-        (WIDE, WIDE, True),
         (WIDE, replace(WIDE, size=SIZE[::-1], pixel_aspect=0.8), True),
         (WIDE, replace(WIDE, size=SIZE[::-1]), False),
         (WIDE, photo(EXIF), False),
@@ -213,12 +193,8 @@ def test_a_shared_camera_has_the_exif_data_of_either_image() -> None:
             assert camera1.focal_std == camera2.focal_std < 0.1
             assert (camera1.focal_source, camera2.focal_source) == ("exif", "exif")
             assert camera2.K[0, 2] == (images[1].size[0] - 1) / 2
-    for turned in (False, True):
-        bare = replace(photo(orientation=6 if turned else 1), pixel_aspect=0.8 if turned else 1.25)
-        camera1, camera2 = auto_cameras(WIDE, bare, "shared")
-        focals = camera1.K.diagonal()[:2]
-        np.testing.assert_array_equal(camera2.K.diagonal()[:2], focals[:: -1 if turned else 1])
-        assert focals[1] == pytest.approx(1.25 * focals[0])
+    camera1, camera2 = auto_cameras(WIDE, replace(photo(orientation=6), pixel_aspect=0.8), "shared")
+    np.testing.assert_array_equal(camera2.K.diagonal()[:2], camera1.K.diagonal()[1::-1])
     camera1, camera2 = auto_cameras(photo(EXIF), photo(size=(800, 600)), "shared")
     assert (camera1.focal_source, camera2.focal_source) == ("exif", "size")
 
@@ -232,8 +208,6 @@ def test_a_panorama_by_the_file_alone_has_its_projection() -> None:
         given = image_camera(camera.K, Image(np.zeros((20, 40, 3), np.uint8), projection=name))
         assert given.projection == ""
         np.testing.assert_array_equal(camera.K, auto_camera(replace(header, projection="")).K)
-    old = {key: value for key, value in camera_data(camera).items() if key != "projection"}
-    assert parse_camera_data(old).projection == ""
 
 
 def test_the_lens_is_not_known_and_that_of_an_action_camera_less() -> None:
@@ -283,13 +257,7 @@ def test_the_lines_of_an_image_are_its_focal_length() -> None:
     assert with_lines([before], [masked]) == [before]
 
 
-def test_long_lenses_are_of_the_tail_of_the_belief() -> None:
-    image = Image(box_picture(4.0, (40, -25, -5)))
-    (camera,) = with_lines([auto_camera(image)], [image])
-    assert abs(np.log(camera.focal / (4 * 960))) < 3 * camera.focal_std
-
-
-@pytest.mark.parametrize("film", [13, 26, 85, 135])
+@pytest.mark.parametrize("film", [13, 135])
 def test_exif_data_that_the_lines_contradict_have_a_warning(film: int) -> None:
     """Of 960 x 720 pixels 1152 are 41.5 mm on 35 mm film. The lines of two images are surer than
     EXIF data, which few files have of another image; those of one are about as sure."""
@@ -304,14 +272,6 @@ def test_exif_data_that_the_lines_contradict_have_a_warning(film: int) -> None:
             f"the lines of the image agree with f = {camera.focal:.0f} px +- "
         )
         assert warning.endswith(f" %, and EXIF says {before.focal:.0f}")
-
-
-def test_lines_make_exif_data_that_they_agree_with_more_certain() -> None:
-    image = replace(BOX, exif=Exif("Maker", "X1", focal_35mm=42))
-    before = auto_camera(image)
-    (camera,) = with_lines([before], [image])
-    assert camera.warnings == () and camera.focal_std < before.focal_std
-    assert abs(np.log(camera.focal / 1152)) < 3 * camera.focal_std
 
 
 def test_exif_data_stay_if_the_lines_tell_nothing() -> None:
@@ -330,20 +290,11 @@ def test_images_of_one_camera_count_together() -> None:
     assert second.focal_source == "lines" and first.focal_std < 0.5 * SIZE_STD
     # Each has the lines of its own image, for two focal lengths.
     assert first.belief.lines.any() and not second.belief.lines.any()
-    turned = Image(np.ascontiguousarray(np.rot90(BOX.pixels)))
-    both = with_lines(auto_cameras(BOX, turned), [BOX, turned])
-    assert both[0].focal == both[1].focal and both[0].focal_std < first.focal_std
     other = Image(box_picture(0.6))
     alone = with_lines(auto_cameras(BOX, other, "two"), [BOX, other])
     assert [camera.focal for camera in alone] == pytest.approx([1152, 576], rel=0.1)
     together = with_lines(auto_cameras(BOX, other), [BOX, other])
     assert together[0].focal == together[1].focal
-
-
-def test_the_lines_of_two_images_of_no_known_camera_are_their_own() -> None:
-    cameras = [replace(auto_camera(image), identity=None) for image in (BOX, BLANK)]
-    first, second = with_lines(cameras, [BOX, BLANK])
-    assert first.focal_source == "lines" and second is cameras[1]
 
 
 def test_lines_of_some_of_the_images_are_of_all_of_a_camera() -> None:
@@ -356,26 +307,13 @@ def test_lines_of_some_of_the_images_are_of_all_of_a_camera() -> None:
     assert by_lines(cameras, 3 * [None]) == cameras
 
 
-@pytest.mark.parametrize("bare_first", [True, False])
-def test_a_shared_camera_has_one_focal_length_by_the_lines_too(bare_first: bool) -> None:
-    images = [photo(EXIF), photo()][:: -1 if bare_first else 1]
-    cameras = auto_cameras(*images, "shared")
-    assert {camera.identity for camera in cameras} == {SHARED}
-    lines = 2 * np.exp(-(((LOG_FOCALS - np.log(0.8)) / 0.2) ** 2) / 2)
-    first, second = by_lines(cameras, [lines, lines])
-    assert first.focal == pytest.approx(second.focal) and first.focal_std == second.focal_std
-
-
-@pytest.mark.parametrize(
-    "value", ["1700,1700,480,360", np.array([[1700.0, 0, 480], [0, 1700, 360], [0, 0, 1]])]
-)
 @pytest.mark.parametrize("alone", [True, False])
-def test_a_stated_camera_has_no_lines(value: object, alone: bool) -> None:
-    cameras = pair_cameras(value, None if alone else value, BOX, BOX)
+def test_a_stated_camera_has_no_lines(alone: bool) -> None:
+    K = "1700,1700,480,360"
+    cameras = pair_cameras(K, None if alone else K, BOX, BOX)
     for camera in cameras[: 1 if alone else 2]:
         assert (camera.focal, camera.focal_source, camera.belief) == (1700, "given", None)
         assert (camera.exact, camera.warnings) == (True, ())
-    assert with_lines(cameras[:1], [BOX]) == [cameras[0]]
     if alone:
         assert cameras[1].focal_source == "lines"
         assert cameras[1].focal == pytest.approx(1152, rel=0.1)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scenes import NO_EXIF, TwoViewScene, camera_scene, pinhole
 
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import LOG_FOCALS, Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.focal_belief import LOG_FOCALS
 from dgc_pose.cameras.prior import by_lines
 from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_model import (

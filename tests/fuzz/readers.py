@@ -34,7 +34,7 @@ PIXELS = cv2.resize(np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint
 
 def _make_images(folder):
     picture = PIL.Image.fromarray(PIXELS)
-    for ending in ("png", "jpg", "tiff", "bmp", "ppm", "webp", "gif", "jp2", "avif"):
+    for ending in ("png", "jpg", "tiff", "bmp", "webp", "gif", "jp2", "avif"):
         with suppress(KeyError, OSError, ValueError):  # a Pillow without that format
             picture.save(folder / f"plain.{ending}")
     with suppress(ImportError):
@@ -45,12 +45,8 @@ def _make_images(folder):
     exif[0x0112], exif[0x010F], exif[0x0110] = 6, "Canon", "EOS"
     exif.get_ifd(0x8769).update({0x920A: IFDRational(35, 1), 0xA405: 35, 0xA002: 80, 0xA003: 60})
     picture.save(folder / "turned.jpeg", exif=exif)
-    exif[0x0112] = 1
-    picture.save(folder / "camera.tiff", exif=exif.tobytes())
     picture.convert("P").save(folder / "palette.png")
-    deep = PIXELS.astype(np.uint16) * 200
-    for name in ("deep.png", "deep.tiff"):
-        cv2.imwrite(str(folder / name), deep)
+    cv2.imwrite(str(folder / "deep.png"), PIXELS.astype(np.uint16) * 200)
     cv2.imwrite(str(folder / "floats.tiff"), PIXELS.astype(np.float32) / 255)
 
 
@@ -60,19 +56,15 @@ def _camera_of_image(path):
 
 def _make_calibrations(folder):
     frames = [{"file_path": "./a.png", "transform_matrix": np.eye(4).tolist()}]
-    nerf = {"fl_x": 9.0, "fl_y": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "frames": frames}
+    nerf = {"fl_x": 9.0, "cx": 5, "cy": 4, "w": 10, "h": 8, "k1": 0.1, "frames": frames}
     of_colmap = {"camera_model_name": "PINHOLE", "camera_params": [9, 9, 5, 4]}
     of_colmap |= {"cam_from_rig_rotation": [1, 0, 0, 0], "cam_from_rig_translation": [1, 2, 3]}
     texts = {
-        "pinhole.arg": dense_scene.K_TEXT,
         "opencv.arg": "OPENCV,320,240,300,300,160,120,0.1,0.01,0,0",
-        "radial.arg": "SIMPLE_RADIAL,320,240,300,160,120,-0.1",
         "K.txt": "\ufeff300 0 159.5\n0 300 119.5\n0 0 1\n",
         "table.csv": "name,fx,fy,cx,cy,width,height\na.png,9,9,4,3,10,8\n",
         "transforms.json": json.dumps(nerf),
         "pose.json": json.dumps({"K1": [9, 9, 5, 4], "K2": [9, 9, 5, 4]}),
-        "ros.yaml": "image_width: 10\nimage_height: 8\ndistortion_model: plumb_bob\n"
-        "camera_matrix: {data: [9, 0, 5, 0, 9, 4, 0, 0, 1]}\n",
         "kalibr.yaml": "cam0: {intrinsics: [9, 9, 5, 4], resolution: [10, 8]}\n",
         "text/cameras.txt": "1 OPENCV 10 8 9 9 5 4 0.1 0 0 0\n",
         "text/images.txt": "1 1 0 0 0 0 0 0 1 a.png\n2 3 -1\n",
@@ -87,10 +79,6 @@ def _make_calibrations(folder):
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
     np.save(folder / "K.npy", dense_scene.K)
-    storage = cv2.FileStorage(str(folder / "opencv.yml"), cv2.FILE_STORAGE_WRITE)
-    storage.write("camera_matrix", dense_scene.K)
-    storage.write("distortion_coefficients", np.array([0.1, 0.01, 0.0, 0.0]))
-    storage.release()
     write_colmap(world_scene(count=9), folder / "binary")
 
 
@@ -131,24 +119,18 @@ def _read_list(path):
 def _make_weights(folder):
     torch.manual_seed(0)
     save_weights(DGCNet(preset("dgcm-lite0")), folder / "a.safetensors")
-    state = {"pyramid.level_0.0.weight": torch.zeros(64, 3, 3, 3), "x": torch.ones(3)}
-    torch.save({"state_dict": state}, folder / "part.pth")
-    torch.save(state, folder / "legacy.pth", _use_new_zipfile_serialization=False)
+    torch.save({"x": torch.ones(3)}, folder / "part.pth")
 
 
 def _make_matches(folder):
-    """A folder of each format, as `--matches` takes them."""
+    """A file of each format, as `--matches` takes them."""
     flow = np.random.default_rng(0).normal(size=(30, 40, 2)).astype(np.float32)
-    for name in ("flo", "npy", "flow", "map", "points"):
-        (folder / name).mkdir()
-    cv2.writeOpticalFlow(str(folder / "flo/pair.flo"), flow)
-    np.save(folder / "npy/pair.npy", flow)
-    np.savez(folder / "flow/pair.npz", flow=flow, matchability=np.ones((30, 40)))
+    cv2.writeOpticalFlow(str(folder / "pair.flo"), flow)
+    np.save(folder / "pair.npy", flow)
+    np.savez(folder / "flow.npz", flow=flow, matchability=np.ones((30, 40)))
     grid = np.stack(np.meshgrid(np.arange(40.0), np.arange(30.0)), -1)
-    maps = {"map": grid + 1, "grid": grid, "matchability": np.ones((30, 40))}
-    np.savez_compressed(folder / "map/pair.npz", **maps)
     points = {"points1": grid.reshape(-1, 2), "points2": grid.reshape(-1, 2), "error_px": 1.0}
-    np.savez(folder / "points/pair.npz", **points, confidence=np.ones(1200), key_points=True)
+    np.savez_compressed(folder / "points.npz", **points, confidence=np.ones(1200), key_points=True)
 
 
 def _read_matches(path):

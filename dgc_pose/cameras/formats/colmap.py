@@ -1,28 +1,34 @@
-"""COLMAP's cameras: a line of cameras.txt, the files, the folder of a model, and databases.
+"""COLMAP's cameras: a line of cameras.txt, models, and databases.
 
 The principal point has (0.5, 0.5) at the centre of the top-left pixel, half a pixel more than ours.
-pycolmap's own reader needs all files of a model, takes a cameras.bin that is cut within a camera,
-and never ends in an images.bin that is cut within a name. It changes a database of an older COLMAP,
-and ends the process where a column is of another type.
+pycolmap reads models; it takes a cameras.bin that is cut within a camera, and never ends in an
+images.bin that is cut within a name, so both are checked first. It does not read databases: it
+changes one of an older COLMAP, and ends the process where a column is of another type.
 """
 
+from __future__ import annotations
+
+import codecs
 import re
 import sqlite3
 import struct
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dgc_pose.cameras import colmap_camera
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.formats.keyed import pose_matrix
 from dgc_pose.cameras.pair_list import PairList
 from dgc_pose.errors import InputError, shortened
 from dgc_pose.geometry.pixels import Size
-from dgc_pose.system.files import TEXT_BYTES, open_file, read_as, read_bytes
+from dgc_pose.system.files import open_file, read_as, read_bytes, scratch_folder
+
+if TYPE_CHECKING:
+    import pycolmap
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
@@ -40,6 +46,7 @@ _IMAGES = """
     SELECT image_id, CAST(name AS TEXT), model, width, height, params FROM images
     LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
 """
+_FILES = ("cameras", "images", "points3D", "rigs", "frames")  # of a model, without endings
 _MAX_IMAGES = 2**31 - 1  # COLMAP's number of a pair is id1 * _MAX_IMAGES + id2
 
 
@@ -65,92 +72,78 @@ def parse_line(text: str) -> Camera:
     return _camera(model.upper(), (width, height), parameters)
 
 
-def read_model(folder: Path) -> Calibration:
-    """The cameras of the folder of a model. Raises InputError."""
-    for name in ("cameras.bin", "cameras.txt"):
-        if (folder / name).is_file():
-            return read_cameras(folder / name)
-    raise InputError(folder, "holds no cameras.txt and no cameras.bin")
+def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.Reconstruction]:
+    """The model of a folder, or of a cameras.txt or cameras.bin and the images.txt or images.bin
+    beside it: cameras by their ids and, with their poses, by image name; without images a single
+    camera is that of all.
 
-
-def read_cameras(path: Path) -> Calibration:
-    """The cameras of a cameras.txt or cameras.bin by their ids, and by the images in the images.txt
-    or images.bin beside it; without one a single camera is that of all images.
-
-    Raises InputError, with the path, if a file cannot be read.
+    whole: with its points, rigs and frames. Raises InputError, with the path, if a file cannot be
+    read, or if COLMAP's camera has no focal length.
     """
+    from dgc_pose.system.colmap_library import pycolmap
+
+    if path.is_dir():
+        files = [file for end in ("bin", "txt") if (file := path / f"cameras.{end}").is_file()]
+        if not files:
+            raise InputError(path, "holds no cameras.txt and no cameras.bin")
+        path = files[0]
     is_text = path.suffix.lower() != ".bin"
-    with read_as("COLMAP's cameras", path):
-        data = read_bytes(path, TEXT_BYTES)
-        cameras = _text_cameras(data) if is_text else _binary_cameras(data)
+    wanted = {stem: path.with_name(stem + (".txt" if is_text else ".bin")) for stem in _FILES}
+    wanted |= {"cameras": path}
+    with read_as("a COLMAP model", path), scratch_folder() as scratch:
+        for stem, file in wanted.items():
+            copy = scratch / f"{stem}{'.txt' if is_text else '.bin'}"
+            if not file.is_file() or not (whole or stem in ("cameras", "images")):
+                if stem in ("images", "points3D"):  # which pycolmap needs
+                    copy.write_bytes(b"" if is_text else bytes(_COUNT.size))
+            elif is_text:
+                copy.write_bytes(read_bytes(file).removeprefix(codecs.BOM_UTF8))
+            else:
+                copy.symlink_to(file.absolute())
+        checks = {} if is_text else {"cameras": _camera_bytes, "images": _image_bytes}
+        for stem, item_bytes in checks.items():
+            with read_as(f"COLMAP's {stem}", wanted[stem]):
+                _require_whole(read_bytes(scratch / f"{stem}.bin"), item_bytes)
+        model = pycolmap.Reconstruction(scratch)
+        cameras: dict[int, Camera] = {}
+        for key, theirs in sorted(model.cameras.items()):
+            K, lens = colmap_camera.intrinsics(theirs.model.name, theirs.params.tolist())
+            size = theirs.width, theirs.height
+            cameras[key] = Camera(K, size, lens, identity=f"{path} {key}")
     if not cameras:
         raise InputError(path, "has no cameras")
-    cameras = {key: replace(value, identity=f"{path} {key}") for key, value in cameras.items()}
-    parts = {str(key): camera for key, camera in cameras.items()}
-    images = path.with_name("images.txt" if is_text else "images.bin")
-    if images.is_file():
-        data = read_bytes(images)
-        with read_as("COLMAP's images", images):
-            posed = _text_images(data) if is_text else _binary_images(data)
-        by_name = {name: cameras[key] for name, (key, _) in posed.items() if key in cameras}
-        if by_name:
-            poses = {name: posed[name][1] for name in by_name}
-            return Calibration("", by_name, parts, poses=poses)
-    return Calibration(parts=parts, common=cameras[min(cameras)] if len(cameras) == 1 else None)
+    images = [image for _, image in sorted(model.images.items()) if image.has_pose]
+    return Calibration(
+        by_name={image.name: cameras[image.camera_id] for image in images},
+        parts={str(key): camera for key, camera in cameras.items()},
+        common=None if images or len(cameras) > 1 else next(iter(cameras.values())),
+        poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
+    ), model
+
+
+def _require_whole(data: bytes, item_bytes: Callable[[bytes, int], int]) -> None:
+    """Raise ValueError or struct.error unless a file has all of the items that it counts."""
+    (count,), start = _COUNT.unpack_from(data), _COUNT.size
+    for _ in range(count):
+        start += item_bytes(data, start)
+        if start > len(data):
+            raise ValueError("the file is cut off")
+
+
+def _camera_bytes(data: bytes, start: int) -> int:
+    _, model_id, _, _ = _CAMERA.unpack_from(data, start)
+    return _CAMERA.size + 8 * colmap_camera.model_of_id(model_id)[1]
+
+
+def _image_bytes(data: bytes, start: int) -> int:
+    name_end = data.index(b"\0", start + _IMAGE.size)
+    (points,) = _COUNT.unpack_from(data, name_end + 1)
+    return name_end + 1 + _COUNT.size + _POINT_BYTES * int(points) - start
 
 
 def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
     K, distortion = colmap_camera.intrinsics(model, parameters)
     return Camera(K, size, distortion)
-
-
-def _text_cameras(data: bytes) -> dict[int, Camera]:
-    lines = [line for line in data.decode("utf-8-sig").splitlines() if not line.startswith("#")]
-    return {int(line.split()[0]): parse_line(line) for line in lines if line.strip()}
-
-
-def _binary_cameras(data: bytes) -> dict[int, Camera]:
-    cameras: dict[int, Camera] = {}
-    (count,) = _COUNT.unpack_from(data)
-    start = _COUNT.size
-    for _ in range(count):
-        key, model_id, width, height = _CAMERA.unpack_from(data, start)
-        model, parameter_count = colmap_camera.model_of_id(model_id)
-        numbers = struct.unpack_from(f"<{parameter_count}d", data, start + _CAMERA.size)
-        cameras[key] = _camera(model, (width, height), list(numbers))
-        start += _CAMERA.size + 8 * parameter_count
-    return cameras
-
-
-def _binary_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
-    """The camera id and cam_from_world (3, 4) by image name, from an images.bin."""
-    images: dict[str, tuple[int, np.ndarray]] = {}
-    (count,) = _COUNT.unpack_from(data)
-    start = _COUNT.size
-    for _ in range(count):
-        _, *pose, camera_id = _IMAGE.unpack_from(data, start)
-        name_end = data.index(b"\0", start + _IMAGE.size)
-        name = data[start + _IMAGE.size : name_end].decode()
-        images[name] = camera_id, pose_matrix(pose)
-        (points,) = _COUNT.unpack_from(data, name_end + 1)
-        start = name_end + 1 + _COUNT.size + _POINT_BYTES * points
-    if start > len(data):
-        raise ValueError("points are missing")
-    return images
-
-
-def _text_images(data: bytes) -> dict[str, tuple[int, np.ndarray]]:
-    """The same from an images.txt: two lines an image, the second of its points."""
-    images: dict[str, tuple[int, np.ndarray]] = {}
-    lines = iter(data.decode("utf-8-sig").splitlines())
-    for line in lines:
-        words = line.split(maxsplit=9)
-        if words and not words[0].startswith("#"):
-            if len(words) < 10:
-                raise ValueError("an image without a name")
-            images[words[9].strip()] = int(words[8]), pose_matrix([*map(float, words[1:8])])
-            next(lines, None)
-    return images
 
 
 def read_database(path: Path) -> PairList:

@@ -1,9 +1,9 @@
-"""Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, Kalibr's camchain.yaml,
-EuRoC's sensor.yaml, tables, and JSON as `camera_data` writes it.
+"""Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, tables, and JSON as
+`camera_data` writes it.
 
 A key that may be of the lens and is not read is refused: without it the pose is wrong, and nothing
-shows it. cv::FileStorage does not read the files here: damaged ones of a few hundred bytes end the
-process.
+shows it. A key that may be of another camera is told in a warning. cv::FileStorage does not read
+the files here: damaged ones of a few hundred bytes end the process.
 """
 
 import csv
@@ -24,18 +24,18 @@ from dgc_pose.errors import InputError, reason, shortened
 from dgc_pose.geometry.pixels import Size
 from dgc_pose.geometry.rotation import rotation_of_quaternion
 
-# Names of the matrix and the size as OpenCV's programs, ROS, Open3D and Record3D write them. The
-# `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
+# Names of the matrix and the size in files of OpenCV's programs, ROS, Kalibr, Open3D and Record3D.
+# The `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
 _MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "intrinsic_matrix")
 _SIZES = (
-    *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
+    *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",), ("resolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
     *(("w", "h"), ("W", "H")),
 )
 _FOUR = ("fx", "fy", "cx", "cy")
 _POSE = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
-MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye", "fisheye")
+_MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye", "fisheye")
 _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
     **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "OPENCV"),
     **dict.fromkeys(("radial", "simple_radial", "plumb_bob", "rational_polynomial"), "OPENCV"),
@@ -45,12 +45,14 @@ _MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
 }
 _LIST = re.compile(r"d|dist(ortions?)?|(dist(ortion)?_?)?coeff?(icient)?s?", re.IGNORECASE)
 _SINGLE = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4")}
-_MAY_MATTER = re.compile(
-    r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?param.*)?
-    | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)).*
-    | ((camera|projection|lens)_?)?model | [xy]_fov | latlong | equirect.* | orthogr.* | ftheta.*
-    # of another camera
-    | m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.*
+_OF_LENS = re.compile(
+    r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?(k|model|param).*)?
+    | ((camera|projection)_?)?model
+    | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)|latlong|equirect|ftheta).*""",
+    re.IGNORECASE | re.VERBOSE,
+)
+_OF_OTHERS = re.compile(
+    r"""m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.*
     | (?!std|fps_).*intrinsic(?!_wait).*""",
     re.IGNORECASE | re.VERBOSE,
 )
@@ -73,7 +75,7 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
         raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
-        require_read(data, *present)
+        unread(data, *present)
         parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
         return Calibration(parts=parts)
     data = dict(data)
@@ -86,32 +88,24 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
-    """The camera of a matrix, or of a mapping with a matrix or fx, fy, cx, cy, a size, and a lens:
-    COLMAP's as "model" and "coefficients", or as `file_lens` reads it.
+    """The camera of a matrix, or of a mapping with a matrix or fx, fy, cx, cy, a size, and a lens,
+    with a warning that names keys of other cameras.
 
     key: of the matrix or the four numbers, by default one of OpenCV's names. Raises InputError,
-    KeyError, TypeError or ValueError for what is none, and for a message of ROS whose image is not
-    the whole sensor's.
+    KeyError, TypeError or ValueError for what is none, and as `unread`.
     """
     if not isinstance(data, Mapping):
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
-    roi = data.get("roi") or {}  # of a message of ROS, as is the binning
-    offsets = [int(roi.get(key) or 0) for key in ("x_offset", "y_offset")]
-    if any(offsets) or max(int(data.get(key) or 0) for key in ("binning_x", "binning_y")) > 1:
-        raise InputError("binning or roi is set, and K is of the whole sensor's image")
-    lens: Distortion | None
-    if data.get("model"):
-        require_read(data, key, "model", "coefficients")
-        lens = Distortion(str(data["model"]), tuple(numbers(data.get("coefficients")) or ()))
-    else:
-        lens = file_lens(data, key)
+    lens, keys = _lens(data)
+    others = unread(data, key, *keys)
     values = [float(data[k]) for k in _FOUR] if key is None else numbers(data[key])
     identity = data.get("identity")
     return Camera(
         numbers_camera(values or (), key or "K").K,
         _size(data),
         lens,
+        (f"not read, of another camera: {shortened(', '.join(others))}",) if others else (),
         focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         lens_std=float(data.get("lens_std") or 0),
@@ -128,38 +122,6 @@ def _size(data: Mapping[str, Any]) -> Size | None:
                 raise InputError(f"{' and '.join(keys)}: no width and height")
             return int(sides[0]), int(sides[1])
     return None
-
-
-def camchain(data: Mapping[str, Any], path: Path) -> Calibration | None:
-    """The cameras of a camchain by their names, of one alone as "cam0"; the first is that of images
-    that lie below no folder of such a name. None for other files.
-
-    path: for the identity of the cameras. Raises InputError as `require_read` does, and for a
-    camera of a model that COLMAP does not have.
-    """
-    listed = {
-        str(name): values
-        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
-        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
-    }
-    cameras: dict[str, Camera] = {}
-    for name, values in listed.items():
-        try:
-            cameras[name] = _rig_camera(values)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
-    if cameras and data is not listed.get("cam0"):
-        require_read(data, *listed)
-    return rig(cameras, path) if cameras else None
-
-
-def _rig_camera(data: Mapping[str, Any]) -> Camera:
-    values = {"distortion_model": "none", **data, "size": data.get("resolution")}
-    held = numbers(data["intrinsics"]) or []
-    if data.get("camera_model") == "eucm" and len(held) == 6:
-        del values["camera_model"], values["distortion_model"]
-        values |= {"model": "EUCM", "coefficients": held[:2], "intrinsics": held[2:]}
-    return keyed_camera(values, "intrinsics")
 
 
 def read_table(text: str, path: Path) -> Calibration:
@@ -180,7 +142,8 @@ def read_table(text: str, path: Path) -> Calibration:
             camera = keyed_camera(row)
             cameras[row["name"]] = replace(camera, identity=row.get("camera") or None)
             if row.keys() >= {*_POSE}:
-                poses[row["name"]] = pose_matrix([float(row[key]) for key in _POSE])
+                quaternion, t = np.split(np.array([float(row[key]) for key in _POSE]), [4])
+                poses[row["name"]] = np.column_stack([rotation_of_quaternion(quaternion), t])
         except KeyError as error:
             raise InputError(path, f"has no column {error}") from None
         except (InputError, TypeError, ValueError, OverflowError) as error:
@@ -190,67 +153,65 @@ def read_table(text: str, path: Path) -> Calibration:
     return Calibration("", cameras, poses=poses)
 
 
-def pose_matrix(values: Sequence[float]) -> np.ndarray:
-    """cam_from_world [R | t] (3, 4) of qw, qx, qy, qz, tx, ty, tz. Raises ValueError."""
-    return np.column_stack([rotation_of_quaternion(np.array(values[:4])), values[4:]])
+def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
+    """The keys that may be of other cameras, are not among those that are `read` and hold anything
+    but zeros, here or in a mapping that is not read either.
 
-
-def may_matter(key: str) -> bool:
-    """Whether a key may be of a lens, or of another camera."""
-    return _MAY_MATTER.fullmatch(key.strip()) is not None
-
-
-def require_read(data: Mapping[str, Any], *read: str | None) -> None:
-    """Raise InputError, with the key, if one that may matter is not among those that are `read` and
-    holds anything but zeros, here or in a mapping that is not read either."""
+    Raises InputError, with the key, for one that may be of a lens.
+    """
+    others = []
     for key, value in data.items():
         if key in read:
             continue
-        if not may_matter(str(key)):
-            if isinstance(value, Mapping):
-                require_read(value)
-            continue
-        held = numbers(value)
-        if held is None or any(held):
-            raise InputError(f"{key} may be of the lens or of another camera, and is not read")
+        held, name = numbers(value), str(key).strip()
+        is_of_lens = _OF_LENS.fullmatch(name)
+        if is_of_lens or _OF_OTHERS.fullmatch(name):
+            if held is None or any(held):
+                others.append(name)
+                if is_of_lens:
+                    raise InputError(f"{name} may be of the lens, and is not read")
+        elif isinstance(value, Mapping):
+            others += unread(value)
+    return others
 
 
-def file_lens(data: Mapping[str, Any], *read: str | None) -> Distortion | None:
-    """The lens of a camera's keys: the coefficients in a list or one by one, of the model that the
-    keys name, or else OpenCV's. None if they are all zero.
+def _lens(data: Mapping[str, Any]) -> tuple[Distortion | None, Sequence[str]]:
+    """The lens of a camera's keys, and these: COLMAP's "model" and "coefficients"; or the
+    coefficients in a list or one by one, of the model that the keys name, or else OpenCV's. None if
+    they are all zero.
 
-    read: further keys that are read. Raises InputError for a model that COLMAP does not have, for
-    another number of coefficients, and as `require_read` does.
+    Raises InputError for a model that COLMAP does not have, and for another number of coefficients.
     """
+    if data.get("model"):
+        values = numbers(data.get("coefficients")) or ()
+        return Distortion(str(data["model"]), tuple(values)), ("model", "coefficients")
     model = "OPENCV"
-    for key in MODEL_KEYS:
+    for key in _MODEL_KEYS:
         word = str(data.get(key) or "").strip()
         if (named := _MODELS.get(word.lower())) is None:
             raise InputError(f"the {key} {word!r} has no COLMAP model")
         model = model if named == "OPENCV" else named
+    if model == "none":
+        return None, _MODEL_KEYS
     keys = [key for key in data if _LIST.fullmatch(str(key)) and any(numbers(data[key]) or ())][:1]
     coefficients = [number for key in keys for number in numbers(data[key]) or ()]
-    if model == "none":
-        keys = []
-    elif not keys:  # one by one
+    if not keys:  # one by one
         singles = {key: numbers(data.get(key)) for key in _SINGLE.get(model, ())}
         keys = [key for key, held in singles.items() if held is not None and len(held) < 2]
         coefficients = [(singles[k] or [0.0])[0] if k in keys else 0.0 for k in singles]
-    require_read(data, *read, *MODEL_KEYS, *keys)
-    if model == "none":
-        return None
+    read = (*_MODEL_KEYS, *keys)
     if model == "OPENCV":
-        return _opencv_lens(coefficients, keys[0])
-    return Distortion(model, tuple(coefficients))
+        return _opencv_lens(coefficients, keys), read
+    return Distortion(model, tuple(coefficients)), read
 
 
-def _opencv_lens(coefficients: Sequence[float], key: str) -> Distortion | None:
+def _opencv_lens(coefficients: Sequence[float], keys: Sequence[str]) -> Distortion | None:
     """COLMAP's model of OpenCV's coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]."""
     if (count := len(coefficients)) not in (4, 5, 8, 12, 14):
-        raise InputError(f"{key} has {count} distortion coefficients, not 4, 5, 8, 12 or 14")
+        raise InputError(f"{keys[0]} has {count} distortion coefficients, not 4, 5, 8, 12 or 14")
     values = (*coefficients, *[0.0] * (14 - len(coefficients)))
     if any(values[8:]):
-        raise InputError(f"{key} has a thin prism or a tilted sensor, which no COLMAP model has")
+        raise InputError(f"{keys[0]} has a thin prism or a tilted sensor, as no COLMAP model")
     if any(values[4:]):
         return Distortion("FULL_OPENCV", values[:8])
     return Distortion("OPENCV", values[:4]) if any(values) else None
@@ -281,10 +242,3 @@ def numbers_camera(values: Any, name: str = "K") -> Camera:
     if array.size == 9 and array[2, :2].any() and not array[:2, 2].any():
         array = array.T  # column by column, as Open3D and Record3D write it
     return matrix_camera(array, name)
-
-
-def rig(parts: Mapping[str, Camera], path: Path) -> Calibration:
-    """The cameras of a rig, each of the images below a folder of its name; the first is that of
-    other images."""
-    parts = {name: replace(camera, identity=f"{path} {name}") for name, camera in parts.items()}
-    return Calibration(parts=parts, common=next(iter(parts.values())))

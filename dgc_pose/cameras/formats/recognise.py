@@ -44,10 +44,8 @@ from dgc_pose.system.texts import toml_data, yaml_data
 _PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
 _SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
 _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
-# NeRF's keys, of instant-ngp and nerfstudio.
-_INTRINSIC_KEYS = ("fl_x", "fl_y", "camera_angle_x", "camera_angle_y", "cx", "cy", "w", "h")
-# Where a frame has one key of a group, the file's values for that group do not hold for it.
-_GROUPS = (_INTRINSIC_KEYS[:4], ("camera_model", "is_fisheye"))
+# Where a frame of NeRF's has one key of a group, the file's values of it do not hold for it.
+_GROUPS = (("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), ("camera_model", "is_fisheye"))
 
 
 def read_file(path: Path) -> Calibration:
@@ -67,11 +65,11 @@ def read_file(path: Path) -> Calibration:
 def _read_file(path: Path) -> Calibration:
     ending = path.suffix.lower()
     if path.is_dir():
-        return colmap.read_model(path)
+        return colmap.read_model(path)[0]
     if ending == ".npy":
         return Calibration(common=numbers_camera(read_array(path)))
     if ending == ".bin":
-        return colmap.read_cameras(path)
+        return colmap.read_model(path)[0]
     text = read_text(path, "a file of cameras")
     if not text.strip():
         raise InputError(path, "is empty")
@@ -83,13 +81,13 @@ def _read_file(path: Path) -> Calibration:
         return _of_mapping(json.loads(text), path)
     if ending in (".yaml", ".yml") or text.startswith("%YAML"):
         return _of_mapping(yaml_data(text, path), path)
-    if _PROJECTION.search(text):
-        return _kitti_cameras(text, path)
+    if _PROJECTION.search(text) and (rig := _kitti_cameras(text, path)) is not None:
+        return rig
     lines = [line.split("#")[0] for line in text.splitlines()]
     lines = [line for line in lines if line.strip()] or [""]
     if colmap.is_line(lines[0]):
         if lines[0].split()[0].isdecimal():
-            return colmap.read_cameras(path)
+            return colmap.read_model(path)[0]
         if len(lines) == 1:
             return Calibration(common=colmap.parse_line(lines[0]))
     if ending == ".csv" and numbers(lines[0]) is None:
@@ -107,25 +105,21 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
         return rig
     if not isinstance(data, dict):
         return Calibration(common=numbers_camera(data))
-    if (rig := keyed.camchain(data, path)) is not None:
-        return rig
     if not {"frames", "fl_x", "camera_angle_x"}.isdisjoint(data):
         return _nerf_cameras(data, str(path))
     return rigs.named_rig(data, path) or keyed.keyed_cameras(data)
 
 
-def _kitti_cameras(text: str, path: Path) -> Calibration:
+def _kitti_cameras(text: str, path: Path) -> Calibration | None:
     """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
     calib_cam_to_cam.txt of raw drives."""
-    keyed.require_read(dict(_OTHERS.findall(text)))
-    sizes = {
-        key: (int(float(width)), int(float(height))) for key, width, height in _SIZE.findall(text)
-    }
-    parts = {}
+    keyed.unread(dict(_OTHERS.findall(text)))
+    sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
+    tables = {}
     for key, values in _PROJECTION.findall(text):
         P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
-        parts[f"image_{int(key)}"] = Camera(P[:, :3], sizes.get(key))
-    return keyed.rig(parts, path)
+        tables[f"image_{int(key)}"] = {"matrix": P[:, :3].tolist(), "size": sizes.get(key)}
+    return rigs.calibration(tables, path)
 
 
 def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
@@ -134,25 +128,31 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
     where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
     AttributeError, ValueError or ArithmeticError for what is none.
     """
-    common = _nerf_camera(data)
+    shared = {key: value for key, value in data.items() if key != "frames"}
+    common = _nerf_camera(shared)
     if common is not None:
         common = replace(common, identity=where)
     by_name, poses = {}, {}
     for frame in data.get("frames", ()):
+        name = str(frame["file_path"])
         if "transform_matrix" in frame:  # world_from_cam, of axes right, up and backwards
             matrix = np.linalg.inv(np.array(frame["transform_matrix"], dtype=np.float64))
-            poses[str(frame["file_path"])] = (matrix * [[1], [-1], [-1], [1]])[:3]
-        of_frame = {k: v for k, v in frame.items() if k in _INTRINSIC_KEYS or keyed.may_matter(k)}
-        replaced = {key for keys in _GROUPS if not of_frame.keys().isdisjoint(keys) for key in keys}
-        rest = {key: value for key, value in data.items() if key not in replaced}
-        camera = common if not of_frame else _nerf_camera({**rest, **of_frame})
+            poses[name] = (matrix * [[1], [-1], [-1], [1]])[:3]
+        replaced = {key for keys in _GROUPS if not frame.keys().isdisjoint(keys) for key in keys}
+        rest = {key: value for key, value in shared.items() if key not in replaced}
+        camera = _nerf_camera({**rest, **frame})
+        if camera is None and common is not None:
+            raise InputError(f"{name} has no fl_x, and no camera_angle_x with w")
         if camera is not None:
-            by_name[str(frame["file_path"])] = camera
-        elif common is not None:
-            raise InputError(f"{frame['file_path']} has no fl_x, and no camera_angle_x with w")
+            is_common = common is not None and _facts(camera) == _facts(common)
+            by_name[name] = common if common is not None and is_common else camera
     if common is None and not by_name:
         raise InputError("no fl_x, and no camera_angle_x with w")
     return Calibration("", by_name, common=common, poses=poses)
+
+
+def _facts(camera: Camera) -> tuple[Any, ...]:
+    return camera.K.tolist(), camera.size, camera.distortion, camera.warnings
 
 
 def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
@@ -166,7 +166,7 @@ def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
         raise InputError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
     cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
-    return Camera(numbers_camera([fx, fy, cx, cy]).K, size, keyed.file_lens(data))
+    return keyed.keyed_camera({**data, "K": [fx, fy, cx, cy]}, "K")
 
 
 def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:

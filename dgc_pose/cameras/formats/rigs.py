@@ -1,8 +1,10 @@
 """Files that name the cameras of a rig, with their poses if the file has them: OpenCV's of a stereo
-pair, EasyMocap's intri.yml, the TOML of anipose, caliscope and Pose2Sim, COLMAP's rig_config.json,
-and rig.json, which has the tables of the TOML.
+pair, the TOML of anipose, caliscope and Pose2Sim, and COLMAP's rig_config.json, read and written;
+EasyMocap's intri.yml, Kalibr's camchain, EuRoC's sensor.yaml, and rig.json, which has the tables of
+the TOML, read.
 """
 
+import json
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -14,16 +16,20 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.by_image import Calibration
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import intrinsics
-from dgc_pose.cameras.formats.keyed import MODEL_KEYS, keyed_camera, numbers, require_read
+from dgc_pose.cameras.camera import Camera, colmap_camera
+from dgc_pose.cameras.colmap_camera import Distortion, intrinsics
+from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, unread
 from dgc_pose.errors import InputError, reason
-from dgc_pose.geometry.rotation import is_rotation, rotation_of_quaternion
+from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
+from dgc_pose.geometry.rotation import is_rotation, quaternion_wxyz, rotation_of_quaternion
 
 # Keys that end with their camera. P1 and P2 are of OpenCV's rectified images, and not needed.
 _STEREO = re.compile(r"(M|cameraMatrix|K|D|distCoeffs|P)([12])")
 _EASYMOCAP = re.compile(r"(K|dist|D|H|W)_(.+)")
 _MATRICES = ("M", "cameraMatrix", "K")
+# How many of OpenCV's coefficients hold a lens of COLMAP's: k1 k2 p1 p2 k3, or k1 to k4.
+_OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)
+_OPENCV |= {f"{kind}FISHEYE": 4 for kind in ("", "SIMPLE_", "RADIAL_", "SIMPLE_RADIAL_", "OPENCV_")}
 
 
 def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
@@ -34,7 +40,7 @@ def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
     path: for the identity of the cameras. Raises InputError, with the camera's name, for what is no
     camera or no rigid pose, and for two cameras of one name; and if no camera is calibrated.
     """
-    return _calibration(_tables(data) or _grouped(data), path)
+    return calibration(_kalibr(data) or _tables(data) or _grouped(data), path)
 
 
 def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
@@ -57,10 +63,12 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
             K, lens = intrinsics(str(camera["camera_model_name"]), values)
             table |= {"matrix": K.tolist(), **({} if lens is None else vars(lens))}
         tables[str(prefix)] = table
-    return _calibration(tables, path)
+    return calibration(tables, path)
 
 
-def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
+def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
+    """The cameras of tables as calibration.toml has them; None without a table. If all are the
+    same, one is that of other images. Raises as `named_rig` does."""
     names = {key: str(table.get("name") or key) for key, table in tables.items()}
     parts: dict[str, Camera] = {}
     poses: dict[str, np.ndarray] = {}
@@ -83,8 +91,10 @@ def _calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibra
             return None
         raise InputError(f"no matrix of {', '.join(names.values())}")
     by_name = {key: parts[name] for key, name in names.items() if name in parts} | parts
-    is_only = len(tables) == 1 and not _STEREO.fullmatch(name)  # M1 alone is of image 1
-    common, rig = parts[name] if is_only else None, (*names.values(),)
+    kinds = {(camera.K.tobytes(), camera.distortion) for camera in parts.values()}
+    is_one = len(kinds) == 1 and len(parts) == len(tables)
+    is_one &= not _STEREO.fullmatch(name)  # M1 alone is of image 1
+    common, rig = next(iter(parts.values())) if is_one else None, (*names.values(),)
     return Calibration("", by_name, parts, common, poses=poses, rig=rig)
 
 
@@ -103,6 +113,20 @@ def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
     raise InputError("rotation and translation are no rigid pose")
 
 
+def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """By their names, the tables of a camchain; of EuRoC's sensor.yaml as "cam0"."""
+    tables = {
+        str(name): {"name": str(name), "distortion_model": "none", **values}
+        for name, values in {**data, "cam0": data.get("cam0", data)}.items()
+        if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
+    }
+    for table in tables.values():
+        table["matrix"] = table.pop("intrinsics")
+    if tables and "intrinsics" not in data:
+        unread(data, *tables)
+    return tables
+
+
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """By their keys, the tables of the cameras in a TOML; caliscope's `cameras` are numbered."""
     listed = data.get("cameras", data)
@@ -114,7 +138,7 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     lenses = [{"distortions"}, {"matrix", "coefficients"}]
     if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}
-    require_read(data, "cameras", *tables)
+    unread(data, "cameras", *tables)
     return tables
 
 
@@ -132,7 +156,6 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         held = [key for key in _MATRICES if key in group and numbers(group[key]) is not None]
         if not held:  # another file, such as one of two cameras with keys of their own
             return {}
-        require_read(shared, *MODEL_KEYS)
         name = end if keys is _EASYMOCAP else held[0] + end
         tables[name] = {**shared, "matrix": group.pop(held[0]), **group, "name": name}
     if keys is _STEREO and len(tables) == 2 and {"R", "T"} <= shared.keys():
@@ -140,3 +163,95 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         first |= {"rotation": np.eye(3), "translation": np.zeros(3)}
         second |= {"rotation": shared["R"], "translation": shared["T"]}
     return tables
+
+
+def rig_texts(
+    cameras: Mapping[str, Camera], poses: np.ndarray, unit: str
+) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
+    """The files of a rig by their names, and the tables of calibration.toml by camera name.
+
+    cameras: by name, with the size of the image. poses: their cam_from_world (N, 3, 4). unit: of
+    the positions, "" up to scale.
+
+    - calibration.toml of anipose and Pose2Sim, camera_array.toml of caliscope: x = R X + t;
+    - rig_config.json of COLMAP, in the frame of the first camera;
+    - stereo.yml of OpenCV, x2 = R x1 + T, if there are two cameras, with lenses of one kind.
+
+    A lens that OpenCV does not have is written as COLMAP's `model` and `coefficients`: a program
+    that wants `distortions` misses them, and takes no wrong lens. Raises InputError, with the
+    camera's name, for a K with a skew.
+    """
+    in_rig = poses @ np.linalg.inv(np.vstack([poses[0], [0, 0, 0, 1]]))  # cam_from_first (N, 3, 4)
+    rows = zip(cameras.items(), poses, strict=True)
+    tables = {name: _table(name, camera, pose) for (name, camera), pose in rows}
+    quoted = {json.dumps(name, ensure_ascii=False): table for name, table in tables.items()}
+    ends = [int(end) for name in cameras for end in re.findall(r"\d+$", name)]
+    ids = ends if len({*ends}) == len(cameras) else range(len(cameras))
+    listed = zip(ids, tables.values(), strict=True)
+    texts = {
+        "calibration.toml": _toml_text({**quoted, "metadata": {"unit": unit}}),
+        "camera_array.toml": _toml_text({f"cameras.{n}": {"cam_id": n, **t} for n, t in listed}),
+        "rig_config.json": _colmap_text(cameras, in_rig),
+    }
+    if [table.get("fisheye") for table in tables.values()] in ([False] * 2, [True] * 2):
+        texts["stereo.yml"] = _stereo_text([*tables.values()], in_rig[1])
+    return texts, tables
+
+
+def _table(name: str, camera: Camera, pose: np.ndarray) -> dict[str, Any]:
+    """What calibration.toml has of a camera."""
+    lens = camera.distortion or Distortion("OPENCV", (0.0,) * 4)
+    count = _OPENCV.get(lens.model, 0)
+    values = [*lens.coefficients, *[0.0] * count]
+    of_lens: dict[str, Any] = {"distortions": values[:count], "fisheye": count == 4}
+    if not count or any(values[count:]):
+        of_lens = {"model": lens.model, "coefficients": lens.coefficients}
+    w, *axis = quaternion_wxyz(pose[:, :3])  # cv2.Rodrigues has 7 digits near a half turn
+    half = np.arctan2(np.linalg.norm(axis), w)
+    return {
+        "name": name,
+        "size": camera.size,
+        "matrix": camera.K.tolist(),
+        **of_lens,
+        "rotation": (2 * np.array(axis) / np.sinc(half / np.pi)).tolist(),
+        "translation": pose[:, 3].tolist(),
+        "focal_std": camera.focal_std,
+    }
+
+
+def _colmap_text(cameras: Mapping[str, Camera], poses: np.ndarray) -> str:
+    rows: list[Mapping[str, Any]] = []
+    for (name, camera), pose in zip(cameras.items(), poses, strict=True):
+        theirs = colmap_camera(camera, name)
+        row: dict[str, Any] = {"image_prefix": f"{name}/"}
+        row |= {"camera_model_name": theirs.model.name, "camera_params": theirs.params.tolist()}
+        if rows:
+            row["cam_from_rig_rotation"] = quaternion_wxyz(pose[:, :3]).tolist()
+            row["cam_from_rig_translation"] = pose[:, 3].tolist()
+        else:
+            row["ref_sensor"] = True
+        rows.append(row)
+    return json.dumps([{"cameras": rows}], indent=2) + "\n"
+
+
+def _stereo_text(tables: Sequence[Mapping[str, Any]], pose: np.ndarray) -> str:
+    (K1, K2), R, T = (np.array(table["matrix"]) for table in tables), pose[:, :3], pose[:, 3:]
+    D1, D2 = (np.array([table["distortions"]]) for table in tables)
+    F = fundamental_from_essential(E := essential_from_pose(R, T[:, 0]), K1, K2)
+    values: dict[str, Any] = {"M1": K1, "D1": D1, "M2": K2, "D2": D2}
+    values |= {"R": R, "T": T, "E": E, "F": F, "fisheye_model": int(tables[0]["fisheye"])}
+    if tables[0]["size"] == tables[1]["size"]:
+        values["image_width"], values["image_height"] = tables[0]["size"]
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    for key, value in values.items():
+        storage.write(key, value)
+    return str(storage.releaseAndGetString())
+
+
+def _toml_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
+    """A TOML of tables whose values are those of JSON."""
+    lines = []
+    for name, table in tables.items():
+        values = [f"{key} = {json.dumps(of, ensure_ascii=False)}" for key, of in table.items()]
+        lines += [f"[{name}]", *values, ""]
+    return "\n".join(lines)

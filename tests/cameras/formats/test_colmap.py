@@ -57,15 +57,12 @@ def _line(camera: pycolmap.Camera) -> str:
 
 
 @pytest.mark.parametrize("model", sorted(MODELS))
-@pytest.mark.parametrize("form", ["line", "file", "cameras.txt", "cameras.bin"])
+@pytest.mark.parametrize("form", ["line", "cameras.txt", "cameras.bin"])
 def test_every_model_from_every_form(tmp_path: Path, model: str, form: str) -> None:
     """Pixels to rays as pycolmap's, whose pixels are half a pixel more, and back."""
     theirs = _theirs(model)
     source = _line(theirs)
-    if form == "file":
-        (tmp_path / "K").write_text(f"# a camera\n1 {source.replace(',', ' ')}\n")
-        source = str(tmp_path / "K")
-    elif form.startswith("cameras"):
+    if form != "line":
         reconstruction = pycolmap.Reconstruction()
         reconstruction.add_camera_with_trivial_rig(theirs)
         write = reconstruction.write_text if form.endswith("txt") else reconstruction.write_binary
@@ -82,15 +79,15 @@ def test_every_model_from_every_form(tmp_path: Path, model: str, form: str) -> N
 
 
 @pytest.mark.parametrize("model", sorted(MODELS))
-@pytest.mark.parametrize("size", [SIZE, (320, 480)])
-def test_a_camera_in_colmaps_parameters_is_read_back(model: str, size: tuple[int, int]) -> None:
+def test_a_camera_in_colmaps_parameters_is_read_back(model: str) -> None:
     """Resized to another aspect ratio, K has two focal lengths, also of a model that has one."""
-    camera = parse_camera(_line(_theirs(model))).resized(size)
-    K, distortion = intrinsics(*parameters(camera.K, camera.distortion))
-    again = Camera(K, size, distortion)
-    np.testing.assert_array_equal(again.K, camera.K)
-    pixels = np.random.default_rng(1).uniform((75, 100), (250, 400), (20, 2))
-    np.testing.assert_allclose(again.normalise(pixels), camera.normalise(pixels), atol=1e-9)
+    for size in (SIZE, (320, 480)):
+        camera = parse_camera(_line(_theirs(model))).resized(size)
+        K, distortion = intrinsics(*parameters(camera.K, camera.distortion))
+        again = Camera(K, size, distortion)
+        np.testing.assert_array_equal(again.K, camera.K)
+        pixels = np.random.default_rng(1).uniform((75, 100), (250, 400), (20, 2))
+        np.testing.assert_allclose(again.normalise(pixels), camera.normalise(pixels), atol=1e-9)
     with pytest.raises(InputError, match="skew of 3"):
         parameters(np.array([[500.0, 3, 320], [0, 500, 240], [0, 0, 1]]), distortion)
 
@@ -104,14 +101,10 @@ LEFT_RIGHT = ("left/1.png", "right/2.png")
         (LEFT_RIGHT, "/F", "left/1.png", 0),
         (LEFT_RIGHT, "/F/right", "2.png", 1),
         (LEFT_RIGHT, "/copy", "1.png", 0),  # the only one of its file name
-        (LEFT_RIGHT, "", "/F/copy/left/1.png", 0),
         (LEFT_RIGHT, "", "3.png", None),
         (("images/1", "./images/2"), "", "/F/images/2.png", 1),
-        (("../images/1", "../images/2"), "/F", "1.png", 0),
         (("../../images/a/1.png", "../../images/b/1.png"), "/F/images", "b/1.png", 1),
-        (("1.png", "2.png"), "/F", "any/folder/1.png", 0),
-        (("d/2.jpg", "e/2.jpg"), "", "/home/x/photos/e/2.jpg", 1),
-        (("2.jpg", "e/2.jpg"), "/F", "e/2.jpg", 1),
+        (("d/2.jpg", "e/2.jpg"), "/F", "e/2.jpg", 1),
         (("2.jpg", "e/2.jpg"), "/F", "2.jpg", 0),
     ],
 )
@@ -119,16 +112,12 @@ def test_an_image_has_the_camera_of_its_path_or_else_of_its_file_name(
     listed: tuple[str, ...], root: str, name: str, taken: int | None
 ) -> None:
     cameras = {image: Camera(np.eye(3)) for image in listed}
-    camera = Calibration("sparse", cameras).named(Path(root), name)
+    calibration = Calibration("sparse", cameras)
+    camera = calibration.named(Path(root), name)
     assert camera is (None if taken is None else cameras[listed[taken]])
-
-
-def test_a_file_name_of_two_cameras_is_refused() -> None:
-    calibration = Calibration(
-        "sparse", {name: Camera(np.eye(3)) for name in ("d/2.jpg", "e/2.jpg")}
-    )
-    with pytest.raises(InputError, match=r"^sparse has d/2.jpg and e/2.jpg, and 2.jpg may be "):
-        calibration.named(Path(), "2.jpg")
+    if listed == ("d/2.jpg", "e/2.jpg"):
+        with pytest.raises(InputError, match="^sparse has d/2.jpg and e/2.jpg, and 2.jpg may be "):
+            calibration.named(Path(), "2.jpg")
 
 
 def test_a_database(tmp_path: Path) -> None:
@@ -153,7 +142,7 @@ def test_a_database(tmp_path: Path) -> None:
     assert pair_list.cameras[name].distortion == expected.distortion
     np.testing.assert_array_equal(pair_list.cameras[name].K, expected.K)
     assert (tmp_path / "a.db").read_bytes() == content
-    for column in ("model = 99", "params = zeroblob(64)", "params = 'text'", "width = 'text'"):
+    for column in ("model = 99", "params = zeroblob(64)", "width = 'text'"):
         (tmp_path / "b.db").write_bytes(content)
         with closing(sqlite3.connect(tmp_path / "b.db")) as damaged:
             damaged.execute(f"UPDATE cameras SET {column}")

@@ -1,13 +1,16 @@
-"""Files as OpenCV writes them, ROS's camera_info and Kalibr's camchain; lenses against OpenCV's."""
+"""Files as OpenCV writes them, ROS's camera_info and Kalibr's camchain; lenses against OpenCV's;
+keys of a lens in every format."""
 
+import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-import cv2
 import numpy as np
 import pytest
+from cameras.formats.opencv_files import assert_lens, write_storage
 
 from dgc_pose.cameras.calibration import pair_cameras, parse_camera, read_calibration
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.images.decoding import Header
@@ -34,14 +37,12 @@ projection_matrix: {{rows: 3, cols: 4, data: [480, 0, 320, 0, 0, 480, 240, 0, 0,
 """
 
 # As `ros2 topic echo` prints the message, with the line that ends it.
-MESSAGE = """header: {{stamp: {{sec: 1}}, frame_id: camera}}
+MESSAGE = """header: {stamp: {sec: 1}, frame_id: camera}
 height: 480
 width: 640
 distortion_model: plumb_bob
 d: [-0.21, 0.06, 0.002, -0.001, 0.013]
 k: [500.0, 0.0, 321.25, 0.0, 510.0, 238.5, 0.0, 0.0, 1.0]
-binning_x: {binning}
-roi: {{x_offset: {offset}, do_rectify: false}}
 ---
 """
 
@@ -57,8 +58,8 @@ KALIBR = """cam0:
   rostopic: /cam0/image_raw
   resolution: [640, 480]
 cam1:
-  camera_model: eucm
-  intrinsics: [0.6, 1.1, 400.0, 410.0, 319.5, 239.5]
+  camera_model: pinhole
+  intrinsics: [400.0, 410.0, 319.5, 239.5]
   distortion_model: none
   distortion_coeffs: []
   T_cn_cnm1:
@@ -72,52 +73,28 @@ def _write(path: Path, text: str) -> str:
     return str(path)
 
 
-def _pixels() -> np.ndarray:
-    return np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
-
-
-def _assert_lens(camera: Camera, model: str, coefficients: list[float]) -> None:
-    """OpenCV projects the camera's rays back onto the pixels."""
-    lens = np.array(coefficients)
-    points = camera.normalise(_pixels())
-    if model == "equidistant":
-        again = cv2.fisheye.distortPoints(points[:, None], K, lens)
-    else:
-        rays = np.column_stack([points, np.ones(len(points))])
-        again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K, lens)
-    np.testing.assert_allclose(again[:, 0], _pixels(), atol=1e-3)
-
-
-def _write_storage(path: Path, **values: object) -> str:
-    """A file as OpenCV writes it; the ending tells YAML, XML or JSON."""
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for name, value in values.items():
-        storage.write(name, value)
-    storage.release()
-    return str(path)
-
-
-@pytest.mark.parametrize("ending", ["yml", "yaml", "xml", "json"])
+@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
 def test_opencv_in_each_syntax_and_length(tmp_path: Path, ending: str) -> None:
     values = {"image_width": 640, "image_height": 480, "camera_matrix": K}
     for count in (0, 4, 5, 8, 12):
         coefficients = np.array([*LENS, *[0.0] * 4])[:count].reshape(-1, 1)
         lens = {"distortion_coefficients": coefficients} if count else {}
-        camera = parse_camera(_write_storage(tmp_path / f"camera.{ending}", **values, **lens))
-        _assert_lens(camera, "opencv", coefficients.ravel().tolist() or [0.0] * 4)
+        camera = parse_camera(write_storage(tmp_path / f"camera.{ending}", **values, **lens))
+        np.testing.assert_array_equal(camera.K, K)
+        assert_lens(camera, coefficients.ravel().tolist() or [0.0] * 4)
         assert camera.size == SIZE
 
 
 def test_opencv_fisheye(tmp_path: Path) -> None:
     """`fisheye_model` as OpenCV's sample camera_calibration.cpp writes it."""
-    values = {"camera_matrix": K, "D": np.array(FISHEYE)}
-    camera = parse_camera(_write_storage(tmp_path / "a.yml", fisheye_model=1, **values))
-    expected = cv2.fisheye.undistortPoints(_pixels()[:, None], K, values["D"])[:, 0]
-    np.testing.assert_allclose(camera.normalise(_pixels()), expected, atol=1e-6)
-    path = _write_storage(tmp_path / "silent.yml", cameraMatrix=K, dist_coeffs=values["D"])
+    lens = np.array(FISHEYE)
+    camera = parse_camera(
+        write_storage(tmp_path / "a.yml", fisheye_model=1, camera_matrix=K, D=lens)
+    )
+    assert_lens(camera, FISHEYE, is_fisheye=True)
+    path = write_storage(tmp_path / "silent.yml", cameraMatrix=K, dist_coeffs=lens)
     assert parse_camera(f"{path}:fisheye").distortion == camera.distortion
     assert parse_camera(path).distortion == Distortion("OPENCV", tuple(FISHEYE))
-    np.testing.assert_array_equal(parse_camera(path).K, K)
 
 
 EUROC = (  # The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML does.
@@ -133,7 +110,7 @@ EUROC = (  # The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML
         (ROS, "plumb_bob", PLUMB_BOB),
         (ROS, "rational_polynomial", LENS),
         (ROS, "equidistant", FISHEYE),
-        (MESSAGE.format(binning=1, offset=0), "plumb_bob", PLUMB_BOB),
+        (MESSAGE, "plumb_bob", PLUMB_BOB),
         (KALIBR, "radtan", PLUMB_BOB[:4]),
         (KALIBR, "equidistant", FISHEYE),
         (KALIBR, "none", []),
@@ -145,16 +122,17 @@ def test_ros_kalibr_and_euroc(
 ) -> None:
     if text in (ROS, KALIBR):
         text = text.format(model=model, count=len(coefficients), coefficients=coefficients)
-    camera = parse_camera(_write(tmp_path / "c.yaml", text))
+    path = _write(tmp_path / "c.yaml", text)
+    camera = parse_camera(f"{path}:cam0" if "cam1" in text else path)
     np.testing.assert_array_equal(camera.K, K)
     assert camera.size == SIZE
-    _assert_lens(camera, model, coefficients or [0.0] * 4)
+    assert_lens(camera, coefficients or [0.0] * 4, model == "equidistant")
 
 
 def test_kalibr_fov(tmp_path: Path) -> None:
     """Devernay and Faugeras: r_distorted = atan(2 r tan(w / 2)) / w."""
     text = KALIBR.format(model="fov", coefficients=[0.8])
-    camera = parse_camera(_write(tmp_path / "camchain.yaml", text))
+    camera = parse_camera(f"{_write(tmp_path / 'camchain.yaml', text)}:cam0")
     ideal = np.array([[0.3, -0.2], [0.5, 0.4]])
     radius = np.linalg.norm(ideal, axis=1, keepdims=True)
     distorted = ideal * np.arctan(2 * radius * np.tan(0.4)) / 0.8 / radius
@@ -162,19 +140,18 @@ def test_kalibr_fov(tmp_path: Path) -> None:
 
 
 def test_which_camera_of_a_rig(tmp_path: Path) -> None:
-    """By the image's folder, by FILE:PART, or else the first, with a warning."""
+    """By the image's folder, by FILE:PART, or of a pair by their order, with a warning."""
     path = _write(tmp_path / "camchain.yaml", KALIBR.format(model="none", coefficients=[]))
     calibration, header = read_calibration(path), Header("PNG", SIZE)
     for image, focal in (("mav0/cam0/data/1.png", 500), ("mav0/cam1/data/1.png", 400)):
         camera = calibration.camera(tmp_path, image, header)
         assert (camera.K[0, 0], camera.warnings) == (focal, ())
-    for image in ("1.png", "cam2/1.png"):
-        camera = calibration.camera(tmp_path, image, header)
-        (warning,) = camera.warnings
-        assert camera.K[0, 0] == 500
-        assert "has 2 cameras" in warning and f"cam0 is taken; {path}:cam1 is another" in warning
-    assert parse_camera(f"{path}:cam1").distortion == Distortion("EUCM", (0.6, 1.1))
+    with pytest.raises(InputError, match=r"no camera for cam2/1\.png: state one of cam0, cam1, as"):
+        calibration.camera(tmp_path, "cam2/1.png", header)
     image = Image(np.zeros((480, 640, 3), np.uint8))
+    first, second = pair_cameras(path, path, image, image)
+    assert (first.K[0, 0], second.K[0, 0]) == (500, 400)
+    assert "by their order cam0 is that of image 1" in first.warnings[0]
     assert pair_cameras(path, f"{path}:cam1", image, image)[1].warnings == ()
     with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
         parse_camera(f"{path}:cam2")
@@ -186,16 +163,134 @@ def test_which_camera_of_a_rig(tmp_path: Path) -> None:
         (ROS.format(model="thin_prism", count=0, coefficients=[]), "'thin_prism' has no COLMAP"),
         (ROS.format(model="plumb_bob", count=12, coefficients=[0.1] * 12), "a thin prism"),
         (KALIBR.format(model="radtan", coefficients=[1]), "1 distortion coefficients"),
-        (KALIBR.replace("eucm", "ds").format(model="none", coefficients=[]), "'ds' has no COLMAP"),
+        (
+            KALIBR.replace("pinhole", "ds").format(model="none", coefficients=[]),
+            "'ds' has no COLMAP",
+        ),
         (KALIBR.format(model="poly", coefficients=[1]), "cam0: the distortion_model 'poly'"),
         (
             KALIBR.format(model="none", coefficients=[]).replace("[]\n  T_cn", "[0.1]\n  T_cn"),
             "cam1: distortion_coeffs may be of the lens",
         ),
-        (MESSAGE.format(binning=2, offset=0), "binning or roi is set"),
         ("distortion_model: ''\nheight: 480\nK: [0, 0, 0, 0, 0, 0, 0, 0, 0]\n", "K must be upper"),
     ],
 )
 def test_a_camera_that_colmap_has_not_is_refused(tmp_path: Path, text: str, error: str) -> None:
     with pytest.raises(InputError, match=f"c.yaml: .*{error}"):
         parse_camera(_write(tmp_path / "c.yaml", text))
+
+
+MATRIX = [[500.0, 0.0, 320.0], [0.0, 510.0, 240.0], [0.0, 0.0, 1.0]]
+FLAT = {"fx": 500, "fy": 510, "cx": 320, "cy": 240}
+ROS_KEYS = {"image_width": 640, "image_height": 480, "distortion_model": "plumb_bob"}
+NERF = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5}
+KALIBR_KEYS = {
+    "camera_model": "pinhole",
+    "intrinsics": [500, 510, 320, 240],
+    "resolution": [640, 480],
+}
+RADTAN = {"distortion_model": "radtan", "distortion_coeffs": [-0.3, 0.1, 0.001, 0.002]}
+RADTAN_LENS = Distortion("OPENCV", (-0.3, 0.1, 0.001, 0.002))
+ONE_BY_ONE = {"k1": -0.3, "k2": 0.1, "p1": 0.001, "p2": 0.002}
+
+P0 = "500 0 320 0 0 510 240 0 0 0 1 0"
+
+
+def _words(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+# A file's name, and its content with further keys: a text, or what JSON holds.
+FORMATS: dict[str, tuple[str, Callable[[dict[str, Any]], Any]]] = {
+    "YAML": ("c.yml", lambda keys: {"camera_matrix": MATRIX, **keys}),
+    "XML": (
+        "c.xml",
+        lambda keys: (
+            "<opencv_storage><camera_matrix><rows>3</rows><cols>3</cols><data>500 0 320 0 510 240"
+            " 0 0 1</data></camera_matrix>"
+            + "".join(f"<{name}>{_words(value)}</{name}>" for name, value in keys.items())
+            + "</opencv_storage>"
+        ),
+    ),
+    "JSON": ("K.json", lambda keys: {"K": MATRIX, **keys}),
+    "JSON of a pair": ("K.json", lambda keys: {"K1": MATRIX, "K2": MATRIX, **keys}),
+    "JSON in a pair": ("K.json", lambda keys: {"K1": {"K": MATRIX, **keys}, "K2": MATRIX}),
+    "JSON, deeper": ("K.json", lambda keys: {"K": MATRIX, "calibration": keys}),
+    "ROS": ("ost.yaml", lambda keys: {**ROS_KEYS, "camera_matrix": {"data": MATRIX}, **keys}),
+    "Kalibr": ("chain.yaml", lambda keys: {"cam0": {**KALIBR_KEYS, **RADTAN, **keys}}),
+    "Kalibr, beside": ("chain.yaml", lambda keys: {"cam0": KALIBR_KEYS, **keys}),
+    "EuRoC": ("sensor.yaml", lambda keys: {**KALIBR_KEYS, **RADTAN, **keys}),
+    "NeRF": ("t.json", lambda keys: {**NERF, **keys, "frames": []}),
+    "NeRF, frame": ("t.json", lambda keys: {**NERF, "frames": [{"file_path": "a", **keys}]}),
+    "KITTI": (
+        "calib.txt",
+        lambda keys: "\n".join(
+            f"{name}: {_words(value)}" for name, value in {"P0": P0, **keys}.items()
+        ),
+    ),
+    "CSV": (
+        "c.csv",
+        lambda keys: "\n".join(
+            ",".join(map(_words, row))
+            for row in zip(*{"name": "a.png", **FLAT, **keys}.items(), strict=True)
+        ),
+    ),
+}
+
+
+def _with_keys(folder: Path, format: str, **keys: Any) -> str:
+    name, content = FORMATS[format]
+    data = content(keys)
+    (folder / name).write_text(data if isinstance(data, str) else json.dumps(data))
+    return str(folder / name)
+
+
+def _lens(path: str) -> Distortion | None:
+    camera = read_calibration(path).camera(Path(), "a.png", Header("PNG", SIZE), "K1")
+    assert camera.K.tolist() == MATRIX
+    return camera.distortion
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_key_of_a_lens_that_is_not_read_is_refused(tmp_path: Path, format: str) -> None:
+    for key in ("k5", "dist_something", "lensDistortion", "xi", "skew", "fisheye_params"):
+        for value in (0.1, [0.0, 0.1], "text"):
+            with pytest.raises(InputError, match=f" {key} may be of the lens, and is not read$"):
+                _lens(_with_keys(tmp_path, format, **{key: value}))
+
+
+@pytest.mark.parametrize("format", ["YAML", "JSON, deeper", "ROS", "Kalibr", "NeRF, frame", "CSV"])
+def test_a_key_of_another_camera_has_a_warning(tmp_path: Path, format: str) -> None:
+    path = _with_keys(tmp_path, format, K_right=[[9.0]], new_camera_matrix=7)
+    camera = read_calibration(path).camera(Path(), "a.png", Header("PNG", SIZE), "K1")
+    assert camera.K.tolist() == MATRIX
+    assert camera.warnings == ("not read, of another camera: K_right, new_camera_matrix",)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_zeros_and_what_is_no_lens_pass(tmp_path: Path, format: str) -> None:
+    harmless = {"k5": 0, "dist_x": [0, 0.0], "xi": "", "avg_reprojection_error": 0.3, "flags": 4}
+    harmless |= {"board_distance": 2, "timeshift_cam_imu": 0.1, "per_view_errors": [0.2, 0.1]}
+    expected = _lens(_with_keys(tmp_path, format))
+    assert _lens(_with_keys(tmp_path, format, **harmless)) == expected
+
+
+@pytest.mark.parametrize("name", ["dist", "dist_coeff", "distCoeffs", "D", "k1 k2 p1 p2"])
+@pytest.mark.parametrize(
+    "format", ["YAML", "XML", "JSON", "JSON in a pair", "ROS", "CSV", "NeRF", "EuRoC"]
+)
+def test_a_lens_by_any_of_its_names(tmp_path: Path, format: str, name: str) -> None:
+    lens = ONE_BY_ONE if name[0] == "k" else {name: [*RADTAN_LENS.coefficients]}
+    if format == "EuRoC":
+        lens = {"distortion_coeffs": None, **lens}
+    assert _lens(_with_keys(tmp_path, format, **lens)) == RADTAN_LENS
+
+
+@pytest.mark.parametrize("model", [{"fisheye_model": 1}, {"distortion_model": "equidistant"}])
+@pytest.mark.parametrize("format", ["YAML", "CSV", "NeRF, frame"])
+def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, Any]) -> None:
+    lens = {"k1": 0.1, "k2": 0.02, "k3": 0.003, "k4": 0.0004}
+    expected = Distortion("OPENCV_FISHEYE", tuple(lens.values()))
+    assert _lens(_with_keys(tmp_path, format, **lens, **model)) == expected
+    with pytest.raises(InputError, match="p1 may be of the lens"):
+        _lens(_with_keys(tmp_path, format, **lens, **model, p1=0.1))

@@ -12,9 +12,9 @@ import json
 import math
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
+from cameras.formats.opencv_files import assert_lens
 
 from dgc_pose.cameras.calibration import camera_data, pair_cameras, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -31,16 +31,14 @@ ALL = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5, "w": 640, "h": 480}
 NERF_K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("words", [FOUR, NINE], ids=["four", "nine"])
-@pytest.mark.parametrize("name", ["K.txt", "K.csv", "K", "k.mat"])
-def test_numbers_split_by_commas_or_blanks(
-    tmp_path: Path, words: tuple[str, ...], name: str
-) -> None:
+@pytest.mark.parametrize("name", ["K.txt", "K.csv", "k.mat"])
+def test_numbers_split_by_commas_or_blanks(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
-    for text in map(str.join, (",", " ", "\t", " ,", "0" * 80 + ","), 5 * [words]):
-        path.write_text(f"# of the left camera\n{text}\n\n")
-        for source in (text, str(path)):
-            np.testing.assert_array_equal(parse_camera(source).K, K)
+    for words in (FOUR, NINE):
+        for text in map(str.join, (",", " ", " ,", "0" * 80 + ","), 4 * [words]):
+            path.write_text(f"# of the left camera\n{text}\n\n")
+            for source in (text, str(path)):
+                np.testing.assert_array_equal(parse_camera(source).K, K)
     np.save(tmp_path / "K.npy", K)
     np.testing.assert_array_equal(parse_camera(str(tmp_path / "K.npy")).K, K)
 
@@ -105,15 +103,16 @@ def test_kittis_odometry_by_the_images_folder(tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     lines = [f"P{i}: {500 + i} 0 320 {-0.5 * i} 0 {500 + i} 240 0 0 0 1 0" for i in range(4)]
     path.write_text("\n".join([*lines, "Tr: 1 0 0"]))
-    for image, focal, count in (
-        ("image_2/000001.png", 502, 0),
-        ("image_03/data/1.png", 503, 0),
-        ("image_0/1.png", 500, 0),
-        ("1.png", 500, 1),
+    for image, focal in (
+        ("image_2/000001.png", 502),
+        ("image_03/data/1.png", 503),
+        ("image_0/1.png", 500),
     ):
         camera = read_calibration(str(path)).camera(tmp_path, image, Header("PNG", SIZE))
         assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [focal, focal, 320, 240]
-        assert len(camera.warnings) == count
+        assert camera.warnings == ()
+    with pytest.raises(InputError, match=r"no camera for 1\.png: state one of image_0, image_1, "):
+        read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
     path.write_text(lines[0] + "\n" + lines[0].replace("P0", "P1"))
     camera = read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
     assert camera.warnings == ()
@@ -151,7 +150,6 @@ def test_intrinsics_of_all_frames_or_of_each(tmp_path: Path) -> None:
         ({"camera_angle_x": 2 * math.atan(0.5)}, [640, 640]),
         ({"camera_angle_x": 2 * math.atan(0.5), "camera_angle_y": 2 * math.atan(0.4)}, [640, 600]),
         ({"camera_angle_x": 2 * math.atan(0.5), "fl_y": 600}, [640, 600]),
-        ({"fl_x": 700}, [700, 700]),
         ({"fl_x": 700, "fl_y": 710}, [700, 710]),
         ({"cx": 320.5}, [500, 510]),
     ],
@@ -166,13 +164,10 @@ def test_focal_lengths_of_a_frame(
 
 
 def test_nerfs_lenses(tmp_path: Path) -> None:
-    """Of OpenCV; of a frame whose model is another. Lenses by other keys are in test_lens.py."""
+    """Of OpenCV; of a frame whose model is another. Lenses by other keys are in test_keyed.py."""
     lens = {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01}
     camera = _read(tmp_path, {**ALL, **lens, "k4": 0, "frames": [{"file_path": "a.jpg"}]})
-    pixels = np.random.default_rng(0).uniform((60, 40), (580, 440), (30, 2))
-    rays = np.column_stack([camera.normalise(pixels), np.ones(30)])
-    again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), NERF_K, np.array([*lens.values()]))
-    np.testing.assert_allclose(again[:, 0], pixels, atol=1e-3)
+    assert_lens(camera, [*lens.values()])
     for of_frame, model in (
         ({}, "OPENCV_FISHEYE"),
         ({"is_fisheye": False}, "OPENCV"),
@@ -189,18 +184,11 @@ def test_nerfs_lenses(tmp_path: Path) -> None:
         ({"K": [1, 2]}, "K has 2 numbers"),
         ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
-        ({"K": K.tolist(), "centre_std_px": -1}, "centre_std must be finite and at least 0"),
-        (
-            {"K": K.tolist(), "model": "OPENCV", "coefficients": [0.1, 0, 0, 0], "lens_std": 0.02},
-            "lens_std must be 0 with the lens OPENCV: it is for RADIAL",
-        ),
         ({"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intrinsics"),
         ({"camera1": None, "camera2": None}, "not a file of cameras that can be read"),
-        ({"fx": "a", "fy": 1, "cx": 1, "cy": 1}, "could not convert"),
         ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
         ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
         ({**ALL, "frames": [{}]}, "file_path"),
-        ({**ALL, "frames": 3}, "not a file of cameras that can be read"),
         (
             {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
             "a has no fl_x, and no camera_angle_x with w",

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from cameras.formats.opencv_files import assert_lens, write_storage
 
 from dgc_pose.cameras.calibration import image_camera, pair_cameras, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -21,35 +22,16 @@ NAMES = [("M1", "D1", "M2", "D2"), ("K1", "D1", "K2", "D2")]
 NAMES += [("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2")]
 
 
+R = cv2.Rodrigues(np.array([0.1, 0.2, 0.3]))[0]
+
+
 def _K(number: int) -> np.ndarray:
     return np.array([[500.0 + number, 0, 321], [0, 510, 238], [0, 0, 1]])
 
 
 def _assert_camera(camera: Camera, number: int, lens: np.ndarray, is_fisheye: bool = False) -> None:
-    """OpenCV projects the camera's rays back onto the pixels."""
     np.testing.assert_array_equal(camera.K, _K(number))
-    pixels = np.random.default_rng(0).uniform((160, 120), (480, 360), (30, 2))
-    points = camera.normalise(pixels)
-    if is_fisheye:
-        again = cv2.fisheye.distortPoints(points[:, None], camera.K, lens)
-    else:
-        rays = np.column_stack([points, np.ones(len(points))])
-        again, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.K, lens)
-    np.testing.assert_allclose(again[:, 0], pixels, atol=1e-3)
-
-
-def _write_storage(path: Path, **values: Any) -> str:
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for name, value in values.items():
-        if isinstance(value, list):
-            storage.startWriteStruct(name, cv2.FileNode_SEQ)
-            for text in value:
-                storage.write("", text)
-            storage.endWriteStruct()
-        else:
-            storage.write(name, value)
-    storage.release()
-    return str(path)
+    assert_lens(camera, lens, is_fisheye)
 
 
 def _tables(path: Path, tables: dict[str, dict[str, Any]]) -> str:
@@ -72,15 +54,14 @@ def _image(name: str = "a.png") -> Image:
     return Image(np.zeros((480, 640, 3), np.uint8), name)
 
 
-@pytest.mark.parametrize("ending", ["yml", "xml", "json"])
 @pytest.mark.parametrize("names", NAMES)
-def test_a_stereo_file(tmp_path: Path, names: tuple[str, ...], ending: str) -> None:
+def test_a_stereo_file(tmp_path: Path, names: tuple[str, ...]) -> None:
     """With what OpenCV's sample and its users write beside: the pose and the rectification."""
-    poses: dict[str, np.ndarray] = {key: np.eye(3) for key in ("R", "E", "F", "R1", "R2", "Q")}
-    poses |= {"T": np.ones((3, 1)), "P1": np.eye(3, 4), "P2": np.eye(3, 4)}
+    poses: dict[str, np.ndarray] = {key: np.eye(3) for key in ("E", "F", "R1", "R2", "Q")}
+    poses |= {"R": R, "T": np.array([[1.0], [2], [3]]), "P1": np.eye(3, 4), "P2": np.eye(3, 4)}
     for lenses in ((LENS[:4], LENS[:5]), (LENS, np.zeros(5))):
         values = dict(zip(names, (_K(1), lenses[0][None], _K(2), lenses[1][:, None]), strict=True))
-        path = _write_storage(tmp_path / f"stereo.{ending}", image_width=640, **values, **poses)
+        path = write_storage(tmp_path / "stereo.yml", image_width=640, **values, **poses)
         cameras = pair_cameras(path, path, _image(), _image())
         for number, camera, lens in zip((1, 2), cameras, lenses, strict=True):
             _assert_camera(camera, number, lens)
@@ -88,6 +69,9 @@ def test_a_stereo_file(tmp_path: Path, names: tuple[str, ...], ending: str) -> N
             said = f"by their order {names[0]} is that of image 1, and {names[2]} that of image 2"
             assert [said in warning for warning in camera.warnings] == [True] * (names[0] != "K1")
         _assert_camera(parse_camera(f"{path}:{names[2]}"), 2, lenses[1])
+    first, second = read_calibration(path).poses.values()
+    np.testing.assert_array_equal(first, np.eye(3, 4))
+    np.testing.assert_allclose(second, np.column_stack([R, [1, 2, 3]]), atol=1e-15)
 
 
 def test_a_plain_stereo_file_of_a_fisheye_with_its_size(tmp_path: Path) -> None:
@@ -105,8 +89,8 @@ def test_easymocaps_pair_of_files(tmp_path: Path) -> None:
     for number, name in enumerate(values["names"]):
         values |= {f"K_{name}": _K(number), f"dist_{name}": LENS[None, :5] * number}
     values |= {"H_02": 480, "W_02": 640}
-    path = _write_storage(tmp_path / "intri.yml", **values)
-    _write_storage(tmp_path / "extri.yml", names=values["names"], R_01=np.ones((3, 1)))
+    path = write_storage(tmp_path / "intri.yml", **values)
+    write_storage(tmp_path / "extri.yml", names=values["names"], R_01=np.ones((3, 1)))
     calibration = read_calibration(path)
     for number, name in enumerate(values["names"]):
         camera = calibration.camera(tmp_path, f"views/{name}.jpg", Header("JPEG", SIZE))
@@ -173,7 +157,7 @@ def test_two_cameras_are_those_of_a_pair_in_their_order_and_one_is_of_all_images
     assert image_camera(path, _image()).K[0, 0] == 501
 
 
-@pytest.mark.parametrize("matrix", [None, "null", "nan", [[float("nan")] * 3] * 3])
+@pytest.mark.parametrize("matrix", [None, "null", [[float("nan")] * 3] * 3])
 def test_cameras_that_are_not_calibrated(tmp_path: Path, matrix: Any) -> None:
     """None is of any image, nor the other one by the order."""
     empty = {"size": SIZE, "rotation_count": 0} | ({} if matrix is None else {"matrix": matrix})
@@ -194,14 +178,15 @@ def test_cameras_that_are_not_calibrated(tmp_path: Path, matrix: Any) -> None:
     [
         ({"matrix": [1.0, 2.0]}, "left: matrix has 2 numbers"),
         ({"distortions": [0.1] * 3}, "left: distortions has 3 distortion coefficients"),
-        ({"distortions": "text"}, "left: distortions may be of the lens or of another camera, and"),
-        (
-            {"lens_k": [0.0, 0.1]},
-            "left: lens_k may be of the lens or of another camera, and is not",
-        ),
+        ({"distortions": "text"}, "left: distortions may be of the lens, and is not read"),
         ({"fisheye": "omni"}, "left: the fisheye 'omni' has no COLMAP model"),
         ({"size": [640]}, "left: size: no width and height"),
         ({"size": [float("inf"), 480]}, "left: .*infinity"),
+        ({"rotation": [0.1, 0.2]}, "left: rotation and translation are no rigid pose"),
+        ({"rotation": (2 * R).tolist()}, "left: rotation and translation are no rigid pose"),
+        ({"rotation": (-R).tolist()}, "left: rotation and translation are no rigid pose"),
+        ({"rotation": [0.1, float("inf"), 0.3]}, "left: rotation and translation are no"),
+        ({"translation": [1.0, 2.0]}, "left: rotation and translation are no rigid pose"),
         ({"name": "right"}, "two cameras have the name right"),
     ],
 )
@@ -215,11 +200,8 @@ def test_a_table_that_is_no_camera(tmp_path: Path, changes: dict[str, Any], erro
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("[cam_0]\nsize = [640, 480", "TOML that can be read .*line 2|end of document"),
-        ("[cam_0]\nsize 640\n", "line 2"),
-        ("[cam_0]\n[cam_0]\n", "line 2"),
+        ("[cam_0]\nsize 640\n", "not TOML that can be read .*line 2"),
         (".".join(["a"] * 9999) + " = 1", "a key of over 100 parts"),
-        (".".join(['"a,"'] * 9999) + " = 1", "a key of over 100 parts"),
         ("a = " + "[" * 9999, "not TOML that can be read"),
         ("a = 1", "no K and no camera of"),
     ],
@@ -227,26 +209,23 @@ def test_a_table_that_is_no_camera(tmp_path: Path, changes: dict[str, Any], erro
 def test_a_toml_that_is_damaged(tmp_path: Path, text: str, error: str) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=f"^K: {path}.*({error})") as raised:
+    with pytest.raises(InputError, match=f"^K: {path}.*{error}") as raised:
         read_calibration(str(path))
     assert "\n" not in str(raised.value)
 
 
 def test_a_key_of_another_lens_beside_the_cameras_is_refused(tmp_path: Path) -> None:
     values = {f"M{n}": _K(n) for n in (1, 2)}
-    path = _write_storage(tmp_path / "a.yml", **values, D3=LENS)
-    with pytest.raises(InputError, match=r"a\.yml: D3 may be of the lens .*, and is not read$"):
+    path = write_storage(tmp_path / "a.yml", **values, D3=LENS)
+    with pytest.raises(InputError, match=r"a\.yml: M1: D3 may be of the lens, and is not read$"):
         read_calibration(path)
 
 
 def test_half_a_stereo_file_is_of_no_image_unless_it_is_named(tmp_path: Path) -> None:
-    path = _write_storage(tmp_path / "stereo.yml", M1=_K(1), D1=LENS)
+    path = write_storage(tmp_path / "stereo.yml", M1=_K(1), D1=LENS)
     assert parse_camera(f"{path}:M1").K[0, 0] == 501
     with pytest.raises(InputError, match="no camera for a.png: state one of M1, as in"):
         pair_cameras(path, path, _image(), _image())
-
-
-R = cv2.Rodrigues(np.array([0.1, 0.2, 0.3]))[0]
 
 
 @pytest.mark.parametrize("rotation", [[0.1, 0.2, 0.3], R.tolist()], ids=["vector", "matrix"])
@@ -260,38 +239,10 @@ def test_the_poses_of_a_toml(tmp_path: Path, rotation: Any) -> None:
         np.testing.assert_allclose(pose, np.column_stack([R, [1, 2, 3]]), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "pose",
-    [
-        {"rotation": [0.1, 0.2]},
-        {"rotation": (2 * R).tolist()},
-        {"rotation": (-R).tolist()},
-        {"rotation": [0.1, float("inf"), 0.3]},
-        {"translation": [1.0, 2.0]},
-        {"translation": [1.0, 2.0, float("nan")]},
-    ],
-)
-def test_a_pose_that_is_not_rigid(tmp_path: Path, pose: dict[str, Any]) -> None:
-    path = _tables(tmp_path / "rig.toml", {"left": _table(1, **pose), "right": _table(2)})
-    with pytest.raises(InputError, match=f"^K: {path}: left: rotation and translation are no"):
-        read_calibration(path)
-
-
 def test_a_name_counts_more_than_the_key_of_another_table(tmp_path: Path) -> None:
     tables = {"cameras.0": _table(0, name="1"), "cameras.1": _table(1, name="2")}
     path = _tables(tmp_path / "rig.toml", tables)
     assert [parse_camera(f"{path}:{name}").K[0, 0] for name in "012"] == [500, 500, 501]
-
-
-def test_the_pose_of_a_stereo_file(tmp_path: Path) -> None:
-    values = {f"{key}{n}": value for n in (1, 2) for key, value in (("M", _K(n)), ("D", LENS[:5]))}
-    path = _write_storage(tmp_path / "stereo.yml", **values, R=R, T=np.array([[1.0], [2], [3]]))
-    poses = read_calibration(path).poses
-    np.testing.assert_array_equal(poses["M1"], np.eye(3, 4))
-    np.testing.assert_allclose(poses["M2"], np.column_stack([R, [1, 2, 3]]), atol=1e-15)
-    path = _write_storage(tmp_path / "bad.yml", **values, R=2 * R, T=np.ones((3, 1)))
-    with pytest.raises(InputError, match=r"bad\.yml: M2: rotation and translation are no rigid"):
-        read_calibration(path)
 
 
 def test_colmaps_rig_config(tmp_path: Path) -> None:
