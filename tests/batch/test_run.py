@@ -4,13 +4,12 @@ import sqlite3
 from contextlib import closing
 from dataclasses import replace
 
-import cv2
 import h5py
 import numpy as np
 import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
-from multi_view import K, K_text, render_views
+from multi_view import K_text
 from results import ambiguous_pose
 
 from dgc_pose.batch.result import Batch, group_name, read_batch, summary_of
@@ -186,21 +185,3 @@ def test_unusable_input(photos, whole, tmp_path):
     with pytest.raises(InputError, match="sift has no features of a network"):
         run_sift(photos[0], tmp_path / "out", pairs="auto:2")
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("turns", [1, 3])
-def test_the_principal_point_of_a_turned_photograph_is_found(tmp_path, turns):
-    """Photographs that are cut on the left, one of them turned in a sense that nothing states."""
-    photos, cx, cy = tmp_path / "photos", K[0, 2] - 40, K[1, 2]
-    photos.mkdir()
-    for i, view in enumerate(render_views(4)):
-        pixels = np.rot90(view.pixels[:, 40:], -turns if i == 1 else 0)
-        cv2.imwrite(str(photos / f"{i}.png"), np.ascontiguousarray(pixels[:, :, ::-1]))
-    line = f"PINHOLE,200,180,{K[0, 0]},{K[1, 1]},{cx + 0.5},{cy + 0.5}"
-    batch = run_sift(photos, tmp_path / "out", K=line)
-    camera = batch.plan.final_cameras["1.png"]
-    # The middle is 18 pixels off.
-    true = (179 - cy, cx) if turns == 1 else (cy, 199 - cx)
-    np.testing.assert_allclose(camera.K[:2, 2], true, atol=5)
-    assert {row.status for row in batch.rows} <= {"ok", "planar"}
-    assert batch.plan.final_cameras["0.png"].K[0, 2] == cx
