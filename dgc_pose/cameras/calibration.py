@@ -41,9 +41,8 @@ def pair_cameras(
     path as of --K; or both by the horizontal field of view, degrees.
 
     None is "auto"; if both are, by `auto_cameras`. Focal lengths that are not stated have the
-    evidence of the lines. A value without an identity gets that of its
-    argument. names: of the arguments. Raises InputError, naming the argument, if K is unusable,
-    does not fit the image, or is stated beside `fov`.
+    evidence of the lines. names: of the arguments. Raises InputError, naming the argument, if K is
+    unusable, does not fit the image, or is stated beside `fov`.
     """
     images = image1, image2
     for image, name in zip(images, ("image1", "image2"), strict=True):
@@ -74,10 +73,7 @@ def image_camera(
     details: KDetails = NO_DETAILS,
     part: str | None = None,
 ) -> Camera:
-    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2".
-
-    Raises InputError, naming the argument `name`, likewise.
-    """
+    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2"."""
     value = "auto" if value is None else value
     if isinstance(value, (str, Path)):
         is_auto_of_pair = part is not None and value in _SHARING
@@ -104,10 +100,8 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
 def read_calibration(
     text: str | None, name: str = "K", details: KDetails = NO_DETAILS
 ) -> Calibration:
-    """The calibration of the argument K: a text or the path of a file, see this module.
-
-    None: no camera for any image. Raises InputError, with `name` or the path, if the
-    text is none of these or the file is malformed.
+    """The calibration of the argument K: a text or the path of a file, see this module; None: no
+    camera for any image. Raises InputError, with `name` or the path.
     """
     if text is None or text in _SHARING:
         _require_K(details, name)

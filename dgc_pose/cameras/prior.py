@@ -254,9 +254,9 @@ def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
 
 
 def _exif_focals(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
-    """The focal lengths and their deviations by that on film, and by that of the lens with the
-    resolution of the sensor, which editors leave in an image that they made smaller unless the
-    table contradicts it, and with its width in the table."""
+    """The focal lengths and their deviations: by that on film; by that of the lens with the
+    sensor's resolution, and with its width in COLMAP's table. Editors leave the resolution of an
+    image that they made smaller: the table overrules it."""
     film, lens, zoom = exif.focal_35mm, exif.focal_mm, exif.digital_zoom
     zoom_std = _ZOOM_STD if zoom > 1 else 0.0
     longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)

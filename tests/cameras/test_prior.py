@@ -14,7 +14,6 @@ from dgc_pose.cameras.prior import (
     SIZE_STD,
     auto_camera,
     auto_cameras,
-    by_lines,
     of_part,
     with_lines,
 )
@@ -295,16 +294,6 @@ def test_images_of_one_camera_count_together() -> None:
     assert [camera.focal for camera in alone] == pytest.approx([1152, 576], rel=0.1)
     together = with_lines(auto_cameras(BOX, other), [BOX, other])
     assert together[0].focal == together[1].focal
-
-
-def test_lines_of_some_of_the_images_are_of_all_of_a_camera() -> None:
-    """As of a folder, of which some photographs are looked at."""
-    cameras = [auto_camera(photo(size=(960, 720))) for _ in range(3)]
-    lines = log_likelihoods(BOX)
-    found = by_lines(cameras, [None, lines, None])
-    assert len({camera.focal for camera in found}) == 1
-    assert [camera.focal_source for camera in found] == 3 * ["lines"]
-    assert by_lines(cameras, 3 * [None]) == cameras
 
 
 @pytest.mark.parametrize("alone", [True, False])

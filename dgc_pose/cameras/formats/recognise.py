@@ -1,23 +1,9 @@
 """The format of a file of cameras, by its content, and by its name where the content is not enough.
 
-| file | principal point of the top-left pixel's centre | images by |
-|---|---|---|
-| COLMAP's cameras.txt, cameras.bin, folder of a model | (0.5, 0.5) | name, if images.* is there |
-| `[id] MODEL width height parameters...`, COLMAP's line | (0.5, 0.5) | - |
-| NeRF's transforms.json | (0.5, 0.5) | name |
-| OpenCV's cv::FileStorage, YAML, XML or JSON | (0, 0) | - |
-| OpenCV's stereo file; EasyMocap's intri.yml | (0, 0) | name of the camera |
-| TOML of anipose, caliscope, Pose2Sim; rig.json | (0, 0) | name of the camera |
-| COLMAP's rig_config.json | (0.5, 0.5) | name of the camera: image_prefix |
-| ROS's camera_info, YAML | (0, 0) | - |
-| Kalibr's camchain, YAML | (0, 0) | folder `cam0`, `cam1`, ... |
-| KITTI's calib.txt, calib_cam_to_cam.txt | (0, 0) | folder `image_0`, `image_02`, ... |
-| .csv with name, fx, fy, cx, cy[, width, height, k1, k2, p1, p2, qw, ..., tz] | (0, 0) | name |
-| JSON with K, or fx, fy, cx, cy; or with K1 and K2 | (0, 0) | image 1 or 2 of a pair |
-| JSON of Open3D: intrinsic_matrix; metadata of Record3D | (0, 0) | - |
-| 3x3, 4x4, or fx fy cx cy, as text or .npy | (0, 0) | - |
-
-`Camera` has (0, 0) there.
+docs/cameras.md lists the files. The centre of the top-left pixel is (0.5, 0.5) in COLMAP's and
+NeRF's, and (0, 0) in all others, as in `Camera`. Images have their cameras by name in COLMAP's
+models, NeRF's transforms.json, Record3D's metadata and tables, and by the name of the camera in
+files of rigs.
 """
 
 import json

@@ -1,11 +1,5 @@
-"""Numbers, tables, JSON, KITTI's calibrations and NeRF's transforms.json.
-
-KITTI's by the readmes of its development kits. Odometry and objects: `P0:` to `P3:`, projections of
-the rectified images; raw drives: `S_rect_00:` and `P_rect_00:`, the size and projection of those.
-
-NeRF's as nerfstudio's and instant-ngp's documents describe them,
-docs.nerf.studio/quickstart/data_conventions.html: camera_model, fl_x, fl_y, cx, cy, w, h, k1 to k4,
-p1, p2, for all frames or in each. The values are COLMAP's, as their converters copy them.
+"""Numbers, tables, JSON, KITTI's calibrations by the readmes of its development kits, and NeRF's
+transforms.json by docs.nerf.studio/quickstart/data_conventions.html.
 """
 
 import json
