@@ -10,7 +10,6 @@ import numpy as np
 import pycolmap
 import pytest
 from batch_runs import run_sift, view_folder
-from multi_view import K_text
 from results import ambiguous_pose
 from worlds import K, K_text
 
@@ -186,7 +185,6 @@ def test_unusable_input(photos, whole, tmp_path):
     with pytest.raises(InputError, match="sift has no features of a network"):
         run_sift(photos[0], tmp_path / "out", pairs="auto:2")
     assert not (tmp_path / "out").exists()
-<<<<<<< HEAD
 
 
 def _row(first, second, status="ok", inliers=9):
@@ -268,5 +266,3 @@ def test_a_folder_has_one_camera(unknown):
     for row in batch.rows:
         for of_pose in (row.pose.camera1, row.pose.camera2):
             assert (of_pose.focal, of_pose.focal_std) == (camera["focal_px"], camera["focal_std"])
-=======
->>>>>>> cam2
