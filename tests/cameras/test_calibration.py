@@ -42,12 +42,13 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
         model.add_camera_with_trivial_rig(camera)
         image = pycolmap.Image(name=f"d/{number}.jpg", camera_id=number, image_id=number)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    model.image(2).name = "d/2 é%20.jpg"
     model.write_binary(tmp_path) if binary else model.write_text(tmp_path)
     ending = "bin" if binary else "txt"
     source = tmp_path if whole else tmp_path / f"cameras.{ending}"
     calibration = read_calibration(str(source))
     assert _K(calibration, "d/1.jpg") == [500, 500, 320, 240]
-    assert _K(calibration, "d/2.jpg") == [600, 600, 320, 240]
+    assert _K(calibration, "d/2 é%20.jpg") == [600, 600, 320, 240]
     lens = calibration.camera(tmp_path, "d/1.jpg", Header("JPEG", SIZE)).distortion
     assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
     (tmp_path / f"images.{ending}").unlink()

@@ -8,7 +8,6 @@ changes one of an older COLMAP, and ends the process where a column is of anothe
 
 from __future__ import annotations
 
-import codecs
 import re
 import sqlite3
 import struct
@@ -16,6 +15,7 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import quote, unquote
 
 import numpy as np
 
@@ -97,7 +97,9 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
                 if stem in ("images", "points3D"):  # which pycolmap needs
                     copy.write_bytes(b"" if is_text else bytes(_COUNT.size))
             elif is_text:
-                copy.write_bytes(read_bytes(file).removeprefix(codecs.BOM_UTF8))
+                text = read_bytes(file).decode("utf-8-sig")
+                text = _with_quoted_names(text) if stem == "images" else text
+                copy.write_text(text, encoding="utf-8")
             else:
                 copy.symlink_to(file.absolute())
         checks = {} if is_text else {"cameras": _camera_bytes, "images": _image_bytes}
@@ -105,6 +107,8 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
             with read_as(f"COLMAP's {stem}", wanted[stem]):
                 _require_whole(read_bytes(scratch / f"{stem}.bin"), item_bytes)
         model = pycolmap.Reconstruction(scratch)
+        for image in model.images.values() if is_text else ():
+            image.name = unquote(image.name)
         cameras: dict[int, Camera] = {}
         for key, theirs in sorted(model.cameras.items()):
             K, lens = colmap_camera.intrinsics(theirs.model.name, theirs.params.tolist())
@@ -119,6 +123,18 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
         common=None if images or len(cameras) > 1 else next(iter(cameras.values())),
         poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
     ), model
+
+
+def _with_quoted_names(text: str) -> str:
+    """An images.txt with names without blanks, where pycolmap would end them."""
+    rows, lines = [], iter(text.splitlines())
+    for line in lines:
+        words = line.split(maxsplit=9)
+        if len(words) == 10 and not line.startswith("#"):
+            rows += [" ".join([*words[:9], quote(words[9].strip())]), next(lines, "")]
+        else:
+            rows.append(line)
+    return "\n".join([*rows, ""])
 
 
 def _require_whole(data: bytes, item_bytes: Callable[[bytes, int], int]) -> None:
