@@ -52,7 +52,7 @@ _OF_LENS = re.compile(
     re.IGNORECASE | re.VERBOSE,
 )
 _OF_OTHERS = re.compile(
-    r"""m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.*
+    r"""m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.* | binning_[xy] | [xy]_offset
     | (?!std|fps_).*intrinsic(?!_wait).*""",
     re.IGNORECASE | re.VERBOSE,
 )
@@ -105,7 +105,7 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         numbers_camera(values or (), key or "K").K,
         _size(data),
         lens,
-        (f"not read, of another camera: {shortened(', '.join(others))}",) if others else (),
+        (f"keys that may change K are not read: {shortened(', '.join(others))}",) if others else (),
         focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         lens_std=float(data.get("lens_std") or 0),
