@@ -20,8 +20,7 @@ from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.pixels import exif_turn
-from dgc_pose.images.image import Image, flipped
-from dgc_pose.images.maps import load_pair
+from dgc_pose.images.image import Image, flipped, load_pair
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult
@@ -29,7 +28,7 @@ from dgc_pose.system.options import check_type
 from dgc_pose.system.parallel import one_blas_thread
 
 if TYPE_CHECKING:
-    from dgc_pose.images.maps import ImageSource, MaskSource
+    from dgc_pose.images.image import ImageSource, MaskSource
 
     CameraSource = ArrayLike | Camera | Path | None
     MatcherSource = Matcher | str | Path | None
