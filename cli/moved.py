@@ -53,15 +53,17 @@ def moved(
     Exits with 0 if all are still, 1 if one has moved, 3 if none has moved and one `cannot say`.
     (1 is an unexpected error too, which prints a line that begins with error.)
     """
-    from dgc_pose.cameras.calibration import pair_cameras
+    from dgc_pose.cameras.calibration import image_camera
+    from dgc_pose.cameras.prior import with_lines
     from dgc_pose.images.image import load_image
     from dgc_pose.motion import CameraMotion, camera_motion
 
     json_file = None if watch.json == STDOUT else watch.json
     motions: dict[str, CameraMotion] = {}
     with staged(json_file) as stage, scratch_folder() as scratch, progress_bars() as progress:
-        first, k = load_image(reference), cameras.k
-        camera = pair_cameras(k, k, first, first, ("--K", "--K"), cameras.details)[0]
+        first = load_image(reference)
+        stated = image_camera(cameras.k, first, "--K", cameras.details)
+        (camera,) = with_lines([stated], [first])
         pictures: dict[str, Path] = {}
         for number, source in enumerate(now):
             pictures |= _pictures(source, watch.frames, scratch / str(number))

@@ -20,8 +20,9 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.calibration import pair_cameras
+from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import with_lines
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.covariance import NORMAL_90
 from dgc_pose.estimation.least_squares import (
@@ -122,7 +123,7 @@ def camera_motion(
         names = (f"{image.name} has {image.size[0]} x {image.size[1]}" for image in (second, first))
         raise InputError(ArgumentName("now"), "has another size: " + ", ".join(names))
     check_type(matcher, Matcher | str | Path | None, "matcher")
-    camera = pair_cameras(K, K, first, first, ("K", "K"))[0]
+    (camera,) = with_lines([image_camera(K, first)], [first])
     matcher = DEFAULT_WEIGHTS if matcher is None else matcher
     matcher = load_matcher(matcher) if isinstance(matcher, str | Path) else matcher
     loaded = time.perf_counter()
