@@ -244,17 +244,18 @@ def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
     if best.octave == 0:
         return _whole(image1, 0.0), _whole(image2, angle)
     small, large = (image2, image1) if best.octave > 0 else (image1, image2)
+    turn = angle if best.octave > 0 else 0.0
+    whole = _whole(small, turn)
     # At scale 1: in the orientation of both views, which is that of image 1.
-    shown = View.whole(small, angle if best.octave > 0 else 0.0).size
-    extent = [_MARGIN * ratio * side for side in shown]
+    extent = [_MARGIN * ratio * side for side in View.whole(small, turn).size]
     centre = linear @ ((np.array(small.size) - 1) / 2) + shift
     centre = centre.clip(0, np.array(large.size) - 1)
     scale = min(1.0, _PIXELS / math.sqrt(math.prod(extent)))
     size = (max(1, round(extent[0] * scale)), max(1, round(extent[1] * scale)))
     around = (float(centre[0]), float(centre[1]))
     if best.octave > 0:
-        return View(large, 0.0, scale, around, size), _whole(small, angle)
-    return _whole(small, 0.0), View(large, angle, scale, around, size)
+        return View(large, 0.0, scale, around, size), whole
+    return whole, View(large, angle, scale, around, size)
 
 
 def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
