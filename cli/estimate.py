@@ -17,7 +17,7 @@ from dgc_pose.cli.process import say
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
-from dgc_pose.images.maps import load_pair
+from dgc_pose.images.image import load_pair
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.files import save_text, staged
 

@@ -20,8 +20,7 @@ from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.pixels import exif_turn
-from dgc_pose.images.image import Image, flipped
-from dgc_pose.images.maps import load_pair
+from dgc_pose.images.image import Image, flipped, load_pair
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
 from dgc_pose.pair_result import PairResult
@@ -29,7 +28,7 @@ from dgc_pose.system.options import check_type
 from dgc_pose.system.parallel import one_blas_thread
 
 if TYPE_CHECKING:
-    from dgc_pose.images.maps import ImageSource, MaskSource
+    from dgc_pose.images.image import ImageSource, MaskSource
 
     CameraSource = ArrayLike | Camera | Path | None
     MatcherSource = Matcher | str | Path | None
@@ -234,14 +233,14 @@ def _mirrored(
     if pose.status in ("rotation_only", "same_picture"):
         return None
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
+    try:
+        second = cameras[1].turned(exif_turn(4 if flips else 2), image2.size)
+    except InputError:  # a lens that is not turned
+        return None
     mirror_image = flipped(image2, 0 if flips else 1)
     result = matcher.coarse(image1, mirror_image)
     matcher.forget(mirror_image)  # no other pair has it
     if result is None:
-        return None
-    try:
-        second = cameras[1].turned(exif_turn(4 if flips else 2), image2.size)
-    except InputError:  # a lens that is not turned
         return None
     of_mirror_image = estimate_pose(
         result.matches, cameras[0], second, options, map_matches=result.map_matches

@@ -28,7 +28,7 @@ from dgc_pose import (
     pair_cameras,
     solve_pair,
 )
-from dgc_pose.images.maps import masked
+from dgc_pose.images.image import masked
 from dgc_pose.matching import Matcher, MatchResult, NetworkMatcher
 from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg

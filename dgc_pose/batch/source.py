@@ -23,8 +23,7 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.decoding import Header, image_header
 from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
-from dgc_pose.images.image import load_image, size_in_file
-from dgc_pose.images.maps import mask_file, masked
+from dgc_pose.images.image import load_image, mask_file, masked, size_in_file
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 STORE = "batch.db"  # in the folder of a batch

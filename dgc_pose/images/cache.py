@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from dgc_pose.geometry.pixels import Size
-from dgc_pose.images.image import Image, load_image, resize
-from dgc_pose.images.maps import mask_file, masked, resized_mask
+from dgc_pose.images.image import Image, load_image, mask_file, masked, resize, resized_mask
 from dgc_pose.system.parallel import in_threads
 
 _LAST = 3  # images: of a pair, and the mirror image of one

@@ -1,4 +1,4 @@
-"""Reading an image, from a file or from memory, as 8-bit RGB upright."""
+"""Reading an image, from a file or from memory, as 8-bit RGB upright, and its mask."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ from typing import TYPE_CHECKING, Literal
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.geometry.pixels import EXCHANGING, Size, within
-from dgc_pose.images.decoding import Exif, Header, decoded, image_errors
+from dgc_pose.images.decoding import Exif, Header, decoded, image_errors, read_pixels
 from dgc_pose.system.arrays import as_numpy, is_tensor
+from dgc_pose.system.parallel import in_threads
 
 if TYPE_CHECKING:
     import torch
 
+SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask or map is scaled
 _LARGE = 4_000_000  # pixels, above which area means of other factors take tens of ms
 
 
@@ -72,6 +75,11 @@ class Image:
         return inside & ~self.mask[y.astype(np.intp), x.astype(np.intp)]
 
 
+if TYPE_CHECKING:
+    ImageSource = str | os.PathLike[str] | np.ndarray | torch.Tensor | Image
+    MaskSource = str | Path | ArrayLike | None
+
+
 def size_in_file(image: Image | Header) -> Size:
     """(width, height) of the pixels as the image's file has them, before its EXIF orientation."""
     return image.size[::-1] if image.exif.orientation in EXCHANGING else image.size
@@ -92,10 +100,7 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
     return pixels[:, :: -1 if orientation in (2, 3, 6, 7) else 1]
 
 
-def load_image(
-    source: str | os.PathLike[str] | np.ndarray | torch.Tensor | Image,
-    name: str = "image",
-) -> Image:
+def load_image(source: ImageSource, name: str = "image") -> Image:
     """An upright image as 8-bit RGB.
 
     `source` is a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or
@@ -195,6 +200,66 @@ def _shown_range(array: np.ndarray, low: float, high: float) -> tuple[float, flo
             return max(low, 1.5 * first - 0.5 * last), min(high, 1.5 * last - 0.5 * first)
         values = values[values != first]
     return low, high
+
+
+def masked(image: Image, source: MaskSource, name: str = "") -> Image:
+    """The image with a mask of its pixels as stored, which is turned with them; without one, None,
+    the image as it is.
+
+    source: a path, or an array (H, W), or (H, W, C) of colours, of which the second or fourth is
+    alpha. Pixels that are 0, False, black or of alpha 0 are not matched, nor are those that the
+    image's own mask leaves out; they get the mean colour of the others. A mask of another size is
+    scaled to that of the image. name: of the argument in errors, which have the path without it.
+
+    Raises ImageError, with the path, if a file cannot be read; InputError, with `name`, if an array
+    has another shape, if the mask has another aspect ratio than the image, and if it leaves no
+    pixel of it.
+    """
+    if source is None:
+        return image
+    argument = ArgumentName(name or source)
+    array = read_pixels(source) if isinstance(source, str | Path) else as_numpy(source, name)
+    if array.ndim not in (2, 3) or array.size == 0:
+        raise InputError(argument, f"must have shape (H, W), not {array.shape}")
+    array = array[:, :, None] if array.ndim == 2 else array
+    colours = 2 * ((array.shape[2] - 1) // 2) + 1  # 1 of 2 and 3 of 4, the last being alpha
+    used = (array[:, :, :colours] != 0).any(2) & (array[:, :, colours:] != 0).all(2)
+    used = turned(used, image.exif.orientation)
+    (height, width), (columns, rows) = used.shape, image.size
+    if abs(width * rows / (height * columns) - 1) > SAME_SHAPE:
+        raise InputError(argument, f"is {width} x {height} and the image {columns} x {rows}")
+    if (width, height) != image.size:
+        used = resized_mask(used, image.size)
+    used &= True if image.mask is None else image.mask
+    if not used.any():
+        raise InputError(argument, "leaves no pixel of the image")
+    return replace(image, pixels=filled(image.pixels, used), mask=used)
+
+
+def load_pair(
+    images: tuple[ImageSource, ImageSource], masks: tuple[MaskSource, MaskSource] = (None, None)
+) -> tuple[Image, Image]:
+    """Both images with their masks. Raises as `load_image` and `masked`, naming image1 to mask2."""
+
+    def load(number: int) -> Image:
+        image = load_image(images[number], f"image{number + 1}")
+        return masked(image, masks[number], f"mask{number + 1}")
+
+    first, second = in_threads(load, (0, 1))
+    return first, second
+
+
+def resized_mask(mask: np.ndarray, size: Size) -> np.ndarray:
+    """A mask (H, W), bool, at a size (width, height): the nearest pixels by the half-pixel rule."""
+    nearest = cv2.INTER_NEAREST_EXACT
+    return cv2.resize(mask.astype(np.uint8), size, interpolation=nearest).astype(bool)
+
+
+def mask_file(folder: str | Path | None, name: str) -> Path | None:
+    """The mask of the image `name` in a folder of masks, by COLMAP's convention `name`.png; None
+    if it has none."""
+    path = None if folder is None else Path(f"{folder}/{name}.png")
+    return path if path and os.path.lexists(path) else None
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:

@@ -19,8 +19,7 @@ from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, of_stated
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.image import Image, load_image
-from dgc_pose.images.maps import mask_file, masked
+from dgc_pose.images.image import Image, load_image, mask_file, masked
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import LocationSearch
 from dgc_pose.matchers import load_matcher

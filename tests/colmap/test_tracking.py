@@ -11,8 +11,7 @@ from worlds import SIZE, K, render_views
 
 from dgc_pose.batch.pairs import epipolar_error_px
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, one_to_one, track_corners
-from dgc_pose.images.image import Image
-from dgc_pose.images.maps import masked
+from dgc_pose.images.image import Image, masked
 from dgc_pose.matches import Matches
 
 

@@ -10,8 +10,7 @@ import pytest
 from dgc_pose import load_matcher
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.images.image import Image
-from dgc_pose.images.maps import masked
+from dgc_pose.images.image import Image, masked
 from dgc_pose.matches import Matches
 from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher, network_matcher
 
