@@ -14,13 +14,7 @@ from dgc_pose.matching import Matcher, MatchingOptions, NetworkMatcher
 from dgc_pose.matching.key_points import OnnxMatcher, SiftMatcher
 from dgc_pose.matching.vismatch import PREFIX, VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
-from dgc_pose.network.weights import (
-    SUFFIX,
-    choose_device,
-    find_weights,
-    load_network,
-    shipped,
-)
+from dgc_pose.network.weights import SUFFIX, choose_device, find_weights, load_network, shipped
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.options import check_options, check_type, option
 

@@ -233,11 +233,11 @@ def _mirrored(
     if pose.status in ("rotation_only", "same_picture"):
         return None
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
+    mirror_image = flipped(image2, 0 if flips else 1)
     try:
         second = cameras[1].turned(exif_turn(4 if flips else 2), image2.size)
     except InputError:  # a lens that is not turned
         return None
-    mirror_image = flipped(image2, 0 if flips else 1)
     result = matcher.coarse(image1, mirror_image)
     matcher.forget(mirror_image)  # no other pair has it
     if result is None:

@@ -149,10 +149,7 @@ def test_a_mask_is_turned_and_mirrored_with_its_image(
     np.testing.assert_array_equal(mirrored.mask, upright.mask[:, ::-1])
 
 
-@pytest.mark.parametrize(
-    "values",
-    [(), ("auto:two",), ("auto", dense_scene.K)],
-)
+@pytest.mark.parametrize("values", [(), ("auto:two",), ("auto", dense_scene.K)])
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
     result = solved(*dense_scene.pictures(), *values, matcher=matcher)

@@ -31,11 +31,7 @@ class ImageCache:
         self._read: dict[Hashable, Image] = {}
 
     def read(
-        self,
-        root: Path,
-        name: str,
-        masks: str | Path | None = None,
-        size: Size | None = None,
+        self, root: Path, name: str, masks: str | Path | None = None, size: Size | None = None
     ) -> Image:
         """The image `name` of a folder, with its mask in the folder `masks` (see `mask_file`), at a
         size (width, height). Raises ImageError and InputError as `load_image` and `masked` do."""

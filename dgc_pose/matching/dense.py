@@ -242,10 +242,10 @@ def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
     step = _ANGLE_STEP * round((turned if best.octave >= 0 else -turned) / _ANGLE_STEP)
     angle = float(step % 360)
     if best.octave == 0:
-        return _whole(image1, 0.0), _whole(image2, angle)
+        return View.whole(image1), View.rotated(image2, angle, _PIXELS)
     small, large = (image2, image1) if best.octave > 0 else (image1, image2)
     turn = angle if best.octave > 0 else 0.0
-    whole = _whole(small, turn)
+    whole = View.rotated(small, turn, _PIXELS)
     # At scale 1: in the orientation of both views, which is that of image 1.
     extent = [_MARGIN * ratio * side for side in View.whole(small, turn).size]
     centre = linear @ ((np.array(small.size) - 1) / 2) + shift
@@ -281,9 +281,3 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
         if off < math.radians(_ANGLE_OFF) and 1 / _SCALE_OFF < grown < _SCALE_OFF:
             return matrix[:, :2], matrix[:, 2]
     return linear, np.median(wide - narrow @ linear.T, 0)
-
-
-def _whole(image: Image, angle_deg: float) -> View:
-    """The whole of an image, no larger than the network needs it."""
-    scale = min(1.0, _PIXELS / math.sqrt(math.prod(image.size)))
-    return View.whole(image, angle_deg, scale if angle_deg else 1.0)
