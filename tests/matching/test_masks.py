@@ -12,7 +12,7 @@ from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image, masked
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher, network_matcher
+from dgc_pose.matching import MatchResult, NetworkMatcher, network_matcher
 
 SIDE = 4 * np.array(dense_scene.SIZE)  # more than textures are computed on
 CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
@@ -81,16 +81,6 @@ def test_no_step_of_the_network_matches_masked_pixels(
         _assert_none_masked(result.matches, *images)
         assert len(result.matches) > 50
         assert _on_masked(other.matches.points2, images[1]).mean() > 0.2
-
-
-@pytest.mark.parametrize("name", ["sift", "none"])
-def test_no_other_matcher_does(name: str, plain: list[Image], images: list[Image]) -> None:
-    matcher = load_matcher(matching=MatchingOptions(aligned="none"))
-    matcher = load_matcher(name) if name == "sift" else matcher
-    matches = matcher.match(*images).matches
-    _assert_none_masked(matches, *images)
-    assert len(matches) > 20
-    assert _on_masked(matcher.match(*plain).matches.points2, images[1]).mean() > 0.2
 
 
 def test_masked_cells_are_no_evidence(plain: list[Image], images: list[Image]) -> None:

@@ -129,14 +129,6 @@ def test_guided_matches_join_the_first(
     assert len(first.matches) < len(above.matches) < len(more.matches)
 
 
-def test_without_refinement_there_is_no_coarse_pass_and_no_more_matches(
-    images: tuple[Image, Image],
-) -> None:
-    matcher = dense_scene.MapMatcher(_NOISY, _PLAIN)
-    assert matcher.coarse(*images) is None
-    assert matcher.guided(*images, matcher.match(*images), _HYPOTHESES) is None
-
-
 def test_a_coarse_pass_ends_at_a_weak_map_of_30_cells_if_the_next_would_go_on_from_it(
     images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch
 ) -> None:
