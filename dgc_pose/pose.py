@@ -239,7 +239,7 @@ def _mirrored(
     except InputError:  # a lens that is not turned
         return None
     result = matcher.coarse(image1, mirror_image)
-    matcher.forget(mirror_image)  # no other pair has it
+    matcher.cache.forget(mirror_image)  # no other pair has it
     if result is None:
         return None
     of_mirror_image = estimate_pose(

@@ -66,15 +66,15 @@ def feature_matches(
     long_side: int = LONG_SIDE,
     hypotheses: Sequence[TwoViews] | None = None,
 ) -> tuple[list[Matches], list[Encoded], float]:
-    """Mutual nearest neighbours of the features, guided by the map, in pixels of the images, by
-    each of several comparisons; the confidence is their cosine, at least 0. And the views of both
-    images that are compared, and their scale, see `_compared_views`.
+    """Mutual nearest neighbours of the features, guided by the map, by each of several comparisons;
+    the confidence is their cosine. And the views of both images that are compared, and their scale,
+    see `_compared_views`.
 
-    hypotheses: of the pose. None for one comparison of both views; otherwise further matches:
+    hypotheses: of the pose. None for one comparison of both views; otherwise further ones:
 
     - with one view narrower or lower than it is: a surface that one camera sees from the side and
       the other from the front becomes alike;
-    - for each of the first hypotheses, those near its epipolar lines.
+    - for each of the first hypotheses, of cells near its epipolar lines.
     """
     first, second, scale = _compared_views(image1, image2, dense, long_side)
     comparisons: list[tuple[Shown, Shown, TwoViews | None]] = [(first, second, None)]

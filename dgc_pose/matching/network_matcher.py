@@ -35,12 +35,8 @@ MIN_ALIGNED = 100  # fewer aligned matches are completed by those that agree wit
 
 
 class NetworkMatcher(Matcher):
-    """Matches by a frozen network; image 1 is its source, image 2 its target.
-
-    The steps beside `match` are None where nothing is refined (`MatchingOptions.aligned`).
-
-    cache: of features, textures and small copies; None to keep those of the last three images.
-    """
+    """Matches by a frozen network; image 1 is its source, image 2 its target. The steps beside
+    `match` are None where nothing is refined (`MatchingOptions.aligned`)."""
 
     engine: Engine
 
@@ -56,11 +52,9 @@ class NetworkMatcher(Matcher):
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of the weights: different weights of one network have different ones."""
         return self.engine.fingerprint
 
     def coarse_features(self, image: Image) -> np.ndarray:
-        """As `Matcher`; those of the whole image."""
         (features,) = map_features(self.engine, self.cache, View.whole(image))
         return np.concatenate(self.engine.coarsest(features))
 

@@ -27,7 +27,6 @@ class View:
 
     @staticmethod
     def whole(image: Image, angle_deg: float = 0.0, scale: float = 1.0) -> View:
-        """The smallest view that holds the whole of an image."""
         width, height = image.size
         return View.window(image, image.size, ((width - 1) / 2, (height - 1) / 2), angle_deg, scale)
 
