@@ -101,14 +101,13 @@ def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> Non
     path = tmp_path / "mask.png"
     cv2.imwrite(str(path), masks[1][::2, ::2] * np.uint8(255))
     results = [
-        solved(*images, pair.K1, pair.K2, masks=used)
-        for used in ((None, None), (masks[0], path), (masks[0], None))
+        solved(*images, pair.K1, pair.K2, masks=used) for used in ((None, None), (masks[0], path))
     ]
     on_thing = []
     for result in results:
         x, y = np.rint(result.matches.points1).astype(int).T
         on_thing.append((~masks[0][y, x]).mean())
-    assert on_thing[0] > 0.3 and on_thing[1:] == [0, 0]
+    assert on_thing[0] > 0.3 and on_thing[1] == 0
     pose = results[1].pose
     assert pose.success and rotation_error_deg(pose.R, pair.R) < 0.5
     assert translation_error_deg(pose.t, pair.t) < 3

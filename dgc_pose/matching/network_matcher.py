@@ -121,13 +121,17 @@ class NetworkMatcher(Matcher):
         )
         most = self.options.max_matches
         radius = COARSE_CORNER_RADIUS if side == COARSE_SIDE else CORNER_RADIUS
-        parts = in_threads(lambda part: refine(image1, image2, part, most, radius), found)
+
+        def aligned_and_agreeing(part: Matches) -> tuple[Matches, Matches]:
+            return refine(image1, image2, part, most, radius)
+
+        parts = in_threads(aligned_and_agreeing, found)
         if len(parts := [*first, *parts]) > 1:
             parts = [tuple(map(Matches.joined, zip(*parts, strict=True)))]
         aligned, agreeing = (self._textured(image1, image2, of) for of in parts[0])
         too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
         if instead is not None and too_few:
-            part = refine(image1, image2, instead, most, radius)
+            part = aligned_and_agreeing(instead)
             aligned, agreeing = (self._textured(image1, image2, of) for of in part)
         # Patches of views far apart often differ too much. What is left of them is more accurate,
         # but too little to distinguish a pose from chance: both together have the error that all of

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera, TwoViews
-from dgc_pose.geometry.epipolar import sampson_distance, skew
+from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.geometry.pixels import rescale, within
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
@@ -243,51 +242,3 @@ def test_a_cell_is_found_by_its_neighbours(levels: int) -> None:
     assert np.array_equal(found[:, :9], index[:, 1:])
     alone = (source.coarse.reshape(80, 12) @ target.coarse[4, 4]).argmax()
     assert alone == 0 and found[4, 4] == 45
-
-
-CAMERA1 = Camera(np.array([[500.0, 0, 318], [0, 500, 242], [0, 0, 1]]))
-CAMERA2 = Camera(np.array([[350.0, 0, 205], [0, 350, 148], [0, 0, 1]]))
-HYPOTHESIS = TwoViews(
-    CAMERA1,
-    CAMERA2,
-    Rotation.from_euler("yx", [20, -8], degrees=True).as_matrix(),
-    np.array([-0.8, 0.0, 0.6]),
-)
-IMAGE1, IMAGE2 = (Image(np.zeros((*size[::-1], 3), np.uint8)) for size in ((640, 480), (400, 300)))
-VIEWS = [
-    (View.whole(IMAGE1), View.whole(IMAGE2)),
-    # A window, and a whole image that is rotated and half as large.
-    (View.window(IMAGE1, (300, 220), (280.5, 190.5), 0.0, 1.0), View.whole(IMAGE2, 30.0, 0.5)),
-]
-
-
-def _distances(views: tuple[View, View], stride: int) -> np.ndarray:
-    """Sampson distances (n, m) of the centres of the target's and the source's cells, in cells."""
-    centres, sides = [], []
-    cells = [(10 * 16 // stride, 7 * 16 // stride), (8 * 16 // stride, 6 * 16 // stride)]
-    for view, camera, (columns, rows) in zip(views, (CAMERA1, CAMERA2), cells, strict=True):
-        step = np.divide(view.size, (columns, rows))
-        grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2)
-        seen = (grid + 0.5) * step - 0.5 - view.matrix[:, 2]
-        pixels = np.linalg.solve(view.matrix[:, :2], seen.T).T
-        centres.append((pixels - camera.K[:2, 2]) / camera.K[0, 0])
-        sides.append(math.sqrt(step.prod()) / view.scale / camera.K[0, 0])
-    E = skew(HYPOTHESIS.t) @ HYPOTHESIS.R
-    table = [
-        sampson_distance(centres[0], np.tile(point, (len(centres[0]), 1)), E)
-        for point in centres[1]
-    ]
-    return np.array(table) / np.mean(sides)
-
-
-@pytest.mark.parametrize("views", VIEWS, ids=["whole", "window"])
-@pytest.mark.parametrize("stride", [16, 8])
-def test_cells_may_match_within_a_cell_of_their_lines(
-    views: tuple[View, View], stride: int
-) -> None:
-    features = _random(0, 7, 10), _random(0, 6, 8)
-    band = EpipolarBand(HYPOTHESIS, *zip(views, features, strict=True), children=stride == 8)
-    allowed, distances = band.all(), _distances(views, stride)
-    assert allowed.shape == distances.shape and 0.02 < allowed.mean() < 0.6
-    told = np.abs(distances - 1) > 1e-3
-    assert np.array_equal(allowed[told], distances[told] < 1)
