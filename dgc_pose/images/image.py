@@ -103,16 +103,14 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
 def load_image(source: ImageSource, name: str = "image") -> Image:
     """An upright image as 8-bit RGB.
 
-    `source` is a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or
-    4, grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
-    last, a tensor first. An `Image` is returned as it is. `name` is the argument's in errors.
+    source: a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or 4,
+    grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
+    last, a tensor first. An `Image` is returned as it is. name: of the argument in errors.
 
     Grey is repeated. Alpha 0 is a `mask`, under which the pixels get the mean colour of the others.
     8-bit values stay, floats within [0, 1] are multiplied by 255, and all others (16 bit, 12 bit in
     16, other floats) are rescaled, over all colours together, from the least and greatest to 0 and
-    255; few that lie far from the others are saturated.
-
-    An EXIF orientation of a file is applied.
+    255; few that lie far from the others are saturated. An EXIF orientation of a file is applied.
 
     Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt, too
     large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
@@ -263,11 +261,9 @@ def mask_file(folder: str | Path | None, name: str) -> Path | None:
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image (H, W[, 3]) at `size` (width, height): area means to shrink, bilinear to enlarge.
-
-    Both keep the outer edges of the image in place, as the half-pixel rule of `pixels.rescale`. A
-    large image of at least four times the sides, even ones, is halved first: that is far faster.
-    """
+    """An image (H, W[, 3]) at `size` (width, height), its outer edges in place: area means to
+    shrink, bilinear to enlarge. A large image of at least four times the sides, even ones, is
+    halved first: that is far faster."""
     height, width = pixels.shape[:2]
     while (
         width * height > _LARGE

@@ -91,11 +91,9 @@ def likely_cells(
 def propagate(
     candidates: np.ndarray, scores: np.ndarray, columns: int, grid: tuple[int, int]
 ) -> np.ndarray:
-    """Log-probabilities (n, K) of each cell's candidates after belief propagation.
-
-    candidates: (n, K) indices, row by row, of the source's cells; scores: (n, K) log-likelihoods;
-    columns: of the source; grid: (rows, columns) of the target, n cells in all.
-    """
+    """Log-probabilities (n, K) of each cell's candidates after belief propagation. candidates:
+    indices (n, K) of cells of a source of so many `columns`; scores: their log-likelihoods; grid:
+    (rows, columns) of the target, n cells in all."""
     y, x = (axis.astype(np.float32) for axis in np.divmod(candidates, columns))
     index = np.arange(len(candidates)).reshape(grid)
 

@@ -58,12 +58,9 @@ def dense_map(
     cells: int = INPUT_SIZE,
     search: bool = True,
 ) -> CorrespondenceMap:
-    """The map of a pair; image 1 is the network's source, image 2 its target.
-
-    cache: of the encoder's features, by view. cells: a side, for a squared image, one of
-    LEVEL_SIZES. search: whether other rotations of image 2 and other scales are searched if the
-    mean matchability is below `WEAK`.
-    """
+    """The map of a pair; image 1 is the network's source, image 2 its target. cells: as of
+    `Engine.decode`. search: other rotations of image 2 and other scales, if the mean matchability
+    is below `WEAK`."""
 
     def decode(views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray, Size]:
         source, target = map_features(engine, cache, *views)
@@ -135,11 +132,8 @@ class _Candidate:
 def search_views(
     engine: Engine, image1: Image, image2: Image, cache: ImageCache
 ) -> tuple[View, View] | None:
-    """Views of both images at one rotation and scale; None if the images as they are match best.
-
-    cache: of the small copies, by angle and octave. An image that the network squeezes is not
-    rotated: its copy would be nearly all border.
-    """
+    """Views of both images at one rotation and scale; None if the images as they are match best. An
+    image that the network squeezes is not rotated: its copy would be nearly all border."""
     images = image1, image2
     if any(max(image.size) > LONGEST * min(image.size) for image in images):
         return None
@@ -206,10 +200,8 @@ def matching_distribution(
     source: NativeFeatures, target: NativeFeatures, inside: np.ndarray, scales: np.ndarray
 ) -> np.ndarray:
     """Log-probability (n1, n2) of each coarse cell of the source for each of the target's n2 cells
-    `inside` (h, w), by the dual softmax over the cosines of the correlated levels.
-
-    scales: inverse temperatures of the levels, the coarsest first; at most two are compared.
-    """
+    `inside` (h, w), by the dual softmax over the cosines of the correlated levels; scales: their
+    inverse temperatures, the coarsest first."""
     cells = np.flatnonzero(inside)
     coarse1, coarse2 = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
@@ -259,10 +251,8 @@ def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
 
 
 def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
-    """(2, 2) and (2,): from pixels of the image with the smaller field of view to the other's.
-
-    That which most of the matches fit; without one, by the angle and the octave that were compared.
-    """
+    """(2, 2) and (2,): from pixels of the image with the smaller field of view to the other's, as
+    most of the matches have it, or else the angle and the octave that were compared."""
     peaks = best.logarithms.max(0)
     sure = peaks >= np.median(peaks)
     wide = best.wide.points[best.logarithms.argmax(0)][sure]
