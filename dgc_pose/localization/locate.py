@@ -65,7 +65,7 @@ class Locator:
         masks: Path | None = None,
     ) -> None:
         check_type(model, Model, "model")
-        self.model, self.matcher = model, matcher or load_matcher(cache=ImageCache())
+        self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
         # One that keeps three images alone would read the model's anew for each query.
