@@ -72,7 +72,7 @@ def moved(
             try:
                 picture = replace(load_image(path), name=name)
                 motions[name] = camera_motion(first, picture, camera, matcher=loaded)
-                loaded.forget(picture)
+                loaded.cache.forget(picture)
             except (ImageError, InputError) as error:  # the other pictures stand
                 motions[name] = CameraMotion("cannot say", str(error))
             progress("pictures", len(motions), len(pictures))

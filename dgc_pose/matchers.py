@@ -14,13 +14,7 @@ from dgc_pose.matching import Matcher, MatchingOptions, NetworkMatcher
 from dgc_pose.matching.key_points import OnnxMatcher, SiftMatcher
 from dgc_pose.matching.vismatch import PREFIX, VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
-from dgc_pose.network.weights import (
-    SUFFIX,
-    choose_device,
-    find_weights,
-    load_network,
-    shipped,
-)
+from dgc_pose.network.weights import SUFFIX, choose_device, find_weights, load_network, shipped
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.options import check_options, check_type, option
 
@@ -115,12 +109,9 @@ def load_engine(
 ) -> Engine:
     """An engine of shipped weights by name, or of those of a file (see `network.weights`).
 
-    device: "auto", "cpu" or "cuda". runtime: "onnx" runs weights of the presets with graphs on the
-    CPU and never imports torch; "torch" runs all; "auto" is ONNX Runtime for shipped weights
-    that have graphs, on the CPU, and wherever torch is not installed.
-
-    Raises WeightsError if the weights cannot be loaded, InputError if there is no such device, or
-    if the runtime is not installed or cannot do what is asked for.
+    runtime: "onnx" runs weights of the presets with graphs on the CPU and never imports torch;
+    "torch" runs all; "auto" is `default_runtime`. Raises WeightsError if the weights cannot be
+    loaded, InputError if there is no such device, or the runtime is not there or cannot run them.
     """
     path = find_weights(weights)
     if runtime == "auto":
@@ -138,7 +129,8 @@ def load_engine(
 
 
 def default_runtime(weights: str | Path = DEFAULT_WEIGHTS, device: str = "auto") -> RuntimeName:
-    """The runtime that "auto" is here for weights. Raises as `find_weights` does."""
+    """ONNX Runtime for shipped weights that have graphs, on the CPU, and for any of ours where
+    torch is not installed; else torch. Raises as `find_weights` does."""
     if find_weights(weights).suffix != SUFFIX or device not in ("auto", "cpu"):
         return "torch"
     if not is_installed("torch"):

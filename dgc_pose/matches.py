@@ -69,7 +69,6 @@ class Matches:
         return f"Matches({len(self)} {kind}, error_px={self.error_px:.3g})"
 
     def subset(self, kept: np.ndarray) -> Matches:
-        """Some of the matches. kept: (N,) bool, or indices."""
         return replace(
             self,
             points1=self.points1[kept],
@@ -83,11 +82,8 @@ class Matches:
 
     @classmethod
     def joined(cls, parts: Sequence[Matches]) -> Matches:
-        """The matches of all parts, those that are equal to the pixel once.
-
-        The expected error is the largest of the parts', and all else as of the first. Raises
-        ValueError without any part.
-        """
+        """The matches of all parts, those that are equal to the pixel once. The expected error is
+        the largest of the parts', and all else as of the first."""
         points1, points2, confidence = (
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("points1", "points2", "confidence")

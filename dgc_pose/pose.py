@@ -234,13 +234,13 @@ def _mirrored(
         return None
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
     mirror_image = flipped(image2, 0 if flips else 1)
-    result = matcher.coarse(image1, mirror_image)
-    matcher.forget(mirror_image)  # no other pair has it
-    if result is None:
-        return None
     try:
         second = cameras[1].turned(exif_turn(4 if flips else 2), image2.size)
     except InputError:  # a lens that is not turned
+        return None
+    result = matcher.coarse(image1, mirror_image)
+    matcher.cache.forget(mirror_image)  # no other pair has it
+    if result is None:
         return None
     of_mirror_image = estimate_pose(
         result.matches, cameras[0], second, options, map_matches=result.map_matches

@@ -34,7 +34,6 @@ def images() -> tuple[Image, Image]:
 
 @pytest.fixture(scope="module")
 def network() -> NetworkMatcher:
-    """That of no name."""
     matcher = load_matcher()
     assert isinstance(matcher, NetworkMatcher)
     return matcher
@@ -43,21 +42,6 @@ def network() -> NetworkMatcher:
 @pytest.fixture(scope="module")
 def refined(network: NetworkMatcher, images: tuple[Image, Image]) -> MatchResult:
     return network.match(*images)
-
-
-def test_by_default_it_is_the_shipped_network_refined(
-    images: tuple[Image, Image], refined: MatchResult
-) -> None:
-    bare = load_matcher(matching=BARE).match(*images)
-    assert bare.correspondence_map is not None and refined.correspondence_map is not None
-    assert np.array_equal(bare.correspondence_map.map, refined.correspondence_map.map)
-    errors = [
-        np.median(
-            np.linalg.norm(found.points1 - dense_scene.points_in_image1(found.points2), axis=1)
-        )
-        for found in (bare.matches, refined.matches)
-    ]
-    assert errors[1] < 0.6 * errors[0] and errors[1] < 0.1
 
 
 def test_matches_state_the_weights_of_the_network_that_made_them(
@@ -75,19 +59,16 @@ def test_matches_state_the_weights_of_the_network_that_made_them(
     assert load_matcher("sift").match(*images).matches.weights is None
 
 
-@pytest.mark.parametrize("weights", ["shipped", None, "0123456789abcdef"])
+@pytest.mark.parametrize("weights", ["shipped", None])
 def test_only_the_shipped_network_s_matches_have_a_probability(
     refined: MatchResult, weights: str | None
 ) -> None:
     """It is fitted on them; without, the gates decide."""
-    result, camera = refined, Camera(dense_scene.K, dense_scene.SIZE)
-    matches = result.matches if weights == "shipped" else replace(result.matches, weights=weights)
-    for map_matches in (result.map_matches, None):
-        for one in (camera, replace(camera, focal_std=0.1)):
-            pose = estimate_pose(matches, one, one, FAST, map_matches=map_matches)
-            assert pose.success and (pose.probability is None) == (weights != "shipped")
-            assert (pose.to_dict()["any_probability"] is None) == (weights != "shipped")
-            assert ("not known" in repr(pose)) == (weights != "shipped")
+    camera = Camera(dense_scene.K, dense_scene.SIZE)
+    matches = refined.matches if weights else replace(refined.matches, weights=weights)
+    pose = estimate_pose(matches, camera, camera, FAST, map_matches=refined.map_matches)
+    assert pose.success and (pose.probability is None) == (weights is None)
+    assert ("not known" in repr(pose)) == (weights is None)
 
 
 @pytest.mark.parametrize(("name", "made"), [("sift", 4), ("dgcm-lite0", 6)])

@@ -9,7 +9,6 @@ from typing import Any
 import cv2
 import dense_scene
 import numpy as np
-import PIL.Image
 import pytest
 import torch
 from rendered import RenderedPair, render_scene_pair
@@ -29,7 +28,7 @@ from dgc_pose import (
     solve_pair,
 )
 from dgc_pose.images.image import masked
-from dgc_pose.matching import Matcher, MatchResult, NetworkMatcher
+from dgc_pose.matching import Matcher
 from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
@@ -102,14 +101,13 @@ def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> Non
     path = tmp_path / "mask.png"
     cv2.imwrite(str(path), masks[1][::2, ::2] * np.uint8(255))
     results = [
-        solved(*images, pair.K1, pair.K2, masks=used)
-        for used in ((None, None), (masks[0], path), (masks[0], None))
+        solved(*images, pair.K1, pair.K2, masks=used) for used in ((None, None), (masks[0], path))
     ]
     on_thing = []
     for result in results:
         x, y = np.rint(result.matches.points1).astype(int).T
         on_thing.append((~masks[0][y, x]).mean())
-    assert on_thing[0] > 0.3 and on_thing[1:] == [0, 0]
+    assert on_thing[0] > 0.3 and on_thing[1] == 0
     pose = results[1].pose
     assert pose.success and rotation_error_deg(pose.R, pair.R) < 0.5
     assert translation_error_deg(pose.t, pair.t) < 3
@@ -117,42 +115,7 @@ def test_what_is_masked_takes_no_part(pair: RenderedPair, tmp_path: Path) -> Non
         estimate_relative_pose(*images, pair.K1, pair.K2, matcher=SiftMatcher(), mask2=masks[0])
 
 
-def test_a_mask_is_turned_and_mirrored_with_its_image(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A mask is of the pixels as stored, which an orientation by EXIF turns; the test for a mirror
-    image flips both."""
-    pixels = np.random.default_rng(0).integers(0, 256, (60, 80, 3), np.uint8)
-    used, exif = pixels[..., 0] > 99, PIL.Image.Exif()
-    exif[0x0112] = 6
-    PIL.Image.fromarray(pixels).save(tmp_path / "a.png", exif=exif)
-    matched: list[Image] = []
-
-    def coarse(self: NetworkMatcher, image1: Image, image2: Image) -> None:
-        matched.append(image2)
-
-    def match(self: NetworkMatcher, image1: Image, image2: Image) -> MatchResult:
-        matched.append(image2)
-        return SiftMatcher().match(image1, image2)
-
-    monkeypatch.setattr(NetworkMatcher, "coarse", coarse)
-    monkeypatch.setattr(NetworkMatcher, "match", match)
-    path = tmp_path / "a.png"
-    estimate_relative_pose(path, path, mask2=used)
-    *_, upright, mirrored = matched  # coarse, full and mirrored
-    assert len(matched) == 3
-    assert upright.mask is not None and mirrored.mask is not None
-    np.testing.assert_array_equal(upright.mask, np.rot90(used, -1))
-    expected = np.rot90(pixels, -1)[upright.mask]
-    np.testing.assert_array_equal(upright.pixels[upright.mask], expected)
-    np.testing.assert_array_equal(mirrored.pixels, upright.pixels[:, ::-1])
-    np.testing.assert_array_equal(mirrored.mask, upright.mask[:, ::-1])
-
-
-@pytest.mark.parametrize(
-    "values",
-    [(), ("auto:two",), ("auto", dense_scene.K)],
-)
+@pytest.mark.parametrize("values", [(), ("auto:two",), ("auto", dense_scene.K)])
 def test_the_matches_tell_the_focal_length_that_is_not_known(values: tuple[Any, ...]) -> None:
     matcher = dense_scene.MapMatcher(dense_scene.true_map(error_px=0.2))
     result = solved(*dense_scene.pictures(), *values, matcher=matcher)
@@ -180,7 +143,6 @@ SIFT = SiftMatcher()
     ("call", "named"),
     [
         (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher=5), "matcher"),
-        (lambda: estimate_relative_pose(IMAGE, IMAGE, K, fov=60, matcher=SIFT), "fov and K1"),
         (lambda: estimate_relative_pose(IMAGE, IMAGE, K, matcher=SIFT, options={}), "options"),
         (lambda: estimate_relative_pose(None, IMAGE, K, matcher=SIFT), "image1"),
         (lambda: estimate_relative_pose(IMAGE, np.zeros(7), K, matcher=SIFT), "image2"),
@@ -190,7 +152,6 @@ SIFT = SiftMatcher()
         (lambda: solve_pair(Image(IMAGE), Image(IMAGE), (K, K), SIFT), "cameras"),
         (lambda: load_matcher(5), "name"),
         (lambda: load_matcher("sift", cache=2**31), "cache"),
-        (lambda: load_matcher("sift", device=0), "device"),
         (lambda: EstimationOptions(runs="5"), "runs"),
     ],
 )

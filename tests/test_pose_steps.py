@@ -38,9 +38,9 @@ class _Steps(dense_scene.MapMatcher):
     every second in full, and all with the guided ones. Of the mirror image of image 2 every fourth
     or none. It keeps the steps that were done."""
 
-    def __init__(self, *, has_coarse: bool = True, of_mirror_image: bool = False) -> None:
+    def __init__(self, *, of_mirror_image: bool = False) -> None:
         super().__init__(dense_scene.true_map(error_px=0.2))
-        self.has_coarse, self.of_mirror_image = has_coarse, of_mirror_image
+        self.of_mirror_image = of_mirror_image
         self.steps: list[str] = []
         self.views: Sequence[TwoViews] = ()
 
@@ -53,7 +53,7 @@ class _Steps(dense_scene.MapMatcher):
     def coarse(self, image1: Image, image2: Image) -> MatchResult | None:
         is_mirrored = image2 is not PICTURES[1]
         result = self.every("mirrored" if is_mirrored else "coarse", 4)
-        return result if (self.of_mirror_image if is_mirrored else self.has_coarse) else None
+        return None if is_mirrored and not self.of_mirror_image else result
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         return self.every("refine", 3)
@@ -119,40 +119,29 @@ CERTAIN: dict[str, Any] = {
 }
 ROTATION = _doubt(0.0, 0.5) | {"status": "rotation_only"}
 LOOSE, LOOSER = (CERTAIN | {"covariance": variance * np.eye(6)} for variance in (1e-4, 1e-2))
-OTHER_CAMERAS, TAIL = (
-    CERTAIN | {"evidence": replace(GOOD_EVIDENCE, **values)}
-    for values in ({"camera_agreement": 0.98}, {"camera_model": "tail"})
-)
-AMBIGUOUS = _doubt(0.0, 0.9) | {"status": "ambiguous"}
+OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0.98)}
 
 
 @pytest.mark.parametrize(
     ("effort", "answers", "steps"),
     [
         ("auto", [CERTAIN], ["coarse"]),
-        ("auto", [_doubt(0.96, 0.035)], ["coarse"]),
         ("auto", [_doubt(0.9), CERTAIN], ["coarse", "full"]),
         ("auto", [LOOSE], ["coarse", "refine"]),  # certain, but not accurate
-        ("auto", [LOOSE, _doubt(0.9), CERTAIN], ["coarse", "refine", "full"]),
         ("auto", [LOOSER], ["coarse", "refine", "guided"]),
         ("auto", [OTHER_CAMERAS], ["coarse", "refine"]),  # few matches tell cameras apart less
-        ("auto", [TAIL], ["coarse", "refine"]),
         ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare with
         ("auto", [_doubt(0.5)], ["coarse", "full", "guided"]),  # a pose is of no mirror image
         ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", "guided"]),  # one of two is right
         ("auto", [_refused(0.4)], ["coarse", "full", "guided", "mirrored"]),
-        ("auto", [_refused(0.4), _refused(0.4), CERTAIN], ["coarse", "full", "guided"]),
         ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
         # The camera is what is wrong.
         ("auto", [_refused(0.4, camera_model=OF_STATED[0])], ["coarse", "full", "guided"]),
-        ("auto", [AMBIGUOUS], ["coarse", "full", "guided", "mirrored"]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided"]),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
-        ("fast", [LOOSE | {"any_probability": 0.89}], ["coarse"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
         ("thorough", [CERTAIN], ["full"]),
         ("thorough", [LOOSE, CERTAIN], ["full", "guided"]),
-        ("thorough", [_refused(0.4)], ["full", "guided", "mirrored"]),
     ],
 )
 def test_steps_are_done_as_long_as_they_may_change_the_answer(
@@ -170,16 +159,6 @@ def test_steps_are_done_as_long_as_they_may_change_the_answer(
     assert len(last) == -(-len(matcher._match(*PICTURES).matches) // expected)
 
 
-def test_a_coarse_pass_is_not_enough_to_tell_a_wrong_k(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A rendered scene whose matches tell the focal length."""
-    wrong = Camera(np.diag([1.15, 1.15, 1]) @ dense_scene.K, dense_scene.SIZE)
-    for camera, steps in ((EXACT, ["coarse"]), (wrong, ["coarse", "refine"])):
-        _with(monkeypatch, CERTAIN)
-        matcher = _Steps()
-        solve_pair(*PICTURES, (camera, camera), matcher, OPTIONS)
-        assert matcher.steps[:2] == steps
-
-
 def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The lines of the guided matches are of the cameras as fitted so far."""
     _with(monkeypatch, _refused(0.4))
@@ -193,10 +172,6 @@ def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPat
         assert views.camera2 is second
         assert fitted.focal_source == "matches" and fitted.focal_std < 0.05
         assert abs(fitted.focal / EXACT.focal - 1) < 3 * fitted.focal_std
-    _with(monkeypatch, CERTAIN | {"evidence": GOOD_EVIDENCE, "covariance": 1e-6 * np.eye(6)})
-    matcher = _Steps()
-    solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
-    assert matcher.steps == ["coarse"]
 
 
 @pytest.mark.parametrize(
@@ -204,7 +179,6 @@ def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPat
     [
         (_refused(0.4), _doubt(0.91), "mirrored"),
         (_refused(0.4), _doubt(0.89), "improbable"),
-        (_refused(0.4) | {"any_probability": 0.97}, _doubt(0.98), "mirrored"),
         (_refused(0.4) | {"any_probability": 0.98}, _doubt(0.97), "improbable"),
         (_refused(0.4), _refused(0.99), "improbable"),
     ],
@@ -225,36 +199,32 @@ def test_a_likely_pose_of_the_mirror_image_is_that_of_a_mirrored_one(
         assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
 
 
-@pytest.mark.parametrize(
-    ("lens", "upside_down"),
-    [(None, False), (Distortion("OPENCV", (-0.1, 0.02, 0.01, -0.02)), True)],
-)
-def test_the_camera_of_the_mirror_image_sees_the_mirrored_scene(
-    monkeypatch: pytest.MonkeyPatch, lens: Distortion | None, upside_down: bool
+@pytest.mark.parametrize("upside_down", [False, True])
+def test_the_mirror_image_is_that_of_the_camera_turned_likewise(
+    monkeypatch: pytest.MonkeyPatch, upside_down: bool
 ) -> None:
     """Left to right; or top to bottom, of a pose that is upside down."""
     R = np.diag([-1.0, -1.0, 1.0]) if upside_down else np.eye(3)
-    hypothesis = replace(_of_share(1.0), R=R)
     cameras: list[Camera] = []
 
     def estimate(matches: Matches, *arguments: Any, **options: Any) -> RelativePose:
         cameras.append(arguments[1])
         pose = estimate_pose(matches, EXACT, EXACT, OPTIONS)
-        return replace(pose, **_refused(0.4) | {"hypotheses": (hypothesis,)})
+        own = _refused(0.4) | {"hypotheses": (replace(_of_share(1.0), R=R),)}
+        return replace(pose, **own)
 
     monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
-    width, height = dense_scene.SIZE
-    camera = Camera(np.array([[300.0, 0, 170], [0, 290, 110], [0, 0, 1]]), (width, height), lens)
+    lens = Distortion("OPENCV", (-0.1, 0.02, 0.01, -0.02))
+    camera = Camera(np.array([[300.0, 0, 170], [0, 290, 110], [0, 0, 1]]), dense_scene.SIZE, lens)
     options = replace(OPTIONS, effort="fast")
     solve_pair(*PICTURES, (EXACT, camera), _Steps(of_mirror_image=True), options)
     first, mirrored = cameras
-    assert first is camera and mirrored.size == (width, height)
-    rays = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 2))
+    assert first is camera and mirrored.size == camera.size
     flip = np.array([1, -1]) if upside_down else np.array([-1, 1])
-    offset = np.array([0, height - 1]) if upside_down else np.array([width - 1, 0])
-    np.testing.assert_allclose(
-        mirrored.project(flip * rays), offset + flip * camera.project(rays), atol=1e-6
-    )
+    offset = np.where(flip < 0, np.array(dense_scene.SIZE) - 1, 0)
+    rays = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 2))
+    seen = offset + flip * camera.project(rays)
+    np.testing.assert_allclose(mirrored.project(flip * rays), seen, atol=1e-6)
 
 
 def test_a_lens_without_a_mirror_image_is_not_mirrored(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -262,7 +232,7 @@ def test_a_lens_without_a_mirror_image_is_not_mirrored(monkeypatch: pytest.Monke
     lens = Distortion("THIN_PRISM_FISHEYE", (0.01,) * 8)
     matcher = _Steps(of_mirror_image=True)
     pose = solve_pair(*PICTURES, (EXACT, replace(EXACT, distortion=lens)), matcher, OPTIONS).pose
-    assert pose.status == "improbable" and matcher.steps[-1] == "mirrored"
+    assert pose.status == "improbable" and matcher.steps == ["coarse", "full", "guided"]
 
 
 def test_a_mirrored_photograph_is_recognised() -> None:
@@ -285,29 +255,3 @@ def test_features_are_kept_of_the_two_images_and_not_of_the_mirror_image() -> No
             cache.forget(image)
         estimate_relative_pose(first, second, matcher=matcher)
         assert set(cache._kept) == {first, second}
-
-
-@pytest.mark.parametrize("effort", ["fast", "auto"])
-def test_a_coarse_pass_without_an_answer_is_followed_by_the_full_one(
-    monkeypatch: pytest.MonkeyPatch, effort: Effort
-) -> None:
-    estimated = _with(monkeypatch, CERTAIN)
-    matcher = _Steps(has_coarse=False)
-    options = replace(OPTIONS, effort=effort)
-    pose = solve_pair(*PICTURES, (EXACT, EXACT), matcher, options).pose
-    assert matcher.steps == ["coarse", "full"] and len(estimated) == 1
-    assert list(pose.seconds) == ["full", "estimate"]
-
-
-def test_guided_matches_are_near_the_lines_of_all_hypotheses(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    _with(monkeypatch, {"probability": 0.5, "any_probability": 0.5})
-    matcher = _Steps()
-    before = estimate_pose(matcher.every("before", 2).matches, EXACT, EXACT, OPTIONS)
-    solve_pair(*PICTURES, (EXACT, EXACT), matcher, OPTIONS)
-    assert len(matcher.views) == len(before.hypotheses) > 0
-    for views, hypothesis in zip(matcher.views, before.hypotheses, strict=True):
-        assert (views.camera1, views.camera2) == (EXACT, EXACT)
-        np.testing.assert_allclose(views.R, hypothesis.R, atol=0.01)
-        np.testing.assert_allclose(views.t, hypothesis.t, atol=0.05)

@@ -18,8 +18,8 @@ from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.geometry.sampling import bilinear_at
+from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
-from dgc_pose.images.maps import read_depth
 from dgc_pose.images.markers import find_markers
 from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_options, option
@@ -41,7 +41,7 @@ class ScaleSource:
     Raises InputError, naming the field, for a value out of range, and for two of them.
 
     Attributes:
-        depth1: Depth map of image 1 or its file, see `dgc_pose.images.maps.read_depth`.
+        depth1: Depth map of image 1 or its file, see `dgc_pose.images.depth.read_depth`.
         depth2: Of image 2, with the other or alone.
         depth_std: Relative standard deviation of depths: of each, and of all in common.
         baseline: The length, metres, and its standard deviation if it is known, or a text of both.

@@ -40,10 +40,7 @@ def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 def epipolar_terms(
     points1: np.ndarray, points2: np.ndarray, F: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """x2^T F x1, and the squared norms of the epipolar lines' normals in images 1 and 2: (N,) each.
-
-    points1, points2: (N, 2).
-    """
+    """x2^T F x1 (N,), and the squared norms (N,) of the normals of the lines in images 1 and 2."""
     # Points as columns: NumPy is slow along short axes.
     x1, x2 = points1.T, points2.T
     lines2, lines1 = F[:, :2] @ x1 + F[:, 2:], F[:2, :2].T @ x2 + F[2:, :2].T
@@ -82,11 +79,8 @@ def unit_rays(points: np.ndarray) -> np.ndarray:
 def depths(
     points1: np.ndarray, points2: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depths (N,) along the optical axes of cameras 1 and 2, in units of |t|.
-
-    points1, points2: normalised (N, 2); pose: x2 = R x1 + t. The depths are those of the points at
-    which the two rays come nearest to each other; infinite for parallel rays.
-    """
+    """Depths (N,) along the optical axes of cameras 1 and 2, in units of |t|, of normalised points:
+    those at which the two rays come nearest to each other; infinite for parallel rays."""
     # Points as columns: NumPy is slow along short axes.
     a = R[:, :2] @ points1.T + R[:, 2:]  # rays 1 in the axes of camera 2
     b = homogeneous(points2).T

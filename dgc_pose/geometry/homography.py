@@ -51,10 +51,7 @@ def fit_similarity(points1: np.ndarray, points2: np.ndarray, threshold: float) -
 
 
 def transfer_error(points1: np.ndarray, points2: np.ndarray, H: np.ndarray) -> np.ndarray:
-    """Distance (N,) in image 2 from H x1 to x2, in the points' unit; infinite beyond the horizon.
-
-    points1, points2: (N, 2).
-    """
+    """Distance (N,) in image 2 from H x1 to x2, in its unit; infinite beyond the horizon."""
     moved = homogeneous(points1) @ H.T
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = np.linalg.norm(moved[:, :2] / moved[:, 2:] - points2, axis=1)
@@ -62,10 +59,8 @@ def transfer_error(points1: np.ndarray, points2: np.ndarray, H: np.ndarray) -> n
 
 
 def homography_poses(H: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The poses (R, t), |t| = 1, of two views of a plane with x2 ~ H x1 in normalised points.
-
-    Both signs of each translation; none if the homography is a rotation.
-    """
+    """The poses (R, t), |t| = 1, of two views of a plane with x2 ~ H x1 in normalised points, with
+    both signs of each translation; none if the homography is a rotation."""
     _, rotations, translations, _ = cv2.decomposeHomographyMat(H, np.eye(3))
     poses = []
     for R, t in zip(rotations, translations, strict=True):

@@ -11,10 +11,7 @@ _ROUNDING = 1e-3  # largest entry of R^T R - 1 that rounding in a file may leave
 
 
 def is_rotation(R: np.ndarray) -> bool:
-    """Whether a matrix (3, 3) is a rotation, to the rounding of a file.
-
-    Entries may have any size and need not be finite.
-    """
+    """Whether a matrix (3, 3), of any numbers, is a rotation, to the rounding of a file."""
     if not np.abs(R).max() < 2:  # the product could overflow
         return False
     return bool(np.abs(R.T @ R - np.eye(3)).max() < _ROUNDING and np.linalg.det(R) > 0)
@@ -54,10 +51,7 @@ def rotation_of_quaternion(wxyz: np.ndarray) -> np.ndarray:
 
 
 def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
-    """The rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976).
-
-    If the rays do not determine the rotation, any of those that fit.
-    """
+    """A rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976)."""
     u, _, vt = np.linalg.svd(rays2.T @ rays1)
     u[:, 2] *= np.linalg.det(u) * np.linalg.det(vt)  # a rotation, and no reflection
     return u @ vt

@@ -30,9 +30,7 @@ def bilinear_at(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Distances (N, count) float32 of the nearest of points (N, D) to each, and their indices
     (N, count) int32, itself among them. N is at least `count`; of equal distances any come first.
-
-    By OpenCV's FLANN: the same trees of SciPy cost a command as much time at its start as a pose.
-    """
+    By OpenCV's FLANN: SciPy costs a command as much time at its start as a pose."""
     return _search(points, points, count)
 
 
@@ -62,11 +60,9 @@ def spread(
     side: float = 1.0,
     growth: float = 1.1,
 ) -> np.ndarray:
-    """Indices of at most `most` of the points (N, 2): the strongest of each square block.
-
-    strength: (N,). size: (width, height) of the image of the points. side: of the blocks at the
-    least, which grow by a factor until `most` are enough.
-    """
+    """Indices of at most `most` of the points (N, 2) in an image of `size` (width, height): the
+    strongest of each square block. side: of the blocks at the least, which grow by a factor until
+    `most` are enough."""
     order = np.argsort(-strength, kind="stable")
     x, y = points[order].T
     while True:

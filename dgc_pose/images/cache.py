@@ -31,11 +31,7 @@ class ImageCache:
         self._read: dict[Hashable, Image] = {}
 
     def read(
-        self,
-        root: Path,
-        name: str,
-        masks: str | Path | None = None,
-        size: Size | None = None,
+        self, root: Path, name: str, masks: str | Path | None = None, size: Size | None = None
     ) -> Image:
         """The image `name` of a folder, with its mask in the folder `masks` (see `mask_file`), at a
         size (width, height). Raises ImageError and InputError as `load_image` and `masked` do."""
@@ -62,19 +58,14 @@ class ImageCache:
 
     def get_all(self, wanted: Sequence[Wanted], *, in_turn: bool) -> list[Any]:
         """As `get` of each. Those that are not kept are made in threads, or else in turn."""
-        if not in_turn:
-            missing = {
-                (image, key): make
-                for image, key, make in wanted
-                if key not in self._kept.get(image, {})
-            }
-            values = in_threads(lambda make: make(), list(missing.values()))
-            made = dict(zip(missing, values, strict=True))
-            wanted = [
-                (image, key, partial(made.get, (image, key)) if (image, key) in made else make)
-                for image, key, make in wanted
-            ]
-        return [self.get(*one) for one in wanted]
+        makes = {
+            (image, key): make
+            for image, key, make in wanted
+            if not in_turn and key not in self._kept.get(image, {})
+        }
+        values = in_threads(lambda make: make(), list(makes.values()))
+        makes = {of: partial(lambda it: it, value) for of, value in zip(makes, values, strict=True)}
+        return [self.get(image, key, makes.get((image, key), make)) for image, key, make in wanted]
 
     def forget(self, image: Image) -> None:
         """Drop an image, and all that is computed of it."""

@@ -102,11 +102,8 @@ def image_header(path: Path) -> Header:
 
 
 def read_pixels(path: str | Path) -> np.ndarray:
-    """A file's pixels as stored, as OpenCV gives them, BGR(A).
-
-    For files whose numbers are no colours, such as depth. Raises ImageError, with the path, if the
-    file is missing, corrupt, too large or no regular file.
-    """
+    """A file's pixels as stored, BGR(A), also where they are no colours, such as depth. Raises
+    ImageError, with the path."""
     with image_errors(Path(path)):
         return decoded(Path(path))[0]
 

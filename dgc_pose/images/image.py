@@ -1,4 +1,4 @@
-"""Reading an image, from a file or from memory, as 8-bit RGB upright, with its mask."""
+"""Reading an image, from a file or from memory, as 8-bit RGB upright, and its mask."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ from dgc_pose.system.arrays import as_numpy, is_tensor
 from dgc_pose.system.parallel import in_threads
 
 if TYPE_CHECKING:
-    ImageSource = "str | os.PathLike[str] | np.ndarray | torch.Tensor | Image"
-    MaskSource = str | Path | ArrayLike | None
+    import torch
 
-SAME_SHAPE = 0.01  # relative difference of aspect ratios up to which a mask or a map is scaled
+SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask or map is scaled
 _LARGE = 4_000_000  # pixels, above which area means of other factors take tens of ms
 
 
@@ -76,6 +75,11 @@ class Image:
         return inside & ~self.mask[y.astype(np.intp), x.astype(np.intp)]
 
 
+if TYPE_CHECKING:
+    ImageSource = str | os.PathLike[str] | np.ndarray | torch.Tensor | Image
+    MaskSource = str | Path | ArrayLike | None
+
+
 def size_in_file(image: Image | Header) -> Size:
     """(width, height) of the pixels as the image's file has them, before its EXIF orientation."""
     return image.size[::-1] if image.exif.orientation in EXCHANGING else image.size
@@ -99,16 +103,14 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
 def load_image(source: ImageSource, name: str = "image") -> Image:
     """An upright image as 8-bit RGB.
 
-    `source` is a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or
-    4, grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
-    last, a tensor first. An `Image` is returned as it is. `name` is the argument's in errors.
+    source: a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or 4,
+    grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
+    last, a tensor first. An `Image` is returned as it is. name: of the argument in errors.
 
     Grey is repeated. Alpha 0 is a `mask`, under which the pixels get the mean colour of the others.
     8-bit values stay, floats within [0, 1] are multiplied by 255, and all others (16 bit, 12 bit in
     16, other floats) are rescaled, over all colours together, from the least and greatest to 0 and
-    255; few that lie far from the others are saturated.
-
-    An EXIF orientation of a file is applied.
+    255; few that lie far from the others are saturated. An EXIF orientation of a file is applied.
 
     Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt, too
     large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
@@ -259,11 +261,9 @@ def mask_file(folder: str | Path | None, name: str) -> Path | None:
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image (H, W[, 3]) at `size` (width, height): area means to shrink, bilinear to enlarge.
-
-    Both keep the outer edges of the image in place, as the half-pixel rule of `pixels.rescale`. A
-    large image of at least four times the sides, even ones, is halved first: that is far faster.
-    """
+    """An image (H, W[, 3]) at `size` (width, height), its outer edges in place: area means to
+    shrink, bilinear to enlarge. A large image of at least four times the sides, even ones, is
+    halved first: that is far faster."""
     height, width = pixels.shape[:2]
     while (
         width * height > _LARGE

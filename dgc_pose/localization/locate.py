@@ -65,13 +65,16 @@ class Locator:
         masks: Path | None = None,
     ) -> None:
         check_type(model, Model, "model")
-        self.model, self.matcher = model, matcher or load_matcher(cache=ImageCache())
+        self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
+        # One that keeps three images alone would read the model's anew for each query.
+        cache = self.matcher.cache
+        self._images = ImageCache(2**29) if cache.limit_bytes is None else cache
 
     def image(self, name: str) -> Image:
         """An image of the model with its mask. Raises ImageError."""
-        return self.matcher.cache.read(self.model.root, name, self.masks)
+        return self._images.read(self.model.root, name, self.masks)
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Compute the coarsest features of the model's images, by which those to be matched are
@@ -128,7 +131,7 @@ class Locator:
             search.add(name, pose, pair.matches, *self._points(name, image, pose, pair.matches))
             seconds["match"] += matched - start
             seconds["estimate"] += time.perf_counter() - matched
-        self.matcher.forget(image)
+        self.matcher.cache.forget(image)
         location = search.location()
         if 2 * len(contradictions) <= len(location.database_images) and location.success:
             contradictions = []  # most pairs agree with K

@@ -48,10 +48,7 @@ def refine(
 ) -> tuple[Matches, Matches]:
     """The matches that can be aligned, at most `max_matches`, evenly spread; and all that agree
     with their neighbours, aligned where that succeeds. None of either if fewer than `MIN_MATCHES`
-    agree.
-
-    corner_radius: pixels of image 2 that a match moves along each axis at most, to a corner.
-    """
+    agree. corner_radius: pixels that a match moves along each axis of image 2 at most."""
     local = consistent(matches, NEIGHBOURS)
     if len(local.index) < MIN_MATCHES:
         none = matches.subset(local.index[:0])
@@ -79,9 +76,7 @@ class Aligned:
 
     points1: np.ndarray  # (N, 2) float64, pixels of image 1
     points2: np.ndarray  # (N, 2) float64, corners of image 2
-    # (N,) float64, correlation of the aligned patches, -1 to 1; NaN, as it is undefined, if one of
-    # them has no more contrast than noise
-    zncc: np.ndarray
+    zncc: np.ndarray  # (N,) float64, see `Patches`
     converged: np.ndarray  # (N,) bool: at rest, within the tolerance of where it began
     index: np.ndarray  # (N,) int, of the matches that they come from
     pixel: float = 1.0  # of the images aligned, in pixels of the originals: mean over both
@@ -96,10 +91,7 @@ def align(
     corner_radius: int = CORNER_RADIUS,
 ) -> Aligned:
     """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
-
-    pixels: (H, W, 3) uint8. error_px: of the matches, pixels of image 1; each moves by a few times
-    that at most.
-    """
+    error_px: of the matches, pixels of image 1; each moves by a few times that at most."""
     areas = np.linalg.det(matches.affinity) if len(matches.index) else np.ones(1)
     scale = float(np.median(np.sqrt(areas)))
     shrinks = min(1.0, 1 / scale), min(1.0, scale)
@@ -190,11 +182,8 @@ def _converged(
 def locate(
     grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, *, radius: int, max_shift: float
 ) -> Aligned:
-    """As `align`, of the points of image 2 as they are, all of them, on the images alone.
-
-    grey: (H, W) float32. matches: points1 are where the search begins. radius: of a patch, pixels
-    of image 2. max_shift: pixels of image 1.
-    """
+    """As `align`, of all points of image 2 as they are, on the images alone; see `align_patches`.
+    max_shift: pixels of image 1."""
     patches = align_patches(grey1, grey2, matches, radius)
     converged = _converged(patches, matches.points1, grey1, max_shift)
     return Aligned(patches.points1, matches.points2, patches.zncc, converged, matches.index)
@@ -203,10 +192,8 @@ def locate(
 def nearby_corners(
     grey: np.ndarray, points: np.ndarray, radius: int = CORNER_RADIUS
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The strongest corner (N, 2) near each point, and its strength (N,).
-
-    grey: (H, W) uint8 or float32. points: (N, 2), pixels. radius: pixels along each axis.
-    """
+    """The strongest corner (N, 2) within `radius` pixels of each point (N, 2) along each axis, and
+    its strength (N,). grey: (H, W) uint8 or float32."""
     height, width = grey.shape
     near = np.arange(-radius, radius + 1)
     x, y = np.rint(points).astype(np.int64).T[:, :, None] + near

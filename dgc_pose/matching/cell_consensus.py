@@ -40,9 +40,8 @@ def likely_cells(
     """Indices (n, likely), row by row, of the source's likeliest cells for each of the target's n.
 
     guided: (n, G) further candidates, beside the `similar` most similar cells. scales: inverse
-    temperatures of the cosines at strides 16 and 8 (`Engine.correlation_scales`); with one of them
-    stride 16 alone is compared. allowed: (n, m) bool, which of the source's m cells each of the
-    target's may match; None for all.
+    temperatures of the cosines at stride 16 and, if there are two, 8. allowed: (n, m) bool, which
+    of the source's m cells each of the target's may match; None for all.
     """
     # Log-likelihoods: the dual softmax over cosines at stride 16, up to a constant of the cell, and
     # the cosines at stride 8.
@@ -92,11 +91,9 @@ def likely_cells(
 def propagate(
     candidates: np.ndarray, scores: np.ndarray, columns: int, grid: tuple[int, int]
 ) -> np.ndarray:
-    """Log-probabilities (n, K) of each cell's candidates after belief propagation.
-
-    candidates: (n, K) indices, row by row, of the source's cells; scores: (n, K) log-likelihoods;
-    columns: of the source; grid: (rows, columns) of the target, n cells in all.
-    """
+    """Log-probabilities (n, K) of each cell's candidates after belief propagation. candidates:
+    indices (n, K) of cells of a source of so many `columns`; scores: their log-likelihoods; grid:
+    (rows, columns) of the target, n cells in all."""
     y, x = (axis.astype(np.float32) for axis in np.divmod(candidates, columns))
     index = np.arange(len(candidates)).reshape(grid)
 

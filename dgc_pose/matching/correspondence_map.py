@@ -148,10 +148,8 @@ def select_matches(
 
 
 def points_in_image1(dense: CorrespondenceMap, points2: np.ndarray) -> np.ndarray:
-    """The map at points (N, 2) of image 2: (N, 2) float64, pixels of image 1.
-
-    Bilinear between the map's cells, constant beyond the outer ones.
-    """
+    """The map at points (N, 2) of image 2: (N, 2) float64, pixels of image 1, bilinear between its
+    cells and constant beyond the outer ones."""
     height, width = dense.matchability.shape
     cells = rescale(points2, dense.size2, (width, height))
     planes = np.moveaxis(dense.map, -1, 0)
@@ -162,10 +160,8 @@ def points_in_image1(dense: CorrespondenceMap, points2: np.ndarray) -> np.ndarra
 
 def rotation_between(points1: np.ndarray, points2: np.ndarray) -> float:
     """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
-    `numpy.rot90`) to have the orientation of image 1.
-
-    From the similarity that best fits points (N, 2) of one image and the other; 0 without any.
-    """
+    `numpy.rot90`) to have the orientation of image 1, by the similarity that best fits points
+    (N, 2) of both; 0 without any."""
     if len(points1) == 0:
         return 0.0
     points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
@@ -187,8 +183,7 @@ def matchable_points(dense: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
 def window_shown(points: np.ndarray, size: Size) -> tuple[Size, tuple[float, float]]:
     """The part of an image of `size` (width, height) that holds nearly all of its points (N, 2)
     and a margin: (width, height), and the pixel at its centre. The whole image if that is not much
-    larger, or without points.
-    """
+    larger, or without points."""
     whole = size, ((size[0] - 1) / 2, (size[1] - 1) / 2)
     if len(points) == 0:
         return whole
@@ -205,11 +200,9 @@ def window_shown(points: np.ndarray, size: Size) -> tuple[Size, tuple[float, flo
 
 
 def scale_between(dense: CorrespondenceMap) -> float:
-    """Pixels of image 1 per pixel of image 2: the median over the matchable cells.
-
-    From areas of the map over a thirtieth of the image, which its errors hardly change; clipped to
-    1/10 to 10. If few cells are matchable, that of equal fields of view.
-    """
+    """Pixels of image 1 per pixel of image 2, 1/10 to 10: the median over the matchable cells, of
+    areas a thirtieth of the image wide, which errors hardly change. If few cells are matchable,
+    that of equal fields of view."""
     matchable = dense.matchability >= _MATCHABLE
     step = max(1, len(matchable) // 30)
     corners = matchable[:-step, :-step] & matchable[step:, :-step] & matchable[:-step, step:]

@@ -58,12 +58,9 @@ def dense_map(
     cells: int = INPUT_SIZE,
     search: bool = True,
 ) -> CorrespondenceMap:
-    """The map of a pair; image 1 is the network's source, image 2 its target.
-
-    cache: of the encoder's features, by view. cells: a side, for a squared image, one of
-    LEVEL_SIZES. search: whether other rotations of image 2 and other scales are searched if the
-    mean matchability is below `WEAK`.
-    """
+    """The map of a pair; image 1 is the network's source, image 2 its target. cells: as of
+    `Engine.decode`. search: other rotations of image 2 and other scales, if the mean matchability
+    is below `WEAK`."""
 
     def decode(views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray, Size]:
         source, target = map_features(engine, cache, *views)
@@ -135,11 +132,8 @@ class _Candidate:
 def search_views(
     engine: Engine, image1: Image, image2: Image, cache: ImageCache
 ) -> tuple[View, View] | None:
-    """Views of both images at one rotation and scale; None if the images as they are match best.
-
-    cache: of the small copies, by angle and octave. An image that the network squeezes is not
-    rotated: its copy would be nearly all border.
-    """
+    """Views of both images at one rotation and scale; None if the images as they are match best. An
+    image that the network squeezes is not rotated: its copy would be nearly all border."""
     images = image1, image2
     if any(max(image.size) > LONGEST * min(image.size) for image in images):
         return None
@@ -206,10 +200,8 @@ def matching_distribution(
     source: NativeFeatures, target: NativeFeatures, inside: np.ndarray, scales: np.ndarray
 ) -> np.ndarray:
     """Log-probability (n1, n2) of each coarse cell of the source for each of the target's n2 cells
-    `inside` (h, w), by the dual softmax over the cosines of the correlated levels.
-
-    scales: inverse temperatures of the levels, the coarsest first; at most two are compared.
-    """
+    `inside` (h, w), by the dual softmax over the cosines of the correlated levels; scales: their
+    inverse temperatures, the coarsest first."""
     cells = np.flatnonzero(inside)
     coarse1, coarse2 = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
@@ -242,26 +234,25 @@ def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
     step = _ANGLE_STEP * round((turned if best.octave >= 0 else -turned) / _ANGLE_STEP)
     angle = float(step % 360)
     if best.octave == 0:
-        return _whole(image1, 0.0), _whole(image2, angle)
+        return View.whole(image1), View.rotated(image2, angle, _PIXELS)
     small, large = (image2, image1) if best.octave > 0 else (image1, image2)
+    turn = angle if best.octave > 0 else 0.0
+    whole = View.rotated(small, turn, _PIXELS)
     # At scale 1: in the orientation of both views, which is that of image 1.
-    shown = View.whole(small, angle if best.octave > 0 else 0.0).size
-    extent = [_MARGIN * ratio * side for side in shown]
+    extent = [_MARGIN * ratio * side for side in View.whole(small, turn).size]
     centre = linear @ ((np.array(small.size) - 1) / 2) + shift
     centre = centre.clip(0, np.array(large.size) - 1)
     scale = min(1.0, _PIXELS / math.sqrt(math.prod(extent)))
     size = (max(1, round(extent[0] * scale)), max(1, round(extent[1] * scale)))
     around = (float(centre[0]), float(centre[1]))
     if best.octave > 0:
-        return View(large, 0.0, scale, around, size), _whole(small, angle)
-    return _whole(small, 0.0), View(large, angle, scale, around, size)
+        return View(large, 0.0, scale, around, size), whole
+    return whole, View(large, angle, scale, around, size)
 
 
 def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
-    """(2, 2) and (2,): from pixels of the image with the smaller field of view to the other's.
-
-    That which most of the matches fit; without one, by the angle and the octave that were compared.
-    """
+    """(2, 2) and (2,): from pixels of the image with the smaller field of view to the other's, as
+    most of the matches have it, or else the angle and the octave that were compared."""
     peaks = best.logarithms.max(0)
     sure = peaks >= np.median(peaks)
     wide = best.wide.points[best.logarithms.argmax(0)][sure]
@@ -280,9 +271,3 @@ def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
         if off < math.radians(_ANGLE_OFF) and 1 / _SCALE_OFF < grown < _SCALE_OFF:
             return matrix[:, :2], matrix[:, 2]
     return linear, np.median(wide - narrow @ linear.T, 0)
-
-
-def _whole(image: Image, angle_deg: float) -> View:
-    """The whole of an image, no larger than the network needs it."""
-    scale = min(1.0, _PIXELS / math.sqrt(math.prod(image.size)))
-    return View.whole(image, angle_deg, scale if angle_deg else 1.0)

@@ -66,15 +66,15 @@ def feature_matches(
     long_side: int = LONG_SIDE,
     hypotheses: Sequence[TwoViews] | None = None,
 ) -> tuple[list[Matches], list[Encoded], float]:
-    """Mutual nearest neighbours of the features, guided by the map, in pixels of the images, by
-    each of several comparisons; the confidence is their cosine, at least 0. And the views of both
-    images that are compared, and their scale, see `_compared_views`.
+    """Mutual nearest neighbours of the features, guided by the map, by each of several comparisons;
+    the confidence is their cosine. And the views of both images that are compared, and their scale,
+    see `_compared_views`.
 
-    hypotheses: of the pose. None for one comparison of both views; otherwise further matches:
+    hypotheses: of the pose. None for one comparison of both views; otherwise further ones:
 
     - with one view narrower or lower than it is: a surface that one camera sees from the side and
       the other from the front becomes alike;
-    - for each of the first hypotheses, those near its epipolar lines.
+    - for each of the first hypotheses, of cells near its epipolar lines.
     """
     first, second, scale = _compared_views(image1, image2, dense, long_side)
     comparisons: list[tuple[Shown, Shown, TwoViews | None]] = [(first, second, None)]
@@ -101,12 +101,8 @@ def _compared_views(
     image1: Image, image2: Image, dense: CorrespondenceMap, long_side: int
 ) -> tuple[Shown, Shown, float]:
     """Views of the parts of both images that the map shows to match, at one orientation; with the
-    columns and rows of stride 16 at one scale, with long sides of about `long_side` pixels; and
-    their sides over those at full resolution.
-
-    Features are invariant neither to scale nor to rotation. The scale is that of the map to the
-    octave, as features tolerate half of one.
-    """
+    columns and rows of stride 16 at one scale, to the octave, with long sides of about `long_side`
+    pixels; and their sides over those at full resolution."""
     scale = 2.0 ** round(math.log2(scale_between(dense)))
     points1, points2 = matchable_points(dense)
     angle = rotation_between(points1, points2)
@@ -186,12 +182,9 @@ def _neighbours(
 
 
 def equal_scales(size1: Size, size2: Size, scale: float, long_side: int) -> tuple[float, float]:
-    """Factors that bring both images to one scale; sizes (width, height).
-
-    scale: pixels of image 1 per pixel of image 2. At scale 1 no side is longer than `long_side`
-    afterwards; otherwise the image of the larger scale becomes smaller than that. Small images are
-    enlarged, at most twice: else the cells of stride 4 would be too few and too large.
-    """
+    """Factors that bring both images to one scale, with no side longer than `long_side`. scale:
+    pixels of image 1 per pixel of image 2. Small images are enlarged, at most twice: else the cells
+    of stride 4 would be too few and too large."""
     factor1, factor2 = (min(1.0, long_side / max(size)) for size in (size1, size2))
     ratio = scale * factor1 / factor2
     factor1, factor2 = factor1 / max(ratio, 1.0), factor2 * min(ratio, 1.0)
@@ -206,12 +199,9 @@ def mutual_neighbours(
     candidates: np.ndarray,
     band: EpipolarBand | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mutual nearest neighbours at stride 8 among the children of candidate cells.
-
-    candidates: (n, K) indices, row by row, of stride-16 cells of the source for each of the
-    target's n. band: which cells of stride 8 may match. Returns cells (M, 2) int of stride 8, x and
-    y, in source and target, and their cosine.
-    """
+    """Mutual nearest neighbours at stride 8, cells (M, 2) int of source and target, x and y, and
+    their cosine, among the children of `candidates`: (n, K) indices of stride-16 cells of the
+    source for each of the target's n. band: which cells of stride 8 may match."""
     middle1, middle2 = (np.concatenate(features.middle) for features in (source, target))
     children1, children2 = _children(source.coarse), _children(target.coarse)
 
@@ -242,11 +232,9 @@ def mutual_neighbours(
 def subcell_points(
     fine1: np.ndarray, fine2: np.ndarray, cells1: np.ndarray, cells2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (M, 2) float64 in cells of stride 4 of matched cells (M, 2) of stride 8.
-
-    The target's point is the cell's centre; the source's is the mean of the cells within one of the
-    most similar in a window, weighted by the softmax of their cosines.
-    """
+    """Points (M, 2) float64 in cells of stride 4 of matched cells (M, 2) of stride 8: the centre of
+    the target's; of the source's the mean of the cells within one of the most similar in a window,
+    weighted by the softmax of their cosines."""
     rows, columns, channels = fine1.shape
     # Points between the cells, where four of them meet: their cosines are the mean of the four's.
     x1, y1 = (2 * cells1[:, axis, None] + np.arange(-_RADIUS, _RADIUS + 2) for axis in (0, 1))

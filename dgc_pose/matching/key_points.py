@@ -56,10 +56,7 @@ class KeyPoints(NamedTuple):
 
 class KeyPointMatcher(Matcher):
     """Detects key points with descriptors in each image alone (`_detect`, what a subclass defines),
-    and matches these (`_matched`, likewise); makes no map.
-
-    cache: of key points; None to keep those of the last three images.
-    """
+    and matches these (`_matched`, likewise); makes no map."""
 
     def __init__(self, cache: ImageCache | None = None) -> None:
         self.cache = cache or ImageCache(None)

@@ -41,9 +41,8 @@ class MatchResult:
 class Matcher:
     """Anything that matches two images: the network, SIFT, a detector, or files.
 
-    `match` is all that an image pair needs. `solve_pair` has steps beside it, which a matcher may
-    have: `coarse`, `refined` and `guided`. Each is None if it has no other matches than those that
-    are there.
+    `match` is all that a pair needs. `coarse`, `refined` and `guided` are further steps of
+    `solve_pair`; each is None if it has no other matches than those that are there.
     """
 
     name: str  # in results and tables
@@ -57,7 +56,6 @@ class Matcher:
     @property
     def fingerprint(self) -> str | None:
         """16 hexadecimal digits that identify the weights; None for a matcher without weights."""
-        return None
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
         """Matches in pixels of the images, both points where the images have structure and no mask,
@@ -67,28 +65,19 @@ class Matcher:
 
     def coarse(self, image1: Image, image2: Image) -> MatchResult | None:
         """Match small images, which is enough for an easy pair."""
-        return None
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
         """Match at full resolution by the map of a result."""
-        return None
 
     def guided(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
     ) -> MatchResult | None:
         """Add to a result matches near the epipolar lines of hypotheses of the pose."""
-        return None
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.
-
-        Raises InputError for a matcher that has none.
-        """
+        Raises InputError for a matcher that has none."""
         raise InputError(f"{self.name} has no features of a network, which choose pairs")
-
-    def forget(self, image: Image) -> None:
-        """Drop all that is kept of an image."""
-        self.cache.forget(image)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, also where an image has no structure: what a subclass defines."""

@@ -20,7 +20,7 @@ from dgc_pose.matching.correspondence_map import (
     select_matches,
 )
 from dgc_pose.matching.dense import dense_map, map_features
-from dgc_pose.matching.features import LONG_SIDE, Encoded, feature_matches
+from dgc_pose.matching.features import LONG_SIDE, feature_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import surroundings
 from dgc_pose.matching.view import View
@@ -35,12 +35,8 @@ MIN_ALIGNED = 100  # fewer aligned matches are completed by those that agree wit
 
 
 class NetworkMatcher(Matcher):
-    """Matches by a frozen network; image 1 is its source, image 2 its target.
-
-    The steps beside `match` are None where nothing is refined (`MatchingOptions.aligned`).
-
-    cache: of features, textures and small copies; None to keep those of the last three images.
-    """
+    """Matches by a frozen network; image 1 is its source, image 2 its target. The steps beside
+    `match` are None where nothing is refined (`MatchingOptions.aligned`)."""
 
     engine: Engine
 
@@ -56,11 +52,9 @@ class NetworkMatcher(Matcher):
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of the weights: different weights of one network have different ones."""
         return self.engine.fingerprint
 
     def coarse_features(self, image: Image) -> np.ndarray:
-        """As `Matcher`; those of the whole image."""
         (features,) = map_features(self.engine, self.cache, View.whole(image))
         return np.concatenate(self.engine.coarsest(features))
 
@@ -81,20 +75,15 @@ class NetworkMatcher(Matcher):
             dense = dense_map(self.engine, image1, image2, self.cache, cells=cells, search=False)
             if dense.mean_matchability < WEAK:
                 return None
-        (part,), views, scale = self._refined(image1, image2, dense, COARSE_SIDE)
-        return self._chosen(*part, dense, views, scale)
+        return self._refined(image1, image2, dense, side=COARSE_SIDE)
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """Match at full resolution by the map of a result: refine the matches of the features, then
-        those of the result, until one leaves enough."""
+        """Match at full resolution by the map of a result: refine the matches of the features, or,
+        if that leaves too few, those of the result."""
         dense = result.correspondence_map
         if self.options.aligned == "none" or dense is None:
             return None
-        (part,), views, scale = self._refined(image1, image2, dense, LONG_SIDE)
-        if found := self._chosen(*part, dense, views, scale):
-            return found
-        part = refine(image1, image2, result.matches, self.options.max_matches)
-        return self._chosen(*part, dense, views, scale)
+        return self._refined(image1, image2, dense, instead=result.matches)
 
     def guided(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
@@ -105,10 +94,8 @@ class NetworkMatcher(Matcher):
         dense = result.correspondence_map
         if result.aligned is None or dense is None:
             return None
-        parts, views, scale = self._refined(image1, image2, dense, LONG_SIDE, hypotheses)
-        aligned = Matches.joined([result.aligned, *(part for part, _ in parts)])
-        agreeing = Matches.joined([result.matches, *(part for _, part in parts)])
-        return self._chosen(aligned, agreeing, dense, views, scale)
+        first = result.aligned, result.matches
+        return self._refined(image1, image2, dense, first=[first], hypotheses=hypotheses)
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         dense = dense_map(self.engine, image1, image2, self.cache)
@@ -120,39 +107,39 @@ class NetworkMatcher(Matcher):
         image1: Image,
         image2: Image,
         dense: CorrespondenceMap,
-        side: int,
+        *,
+        side: int = LONG_SIDE,
+        first: Sequence[tuple[Matches, Matches]] = (),
         hypotheses: Sequence[TwoViews] | None = None,
-    ) -> tuple[list[tuple[Matches, Matches]], list[Encoded], float]:
-        """As `feature_matches`; of each comparison the matches that are aligned on the images and
-        those that agree with their neighbours, see `refine`."""
+        instead: Matches | None = None,
+    ) -> MatchResult | None:
+        """The matches of `feature_matches` by a map, refined on the images; None if they are too
+        few, and so are those refined `instead`. first: aligned and agreeing matches (see `refine`)
+        that they join."""
         found, views, scale = feature_matches(
             self.engine, image1, image2, dense, self.cache, side, hypotheses
         )
         most = self.options.max_matches
         radius = COARSE_CORNER_RADIUS if side == COARSE_SIDE else CORNER_RADIUS
-        parts = in_threads(lambda part: refine(image1, image2, part, most, radius), found)
-        return parts, views, scale
 
-    def _chosen(
-        self,
-        aligned: Matches,
-        agreeing: Matches,
-        dense: CorrespondenceMap,
-        views: Sequence[Encoded],
-        scale: float,
-    ) -> MatchResult | None:
-        """The aligned matches, or all that agree, where the images have structure, evenly spread,
-        with what surrounds them; None if they are too few. scale: as of `surroundings`."""
-        image1, image2 = (view.image for view, _ in views)
-        aligned = self._textured(image1, image2, aligned)
+        def aligned_and_agreeing(part: Matches) -> tuple[Matches, Matches]:
+            return refine(image1, image2, part, most, radius)
+
+        parts = in_threads(aligned_and_agreeing, found)
+        if len(parts := [*first, *parts]) > 1:
+            parts = [tuple(map(Matches.joined, zip(*parts, strict=True)))]
+        aligned, agreeing = (self._textured(image1, image2, of) for of in parts[0])
+        too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
+        if instead is not None and too_few:
+            part = aligned_and_agreeing(instead)
+            aligned, agreeing = (self._textured(image1, image2, of) for of in part)
         # Patches of views far apart often differ too much. What is left of them is more accurate,
         # but too little to distinguish a pose from chance: both together have the error that all of
         # them had before.
         enough = len(aligned) >= MIN_ALIGNED
-        chosen = aligned if enough else self._textured(image1, image2, agreeing)
+        chosen = aligned if enough else agreeing
         if len(chosen) < MIN_MATCHES:
             return None
-        most = self.options.max_matches
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
         share = surroundings(views, self._textures(image1, image2), chosen, scale)
         chosen = replace(chosen, surroundings=share)

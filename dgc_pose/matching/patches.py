@@ -44,7 +44,6 @@ class LocalMatches:
     index: np.ndarray  # (N,) int, of the matches that they come from
 
     def subset(self, kept: np.ndarray | slice) -> LocalMatches:
-        """Some of the matches. kept: (N,) bool, indices, or a slice."""
         return LocalMatches(
             self.points1[kept], self.points2[kept], self.affinity[kept], self.index[kept]
         )
@@ -108,11 +107,10 @@ def align_patches(
     *,
     affine: bool = False,
 ) -> Patches:
-    """The patches in image 1 of those around the matches' points in image 2.
+    """The patches in image 1 of those around the matches' points in image 2, of `radius` pixels.
 
-    grey: (H, W) float32. matches: points1 and affinity are where the search begins. radius: of a
-    patch, pixels of image 2. affine: adjust the affinity too; one that changes much has a
-    correlation of -1.
+    grey: (H, W) float32. matches: points1 and affinity are where the search begins. affine: adjust
+    the affinity too; one that changes much has a correlation of -1.
     """
     parts = in_threads(
         lambda part: _align(grey1, grey2, matches.subset(part), radius, affine),

@@ -67,10 +67,8 @@ class Texture:
         return self.mask.nbytes
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """Whether the image has structure at points (N, 2), pixels of the image: (N,) bool.
-
-        False outside the image and for points that are not finite.
-        """
+        """Whether the image has structure at points (N, 2), its pixels: (N,) bool. False outside it
+        and for points that are not finite."""
         height, width = self.mask.shape
         finite = np.isfinite(points).all(1)
         cells = rescale(np.where(finite[:, None], points, -1.0), self.size, (width, height))
@@ -86,7 +84,6 @@ def textured(matches: Matches, first: Texture, second: Texture) -> Matches:
 
 
 def texture(image: Image) -> Texture:
-    """Find the places where an image has structure."""
     grey = cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)
     shrunk = resize_by(grey, min(1.0, LONG_SIDE / max(image.size)))
     return Texture(structured(shrunk.astype(np.float32)), image.size)
@@ -108,12 +105,9 @@ def structured(grey: np.ndarray) -> np.ndarray:
 
 
 def noise_level(grey: np.ndarray) -> float:
-    """Standard deviation of the noise of an image (H, W) float32, of whole grey levels, H, W >= 3.
-
-    From the upper quartile of the response to the difference of two Laplacians, which cancels
-    planes and straight edges (Immerkær 1996). Fine texture counts as noise. Not the median: noise
-    around black is cut off.
-    """
+    """Standard deviation of the noise of an image (H, W) float32, of whole grey levels, H, W >= 3,
+    by the upper quartile (the median suffers where noise around black is cut off) of the response
+    to the difference of two Laplacians, which cancels planes and straight edges (Immerkær 1996)."""
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1])
     largest = 8 * 255  # a whole number, as all of them are, so that a histogram has their quartile
@@ -170,11 +164,7 @@ def surroundings(
 ) -> float | None:
     """The likeness of what surrounds the matches of two images, over that at the matches; means
     over cells with structure and no mask, and of both images the lesser. None if nothing surrounds
-    them.
-
-    views: of both images, with their features; textures: of both; scale: of the views' sides, over
-    those at full resolution.
-    """
+    them. scale: of the views' sides, over those at full resolution."""
     first, second = views
 
     def likeness(is_swapped: bool) -> list[np.ndarray]:

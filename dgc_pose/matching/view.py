@@ -27,9 +27,15 @@ class View:
 
     @staticmethod
     def whole(image: Image, angle_deg: float = 0.0, scale: float = 1.0) -> View:
-        """The smallest view that holds the whole of an image."""
         width, height = image.size
         return View.window(image, image.size, ((width - 1) / 2, (height - 1) / 2), angle_deg, scale)
+
+    @staticmethod
+    def rotated(image: Image, angle_deg: float, side: float) -> View:
+        """The whole of an image, with an area of at most that of a square of `side` pixels if it is
+        rotated."""
+        scale = min(1.0, side / math.sqrt(math.prod(image.size)))
+        return View.whole(image, angle_deg, scale if angle_deg else 1.0)
 
     @staticmethod
     def window(

@@ -63,16 +63,13 @@ class NetworkConfig:
 
     @property
     def level_channels(self) -> tuple[int, ...]:
-        """Channels of each pyramid level, 0 to 4."""
         if self.pyramid == "efficientnet-lite0":
             return 16, 32, 64, 128, 128
         return tuple(channels[-1] for channels in self.pyramid)
 
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """Width and height that an image of `size` (width, height) is resized to for the network.
-
-        With `any_shape` there are about as many cells as in a square of 240 pixels.
-        """
+        """(width, height) that an image of `size` is resized to; with `any_shape` for about as many
+        cells as in a square of 240 pixels."""
         if not self.any_shape:
             return INPUT_SIZE, INPUT_SIZE
         side = INPUT_SIZE // STRIDE
@@ -85,7 +82,6 @@ class NetworkConfig:
         return 3 if self.matchability == "decoder" else 2
 
     def decoder_inputs(self, level: int) -> int:
-        """Input channels of a level's decoder."""
         radius = self.decoders[level].local_radius
         if level == COARSEST and radius is None:
             return LEVEL_SIZES[COARSEST] ** 2 + self.map_channels

@@ -80,12 +80,10 @@ def match_scores(evidence: Array) -> Array:
 
 
 def consensus(scores: Array, passes: int, source: Grid, target: Grid) -> Array:
-    """Log-probabilities of each target cell's source cell, after belief propagation.
-
-    Sum-product belief propagation on the grid of target cells, with `passes` rounds: the match
-    (s, t) of a target cell t is supported by the matches (s + d, t + d) of its eight neighbours,
-    blurred over s, as views are rotated, scaled and distorted.
-    """
+    """Log-probabilities of each target cell's source cell, after `passes` rounds of sum-product
+    belief propagation on the grid of target cells: the match (s, t) of a target cell t is supported
+    by the matches (s + d, t + d) of its eight neighbours, blurred over s, as views are rotated,
+    scaled and distorted."""
     library = _library(scores)
     # A Gaussian over the source's cells, column by column on both axes.
     axes = (np.arange(side, dtype=np.float32) for side in source[::-1])
@@ -100,11 +98,8 @@ def consensus(scores: Array, passes: int, source: Grid, target: Grid) -> Array:
 
 
 def _sum_of_neighbours(messages: Array) -> Array:
-    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (..., w1, h1, h2, w2).
-
-    Messages about cells outside the source have the smallest value; there are none from cells
-    outside the target.
-    """
+    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (..., w1, h1, h2, w2):
+    the smallest about cells outside the source, and none from cells outside the target."""
     *batch, columns, rows, height, width = messages.shape
     shape = (*batch, columns + 2, rows + 2, height + 2, width + 2)
     if isinstance(messages, np.ndarray):
@@ -121,12 +116,9 @@ def _sum_of_neighbours(messages: Array) -> Array:
 
 
 def peaks(scores: Array, source: Grid) -> tuple[Array, Array]:
-    """The soft-argmax of each target cell's scores within a window, and its probability.
-
-    Returns x and y in source cells (..., 2, h2 * w2), the mean of the source cells near the
+    """Of each target cell x and y in source cells (..., 2, h2 * w2), the mean of those near the
     highest, weighted by their probability (without the window, a second peak would pull the mean
-    between both); and the probability (..., h2 * w2) inside the window.
-    """
+    between both); and the probability (..., h2 * w2) inside the window."""
     library = _library(scores)
     probability = library.exp(log_softmax(scores, -2))
     cells = _like(np.stack(np.divmod(np.arange(source[0] * source[1]), source[0])), scores)

@@ -29,11 +29,8 @@ LAST_BLOCKS = {2: 2, 4: 3, 10: 4}  # the last block of a stride, and the pyramid
 
 
 class EfficientPyramid(nn.Module):
-    """Features of an image at 240, 120, 60, 30 and 15 cells a side.
-
-    Levels 0 and 1 are convolutions of the image. Levels 2 to 4 come from the backbone, by 1x1
-    heads and a top-down path that adds each level, upsampled, to the next finer one.
-    """
+    """Levels 0 and 1 are convolutions of the image. Levels 2 to 4 come from the backbone, by 1x1
+    heads and a top-down path that adds each level, upsampled, to the next finer one."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -61,7 +58,6 @@ class EfficientPyramid(nn.Module):
         self.merge_2 = nn.Conv2d(64, 64, 3, padding=1)
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
         level0: Tensor = self.level_0(image)
         return [level0, self.level_1(level0), *self.coarse(image)]
 

@@ -33,8 +33,8 @@ INITIAL_SCALE = 20.0
 class Prediction:
     """The maps and mask logits of a batch of pairs, coarse to fine."""
 
-    # (B, 2, S, S), S = 15, 30, 60, 120, 240 (or h, w to 16 h, 16 w) on the target's grid: x and y
-    # in the source, normalised by the configuration's align_corners
+    # (B, 2, S, S), S = 15 to 240 (or h, w to 16 h, 16 w) on the target's grid: x and y in the
+    # source, normalised by the configuration's align_corners
     maps: tuple[Tensor, ...]
     # (B, 1, S, S) matchability logits: five from decoders with a mask channel, one (at 240) from
     # the mask network; none for a network without a mask, or if its level is not decoded
@@ -88,7 +88,6 @@ class DGCNet(nn.Module):
         return features
 
     def encode(self, image: Tensor) -> list[Tensor]:
-        """Features of levels 0 to 4 of a normalised image, and nothing else."""
         with self._precision(image):
             features = self.pyramid(image)
         return [feature.to(image.dtype) for feature in features]
@@ -155,11 +154,8 @@ class DGCNet(nn.Module):
     def refine(
         self, level: int, warped: Tensor, target: Tensor, previous: Tensor, grid: tuple[int, int]
     ) -> Tensor:
-        """A level's state from the previous one, already at this level's size; or of a part of the
-        level, which the tensors hold.
-
-        grid: rows and columns of the source at this level.
-        """
+        """A level's state, or that of a part of it, from the previous one at this level's size.
+        grid: rows and columns of the source at this level."""
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
         if radius is not None:
@@ -212,7 +208,6 @@ class Pyramid(nn.Module):
             self.add_module(f"level_{index}", nn.Sequential(*layers))
 
     def forward(self, image: Tensor) -> list[Tensor]:
-        """Features (B, C_k, S_k, S_k) of levels 0 to 4 of a normalised image (B, 3, S, S)."""
         features = []
         for level in self.children():
             image = level(image)
@@ -220,7 +215,6 @@ class Pyramid(nn.Module):
         return features
 
     def coarse(self, image: Tensor) -> list[Tensor]:
-        """Features of levels 2 to 4 (strides 4, 8 and 16) of an image (B, 3, 16 h, 16 w)."""
         return self(image)[2:]
 
 
@@ -261,21 +255,15 @@ def l2_normalise(features: Tensor) -> Tensor:
 
 
 def global_correlation(source: Tensor, target: Tensor) -> Tensor:
-    """Every source cell against every target cell (paper, section 3.2).
-
-    Takes (B, C, h1, w1) and (B, C, h2, w2); returns (B, h1 * w1, h2, w2): channel xs * h1 + ys
-    (column-major over the source) at (yt, xt) is <source(ys, xs), target(yt, xt)>.
-    """
-    columns = source.transpose(2, 3).flatten(2)  # (B, C, xs * h + ys)
+    """Every source cell against every target cell (paper, section 3.2): (B, h1 * w1, h2, w2),
+    channel xs * h1 + ys at (yt, xt) is <source(ys, xs), target(yt, xt)>."""
+    columns = source.transpose(2, 3).flatten(2)
     return torch.einsum("bcs,bcyx->bsyx", columns, target)
 
 
 def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
-    """Target cells against the warped source in a window around the same cell.
-
-    Takes (B, C, H, W) of both; returns (B, (2 radius + 1)^2, H, W), channels row by row over
-    (dy, dx) from -radius to radius: <warped(y + dy, x + dx), target(y, x)>, zero outside.
-    """
+    """Target cells against the warped source in a window around the same cell, zero outside:
+    (B, (2 radius + 1)^2, H, W), row by row over (dy, dx) <warped(y + dy, x + dx), target>."""
     height, width = target.shape[2:]
     padded = F.pad(warped, (radius,) * 4)
     scores = [
@@ -297,11 +285,8 @@ def normalise(images: Tensor) -> Tensor:
 
 
 def to_pixels(normalised: Tensor, size: tuple[int, int], align_corners: bool) -> Tensor:
-    """Pixels of an image of `size` (width, height) from normalised (..., 2) coordinates.
-
-    With align_corners, -1 is the centre of pixel 0 and +1 that of the last; without, they are the
-    outer edges of those pixels. Pixel (0, 0) is the centre of the top-left pixel either way.
-    """
+    """Pixels of an image of `size` (width, height) from normalised (..., 2) coordinates, of which
+    -1 and +1 are the centres of the outer pixels with align_corners, their outer edges without."""
     extent = normalised.new_tensor(size)
     if align_corners:
         return (normalised + 1) * (extent - 1) / 2

@@ -50,10 +50,7 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
 
 
 def read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """The preset's name, and the arrays of a file of ours.
-
-    Raises WeightsError, naming the file, if it is none.
-    """
+    """The preset's name, and the arrays of a file of ours. Raises WeightsError for any other."""
     metadata, state = read_tensors(path)
     name = metadata.get("preset", "")
     if name not in PRESETS:
@@ -155,10 +152,8 @@ def load_network(
 
 
 def choose_device(name: str = "auto") -> torch.device:
-    """The torch device of that name; "auto" is a CUDA device if there is one, else the CPU.
-
-    Raises InputError for an unknown name or a missing device.
-    """
+    """The torch device of that name; "auto" is a CUDA device if there is one, else the CPU. Raises
+    InputError for an unknown name or a missing device."""
     import torch
 
     if name == "auto":
@@ -195,10 +190,8 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
 
 
 def read_state(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of a .safetensors, or of a checkpoint's state_dict, whatever their keys.
-
-    Raises WeightsError, with the path, for any other file.
-    """
+    """The arrays of a .safetensors, or of a checkpoint's state_dict, whatever their keys. Raises
+    WeightsError for any other file."""
     if path.suffix == SUFFIX:
         return read_tensors(path)[1]
     import torch

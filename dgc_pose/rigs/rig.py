@@ -281,7 +281,7 @@ def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
         for of, of_view in views
     )
     for of, _ in views:
-        locator.matcher.forget(of)
+        locator.matcher.cache.forget(of)
     return mirrored.success and mirrored.num_inliers > direct.num_inliers
 
 

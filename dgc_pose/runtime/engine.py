@@ -52,18 +52,13 @@ class NativeFeatures:
 
 
 class Engine(Protocol):
-    """A frozen network with its weights, run by some library on some device.
-
-    Images are (H, W, 3) uint8 RGB. Features of an image do not depend on what was computed before,
-    and may be kept for later pairs.
-    """
+    """A frozen network with its weights, run by some library on some device. Images are (H, W, 3)
+    uint8 RGB; their features may be kept for later pairs."""
 
     config: NetworkConfig
     concurrent: bool  # whether several threads encode images faster than one
     can_resume: bool  # whether decoding further reuses the last pair's coarser levels
-
-    # (levels,) float32, inverse temperatures of the correlated levels, coarsest first
-    correlation_scales: np.ndarray
+    correlation_scales: np.ndarray  # (levels,) float32, inverse temperatures, coarsest level first
 
     @property
     def fingerprint(self) -> str:
@@ -78,12 +73,10 @@ class Engine(Protocol):
     def decode(
         self, source: MapFeatures, target: MapFeatures, finest: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The map of a pair from the features that `encode` gives: for each cell of the target its
-        x and y (H, W, 2) float32, pixels of the source as it was resized, no NaN; and the
-        matchability (H, W) float32 in [0, 1], 1 everywhere for a network without a mask.
-
-        finest: cells a side, for squared images, of the last level decoded, one of LEVEL_SIZES.
-        """
+        """The map of a pair: for each cell of the target its x and y (H, W, 2) float32, pixels of
+        the source as it was resized, no NaN; and the matchability (H, W) float32 in [0, 1], 1 for a
+        network without a mask. finest: cells a side, for squared images, of the last level decoded,
+        one of LEVEL_SIZES."""
 
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
         """Features of an image resized to so many columns and rows of stride 16."""

@@ -149,11 +149,8 @@ def l2_normalised(features: np.ndarray) -> np.ndarray:
 
 
 def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np.ndarray:
-    """As `network.net.local_correlation`, of (C, H, W): ((2 radius + 1)^2, H, W) float32.
-
-    One pass over the features for each offset, without the arrays of products between, which took
-    most of the time in torch and in ONNX Runtime.
-    """
+    """As `network.net.local_correlation`, of (C, H, W): ((2 radius + 1)^2, H, W) float32. One pass
+    over the features for each offset, without arrays of products, is fastest."""
     height, width = target.shape[1:]
     padded = np.pad(warped, ((0, 0), (radius, radius), (radius, radius)))
     side = 2 * radius + 1
@@ -169,10 +166,8 @@ def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np
 
 
 def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
-    """An image (H, W, 3), float32, at a smaller scale, its sides multiples of 16.
-
-    By means weighted with a triangle, as torch's bilinear interpolation with antialiasing.
-    """
+    """An image (H, W, 3), float32, at a smaller scale, its sides multiples of 16, by means weighted
+    with a triangle, as torch's bilinear interpolation with antialiasing."""
     height, width = (STRIDE * max(1, round(side * ratio / STRIDE)) for side in image.shape[:2])
     planes = [
         PIL.Image.fromarray(plane).resize((width, height), PIL.Image.Resampling.BILINEAR)
@@ -182,12 +177,10 @@ def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
 
 
 class Session:
-    """A graph, called with arrays in the order of its inputs.
+    """A graph, called with arrays in the order of its inputs, from any thread.
 
-    weights: by the names of the graph's initializers, no others. The number of threads is that of
-    `session_threads` when the session is made. Safe to call from several threads at once. Raises
-    WeightsError if weights are missing or do not fit, OSError, with the path, if the graph cannot
-    be read.
+    weights: by the names of the graph's initializers, no others. Raises WeightsError if they are
+    missing or do not fit, OSError, with the path, if the graph cannot be read.
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
@@ -219,7 +212,6 @@ class Session:
         )
 
     def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
-        """The outputs."""
         inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
         return self._session.run(None, inputs)
 

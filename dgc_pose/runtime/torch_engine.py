@@ -60,8 +60,8 @@ class TorchEngine:
 
 
 def for_inference(net: Net) -> Net:
-    """A frozen copy that gives the same maps up to rounding: batch norms folded into the
-    convolutions before them, ReLUs in place, filters channels last."""
+    """A frozen copy: batch norms folded into the convolutions before them, ReLUs in place, filters
+    channels last."""
     copy = deepcopy(net).eval().requires_grad_(False)
     for module in list(copy.modules()):
         if isinstance(module, nn.Sequential):

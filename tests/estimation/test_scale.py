@@ -11,8 +11,8 @@ from scenes import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 from dgc_pose import InputError, RelativePose, ScaleSource, estimate_pose
 from dgc_pose.estimation.scale import with_length
+from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
-from dgc_pose.images.maps import read_depth
 
 LENGTH = 1.7  # metres, of t
 

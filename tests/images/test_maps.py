@@ -12,8 +12,8 @@ import torch
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.decoding import Exif
+from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image, flipped, load_image, masked, turned
-from dgc_pose.images.maps import read_depth
 
 USED = np.random.default_rng(0).random((40, 60)) < 0.6
 IMAGE = Image(np.random.default_rng(1).integers(0, 256, (40, 60, 3), np.uint8))

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import cv2
+import dense_scene
 import numpy as np
 import pytest
 from map_nets import ShiftNet
@@ -95,15 +96,7 @@ def _engine() -> TorchEngine:
 
 @cache
 def _scene() -> np.ndarray:
-    """Rectangles of all sizes: something to see at every scale, and upright edges."""
-    rng = np.random.default_rng(3)
-    pixels = np.full((480, 640, 3), 128, np.uint8)
-    for side in np.geomspace(200, 6, 700):
-        x, y = rng.uniform((-40, -40), (640, 480))
-        w, h = side * rng.uniform(0.4, 1.6, 2)
-        colour = tuple(int(c) for c in rng.integers(0, 256, 3))
-        cv2.rectangle(pixels, (int(x), int(y)), (int(x + w), int(y + h)), colour, -1)
-    return pixels
+    return cv2.resize(dense_scene.pictures()[0], (640, 480))
 
 
 def _window(side: float) -> np.ndarray:

@@ -1,4 +1,7 @@
-"""The encoder's features at native resolution."""
+"""The encoder's features at native resolution: likely cells of stride 16, by belief propagation
+written out; cells near epipolar lines; matches."""
+
+import math
 
 import cv2
 import dense_scene
@@ -15,7 +18,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matchers import load_engine
 from dgc_pose.matches import Matches
 from dgc_pose.matching import CorrespondenceMap
-from dgc_pose.matching.cell_consensus import EpipolarBand
+from dgc_pose.matching.cell_consensus import EpipolarBand, likely_cells, propagate
 from dgc_pose.matching.features import (
     MOST_HYPOTHESES,
     equal_scales,
@@ -30,6 +33,23 @@ from dgc_pose.runtime.torch_engine import TorchEngine
 @pytest.fixture(scope="module")
 def engine() -> TorchEngine:
     return load_engine("dgcm-lite0", device="cpu", runtime="torch")
+
+
+def _unit(values: np.ndarray) -> np.ndarray:
+    return values / np.linalg.norm(values, axis=-1, keepdims=True)
+
+
+def _features(coarse: np.ndarray, middle: np.ndarray) -> NativeFeatures:
+    rows, columns = coarse.shape[:2]
+    fine = np.zeros((4 * rows, 4 * columns, 1), np.float32)
+    return NativeFeatures(_unit(coarse), _unit(middle), fine)
+
+
+def _random(seed: int, rows: int, columns: int) -> NativeFeatures:
+    rng = np.random.default_rng(seed)
+    return _features(
+        *(rng.standard_normal((k * rows, k * columns, 12), np.float32) for k in (1, 2))
+    )
 
 
 def _picture(width: int, height: int, seed: int = 0) -> np.ndarray:
@@ -55,7 +75,6 @@ def _grid(size: tuple[int, int], cells: int = 60) -> np.ndarray:
     "size1, size2, scale, expected",
     [
         ((1600, 1200), (1200, 1600), 1.0, (0.5, 0.5)),
-        ((480, 300), (600, 400), 1.0, (1.0, 1.0)),  # not enlarged
         ((300, 240), (320, 240), 1.0, (2.0, 2.0)),  # small: enlarged twice
         ((450, 300), (320, 240), 1.0, (16 / 9, 16 / 9)),  # to the long side at most
         ((1600, 1200), (320, 240), 5.0, (0.4, 2.0)),  # small at the common scale
@@ -78,23 +97,11 @@ def _match(
     return found
 
 
-def _unit(features: np.ndarray) -> np.ndarray:
-    return features / np.linalg.norm(features, axis=-1, keepdims=True)
-
-
-def _random_features(seed: int, rows: int, columns: int) -> NativeFeatures:
-    rng = np.random.default_rng(seed)
-    levels = [
-        _unit(rng.standard_normal((k * rows, k * columns, 16), np.float32)) for k in (1, 2, 4)
-    ]
-    return NativeFeatures(*levels)
-
-
 def test_with_all_cells_as_candidates_it_is_the_full_mutual_search() -> None:
     """Among the cells near the epipolar lines of a hypothesis."""
-    source, target = _random_features(0, 3, 4), _random_features(1, 5, 3)
+    source, target = _random(0, 3, 4), _random(1, 5, 3)
     every = np.tile(np.arange(12), (15, 1))
-    full = source.middle.reshape(-1, 16).astype(float) @ target.middle.reshape(-1, 16).T
+    full = source.middle.reshape(-1, 12).astype(float) @ target.middle.reshape(-1, 12).T
     sizes = (48, 64, 3), (80, 48, 3)
     views = (View.whole(Image(np.zeros(size, np.uint8))) for size in sizes)
     seen = zip(views, (source, target), strict=True)
@@ -190,3 +197,48 @@ def test_a_squeezed_picture_matches_itself_once_the_other_is_squeezed(
     # squeezed along its other axis.
     alike = [2 * along + number for along, number in ((axis, 1 - narrowed), (1 - axis, narrowed))]
     assert int(np.argmax(counts)) in alike and max(counts) > 200
+
+
+def test_it_is_belief_propagation_over_the_candidates() -> None:
+    rng = np.random.default_rng(0)
+    rows, columns, count, width = 3, 4, 5, 6  # width: columns of the source
+    candidates = rng.integers(0, 30, (rows * columns, count))
+    candidates[0] += 600  # so far that it agrees with no other
+    scores = rng.normal(0, 2, (rows * columns, count))
+    beliefs = scores - np.log(np.exp(scores).sum(1, keepdims=True))
+    for _ in range(4):
+        total = scores.copy()
+        for y, x in np.ndindex(rows, columns):
+            for v, u in np.ndindex(rows, columns):
+                if (dy := v - y, dx := u - x) == (0, 0) or max(abs(dy), abs(dx)) > 1:
+                    continue
+                for k in range(count):
+                    cy, cx = divmod(int(candidates[y * columns + x, k]), width)
+                    message = 0.01
+                    for j in range(count):
+                        oy, ox = divmod(int(candidates[v * columns + u, j]), width)
+                        squared = (cy + dy - oy) ** 2 + (cx + dx - ox) ** 2
+                        gauss = math.exp(-squared / (2 * 1.4**2)) / (2 * math.pi * 1.4**2)
+                        message += gauss * math.exp(beliefs[v * columns + u, j])
+                    total[y * columns + x, k] += 0.4 * math.log(message)
+        beliefs = total - np.log(np.exp(total).sum(1, keepdims=True))
+    found = propagate(candidates, scores, width, (rows, columns))
+    np.testing.assert_allclose(found, beliefs, atol=1e-4)
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_cell_is_found_by_its_neighbours(levels: int) -> None:
+    """Image 2 is image 1 moved by a cell, but one cell of it looks like another one far away."""
+    source = _random(0, 8, 10)
+    middle = np.roll(source.middle, -2, 1)
+    coarse = np.roll(source.coarse, -1, 1)
+    coarse[4, 4] = 0.6 * source.coarse[4, 5] + 0.8 * source.coarse[0, 0]
+    middle[8:10, 8:10] = 0.6 * source.middle[8:10, 10:12] + 0.8 * source.middle[:2, :2]
+    target = _features(coarse, middle)
+    scales = np.array([8.0, 10.0], np.float32)[:levels]
+    nothing = np.zeros((80, 0), np.int64)
+    found = likely_cells(source, target, nothing, scales, similar=6, likely=1).reshape(8, 10)
+    index = np.arange(80).reshape(8, 10)
+    assert np.array_equal(found[:, :9], index[:, 1:])
+    alone = (source.coarse.reshape(80, 12) @ target.coarse[4, 4]).argmax()
+    assert alone == 0 and found[4, 4] == 45

@@ -12,7 +12,7 @@ from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image, masked
 from dgc_pose.matches import Matches
-from dgc_pose.matching import MatchingOptions, MatchResult, NetworkMatcher, network_matcher
+from dgc_pose.matching import MatchResult, NetworkMatcher, network_matcher
 
 SIDE = 4 * np.array(dense_scene.SIZE)  # more than textures are computed on
 CAMERA = Camera(dense_scene.K, dense_scene.SIZE)
@@ -83,34 +83,20 @@ def test_no_step_of_the_network_matches_masked_pixels(
         assert _on_masked(other.matches.points2, images[1]).mean() > 0.2
 
 
-@pytest.mark.parametrize("name", ["sift", "none"])
-def test_no_other_matcher_does(name: str, plain: list[Image], images: list[Image]) -> None:
-    matcher = load_matcher(matching=MatchingOptions(aligned="none"))
-    matcher = load_matcher(name) if name == "sift" else matcher
-    matches = matcher.match(*images).matches
-    _assert_none_masked(matches, *images)
-    assert len(matches) > 20
-    assert _on_masked(matcher.match(*plain).matches.points2, images[1]).mean() > 0.2
-
-
 def test_masked_cells_are_no_evidence(plain: list[Image], images: list[Image]) -> None:
     """A map that is wrong in masked areas alone speaks for the pose as the true one does."""
     both, true = (plain[0], images[1]), dense_scene.true_map()
     hidden = _on_masked(true.grid.reshape(-1, 2), both[1]).reshape(true.matchability.shape)
     noise = np.random.default_rng(0).random(true.map.shape) * dense_scene.SIZE - 0.5
     wrong = replace(true, map=np.where(hidden[..., None], noise, true.map).astype(np.float32))
-    matches = dense_scene.MapMatcher(true).match(*both).matches
-    agreement, matchability = [], []
-    for dense in (wrong, wrong.masked(*both), true.masked(*both), true):
-        sample = MatchResult(matches, dense).map_matches
-        options = EstimationOptions(runs=1)
+    matches, agreement = dense_scene.MapMatcher(true).match(*both).matches, []
+    for dense in (wrong, wrong.masked(*both)):
+        sample, options = MatchResult(matches, dense).map_matches, EstimationOptions(runs=1)
         pose = estimate_pose(matches, CAMERA, CAMERA, options, map_matches=sample)
         assert pose.evidence is not None
         agreement.append(pose.evidence.map_agreement)
-        matchability.append(pose.evidence.map_matchability)
     assert agreement[0] is not None and agreement[0] < 0.8
-    assert agreement[1:] == [pytest.approx(1, abs=1e-6)] * 3
-    assert matchability == [pytest.approx(matchability[3], abs=0.05)] * 4
+    assert agreement[1] == pytest.approx(1, abs=1e-6)
     dense = true.masked(*both)
     assert dense.used is not None and np.array_equal(dense.used, ~hidden)
     assert dense.mean_matchability == pytest.approx(true.matchability[~hidden].mean(), rel=1e-4)

@@ -124,17 +124,6 @@ def test_guided_matches_join_the_first(
     else:
         assert more.matches.error_px == 1.0 and len(more.matches) > 1.5 * len(first.matches)
         assert more.aligned.error_px == 0.5 and len(more.aligned) < len(more.matches)
-    above = matcher.guided(*images, first, _HYPOTHESES[:1])
-    assert above is not None
-    assert len(first.matches) < len(above.matches) < len(more.matches)
-
-
-def test_without_refinement_there_is_no_coarse_pass_and_no_more_matches(
-    images: tuple[Image, Image],
-) -> None:
-    matcher = dense_scene.MapMatcher(_NOISY, _PLAIN)
-    assert matcher.coarse(*images) is None
-    assert matcher.guided(*images, matcher.match(*images), _HYPOTHESES) is None
 
 
 def test_a_coarse_pass_ends_at_a_weak_map_of_30_cells_if_the_next_would_go_on_from_it(

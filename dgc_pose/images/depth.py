@@ -1,4 +1,4 @@
-"""Depth maps of photographs."""
+"""Depth maps: 1 / depth at the pixels of a photograph."""
 
 from __future__ import annotations
 
@@ -23,10 +23,9 @@ def read_depth(
     """1 / depth (H, W), 1 / metres, at the pixels of a photograph of `size`, NaN where not known.
 
     source: the depth map, of any size, or its .npy, .npz of one array, PNG or TIFF; None of None.
-    Integers are millimetres, floats metres; what is not finite and above 0 is not known, and edges
-    are not. orientation: by EXIF, of the map, which the photograph has had applied. Raises
-    InputError, naming the argument `name`; for a damaged file InputError or ImageError, with the
-    path.
+    Integers are millimetres, floats metres; edges, and what is not finite and above 0, are not
+    known. orientation: by EXIF, of the map, which the photograph has had applied. Raises InputError
+    with `name`; for a damaged file InputError or ImageError, with the path.
     """
     if source is None:
         return None
