@@ -18,7 +18,7 @@ from dgc_pose.batch.source import PairChoice, Source
 from dgc_pose.benchmarks.evaluate import folded, pose_auc
 from dgc_pose.benchmarks.report import Columns, Summary
 from dgc_pose.cameras.by_image import Calibration
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, MappingError, map_database, reconstruct
@@ -28,7 +28,7 @@ from dgc_pose.images.decoding import image_size
 from dgc_pose.localization.locate import Locator
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.model import Model, colmap_camera, load_model
+from dgc_pose.model import Model, load_model
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.training.posed_frames import read_rgbd
 

@@ -16,7 +16,7 @@ def open_run(
 ) -> Iterator[tuple[list[Any], Callable[[Any], None]]]:
     """The work that is done, and a function that puts the next piece on disk and among it.
 
-    Raises InputError if another run is naming_path there, if the run that is gone on with had other
+    Raises InputError if another run is writing there, if the run that is gone on with had other
     settings, or if the file is none of a run.
 
     Args:
@@ -35,7 +35,7 @@ def open_run(
         if resume and path.exists():
             before, done = read_run(path)
             for key, value in json.loads(json.dumps(settings)).items():
-                if before and before.get(key) != value:
+                if (before or done) and before.get(key) != value:
                     raise InputError(
                         f"{path}: that run had {key} {json.dumps(before.get(key))}, not "
                         f"{json.dumps(value)}: the same options are needed to go on with it"

@@ -64,8 +64,8 @@ def bench_dtu(
     the command, all of 5 to 40 degrees; pairs.txt in DIR is their list.
     """
     pairs = dtu_pairs(root, choice.scan, choice.light, choice.pairs)
-    click.echo(f"{out / _LIST}: {len(pairs)} pairs")
     options = replace(options, out=out, protocol=choice.protocol)
     run_bench(pairs, options, CameraTrial(), matcher, estimation)
     with replaced(out / _LIST) as stage:  # last: the list of a run that is not gone on with stays
         write_pairs(stage, pairs)
+    click.echo(f"{out / _LIST}: {len(pairs)} pairs")

@@ -141,7 +141,11 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
         command = before.settings.get("command", "another version")
         raise InputError(f"{out / STORE} {other} `{command}`:", _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
-    return replace(now, names=before.names, pairs=before.pairs, bad=bad | dict(now.bad))
+    command = before.settings.get("command", now.settings.get("command"))
+    settings = {**now.settings, "command": command}
+    return replace(
+        now, names=before.names, pairs=before.pairs, bad=bad | dict(now.bad), settings=settings
+    )
 
 
 def _facts(plan: Plan, names: Collection[str], *, pairs: bool) -> Any:

@@ -92,7 +92,7 @@ class Calibration:
 
     def lacks(self, root: Path, name: str) -> bool:
         """Whether an image may take a camera from elsewhere, such as a list of pairs."""
-        return self.common is None and self.auto is None and self.named(root, name) is None
+        return self.auto is None and self.stated(root, name) is None
 
     def named(self, root: Path, name: str) -> Camera | None:
         """The camera that the file has for an image: of the longest name that the image's path ends

@@ -13,7 +13,7 @@ import numpy as np
 from dgc_pose.batch.pairs import PairRow
 from dgc_pose.batch.result import GROUP_BYTES, Batch, group_name
 from dgc_pose.batch.workers import KNOWN_FOCAL_STD
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, track_corners
 from dgc_pose.errors import DgcPoseError, InputError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
@@ -21,7 +21,7 @@ from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.decoding import image_header
-from dgc_pose.model import HALF_PIXEL, colmap_camera
+from dgc_pose.model import HALF_PIXEL
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import replaced, require_room, save_text, staged
 

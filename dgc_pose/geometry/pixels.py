@@ -47,11 +47,6 @@ def window_offsets(radius: int) -> np.ndarray:
     return pixel_grid((2 * radius + 1, 2 * radius + 1)).reshape(-1, 2) - radius
 
 
-def cell_centres(cells: Size, size: ArrayLike) -> np.ndarray:
-    """Centres (H, W, 2) float64 of a grid of `cells` (columns, rows) over an image of `size`."""
-    return rescale(pixel_grid(cells), cells, size)
-
-
 def within(points: np.ndarray, size: Size) -> np.ndarray:
     """Which of the points (..., 2) lie on an image of size (width, height): (...) bool."""
     return np.all((points > -0.5) & (points < np.subtract(size, 0.5)), axis=-1)

@@ -29,6 +29,7 @@ class ImageCache:
         self.made = 0  # values computed
         self._kept: OrderedDict[Image, dict[Hashable, Any]] = OrderedDict()
         self._read: dict[Hashable, Image] = {}
+        self._held = 0  # bytes of all images and values
 
     def read(
         self, root: Path, name: str, masks: str | Path | None = None, size: Size | None = None
@@ -52,6 +53,7 @@ class ImageCache:
         values = self._values(image)
         if key not in values:
             values[key] = make()
+            self._held += values[key].nbytes
             self.made += 1
             self._values(image)
         return values[key]
@@ -69,20 +71,22 @@ class ImageCache:
 
     def forget(self, image: Image) -> None:
         """Drop an image, and all that is computed of it."""
-        self._kept.pop(image, None)
+        values = self._kept.pop(image, None)
+        if values is not None:
+            self._held -= image.pixels.nbytes + sum(value.nbytes for value in values.values())
         self._read = {key: read for key, read in self._read.items() if read is not image}
 
     def _values(self, image: Image) -> dict[Hashable, Any]:
         """The values of an image, which is the latest now."""
-        values = self._kept.setdefault(image, {})
+        if image not in self._kept:
+            self._kept[image] = {}
+            self._held += image.pixels.nbytes
         self._kept.move_to_end(image)
         while len(self._kept) > 1 and self._is_full():
             self.forget(next(iter(self._kept)))
-        return values
+        return self._kept[image]
 
     def _is_full(self) -> bool:
         if self.limit_bytes is None:
             return len(self._kept) > _LAST
-        held = sum(image.pixels.nbytes for image in self._kept)
-        held += sum(value.nbytes for of in self._kept.values() for value in of.values())
-        return held > self.limit_bytes
+        return self._held > self.limit_bytes

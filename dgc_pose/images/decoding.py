@@ -156,7 +156,8 @@ def _checked_header(stream: BinaryIO, path: Path, *, verify: bool = False) -> He
     except Exception as error:  # of any type, by the format's reader
         raise ImageError(path, f"is corrupt: {reason(error)}") from error
     if math.prod(header.size) > MAX_PIXELS:
-        raise ImageError(path, _TOO_LARGE)
+        width, height = header.size
+        raise ImageError(path, f"{_TOO_LARGE}, not {width} x {height}")
     if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
         turn = header.exif.orientation
         raise ImageError(path, f"is a TIFF with orientation tag {turn}: save it upright")

@@ -126,9 +126,10 @@ class NetworkMatcher(Matcher):
             return refine(image1, image2, part, most, radius)
 
         parts = in_threads(aligned_and_agreeing, found)
-        if len(parts := [*first, *parts]) > 1:
-            parts = [tuple(map(Matches.joined, zip(*parts, strict=True)))]
-        aligned, agreeing = (self._textured(image1, image2, of) for of in parts[0])
+        both = (
+            parts[0] if not first else tuple(map(Matches.joined, zip(*first, *parts, strict=True)))
+        )
+        aligned, agreeing = (self._textured(image1, image2, of) for of in both)
         too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
         if instead is not None and too_few:
             part = aligned_and_agreeing(instead)

@@ -20,7 +20,7 @@ from dgc_pose.batch.run import Progress, run_batch
 from dgc_pose.batch.source import BATCH, PAGE, PairChoice, Source, open_source
 from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.cameras.calibration import image_camera, read_calibration
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.colmap.database import NoPairError
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
@@ -43,7 +43,7 @@ from dgc_pose.images.image import flipped, load_image
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.model import Model, colmap_camera
+from dgc_pose.model import Model
 from dgc_pose.pose import solve_pair
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
 from dgc_pose.rigs.files import FILES

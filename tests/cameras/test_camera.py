@@ -148,11 +148,15 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
         ("K.txt", b"one two three", "other file of cameras (it begins with 'one two three')"),
         ("K.txt", bytes(range(256)), "K.txt is not text, and a file of cameras is"),
         ("K.NPY", b"1 0 0\n0 1 0\n0 0 1\n", "K.NPY is not an .npy that can be read"),
-        ("cameras.txt", b"# none\n1 PINHOLE 9\n", "cameras.txt is not a COLMAP model that can"),
+        (
+            "cameras.txt",
+            b"# none\n1 PINHOLE 9\n",
+            "cameras.txt has a line that is no camera: ",
+        ),
         (
             "cameras.txt",
             b"1 PINHOLE 640 480 500 510 320 240 -1",
-            "cameras.txt is not a COLMAP model",
+            "cameras.txt has a line that is no camera: PINHOLE takes 4 parameters",
         ),
         ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
         ("c.csv", b"name,fx\na,1\n", "c.csv has no column 'fy'"),

@@ -34,6 +34,7 @@ _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL
 # Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
 _POINT_BYTES = 24
+_ROUNDING = 0.01  # of the length of a unit quaternion in a file
 # Views, triggers, virtual tables and generated columns are programs, which may run for ever.
 _PROGRAMS = """
     SELECT name FROM sqlite_master
@@ -90,15 +91,19 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
     is_text = path.suffix.lower() != ".bin"
     wanted = {stem: path.with_name(stem + (".txt" if is_text else ".bin")) for stem in _FILES}
     wanted |= {"cameras": path}
-    with read_as("a COLMAP model", path), scratch_folder() as scratch:
+    with read_as("a COLMAP model", path.parent), scratch_folder() as scratch:
         for stem, file in wanted.items():
             copy = scratch / f"{stem}{'.txt' if is_text else '.bin'}"
             if not file.is_file() or not (whole or stem in ("cameras", "images")):
                 if stem in ("images", "points3D"):  # which pycolmap needs
                     copy.write_bytes(b"" if is_text else bytes(_COUNT.size))
             elif is_text:
-                text = read_bytes(file).decode("utf-8-sig")
-                text = _with_quoted_names(text) if stem == "images" else text
+                with read_as(f"COLMAP's {stem}", file):
+                    text = read_bytes(file).decode("utf-8-sig")
+                if stem == "cameras":
+                    text = _checked_lines(text, file)
+                if stem == "images":
+                    text = _with_quoted_names(text, with_points=whole)
                 copy.write_text(text, encoding="utf-8")
             else:
                 copy.symlink_to(file.absolute())
@@ -114,24 +119,43 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
             K, lens = colmap_camera.intrinsics(theirs.model.name, theirs.params.tolist())
             size = theirs.width, theirs.height
             cameras[key] = Camera(K, size, lens, identity=f"{path} {key}")
-    if not cameras:
-        raise InputError(path, "has no cameras")
-    images = [image for _, image in sorted(model.images.items()) if image.has_pose]
-    return Calibration(
-        by_name={image.name: cameras[image.camera_id] for image in images},
-        parts={str(key): camera for key, camera in cameras.items()},
-        common=None if images or len(cameras) > 1 else next(iter(cameras.values())),
-        poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
-    ), model
+        if not cameras:
+            raise InputError(path, "has no cameras")
+        images = [image for _, image in sorted(model.images.items()) if image.has_pose]
+        for image in images:
+            pose = image.cam_from_world()
+            is_unit = abs(np.linalg.norm(pose.rotation.quat) - 1) < _ROUNDING
+            if not (is_unit and np.isfinite(pose.translation).all()):
+                raise InputError(path.parent, f"has a pose of {image.name} that is not rigid")
+        return Calibration(
+            by_name={image.name: cameras[image.camera_id] for image in images},
+            parts={str(key): camera for key, camera in cameras.items()},
+            common=None if images or len(cameras) > 1 else next(iter(cameras.values())),
+            poses={image.name: np.array(image.cam_from_world().matrix()) for image in images},
+        ), model
 
 
-def _with_quoted_names(text: str) -> str:
+def _checked_lines(text: str, path: Path) -> str:
+    """A cameras.txt with names of models in capitals. Raises InputError, with the path, for a line
+    that is no camera."""
+    for line in text.splitlines():
+        if line.strip() and not line.startswith("#"):
+            try:
+                parse_line(line)
+            except InputError as error:
+                raise InputError(path, f"has a line that is no camera: {error}") from None
+    return text.upper()
+
+
+def _with_quoted_names(text: str, *, with_points: bool) -> str:
     """An images.txt with names without blanks, where pycolmap would end them."""
     rows, lines = [], iter(text.splitlines())
     for line in lines:
         words = line.split(maxsplit=9)
         if len(words) == 10 and not line.startswith("#"):
-            rows += [" ".join([*words[:9], quote(words[9].strip())]), next(lines, "")]
+            points = next(lines, "")
+            name = quote(words[9].strip())
+            rows += [" ".join([*words[:9], name]), points if with_points else ""]
         else:
             rows.append(line)
     return "\n".join([*rows, ""])

@@ -28,7 +28,7 @@ from dgc_pose.geometry.rotation import rotation_of_quaternion
 # The `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
 _MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "intrinsic_matrix")
 _SIZES = (
-    *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",), ("resolution",)),
+    *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
     *(("image_width", "image_height"), ("image_Width", "image_Height"), ("width", "height")),
     *(("w", "h"), ("W", "H")),
 )
@@ -48,11 +48,13 @@ _SINGLE = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k
 _OF_LENS = re.compile(
     r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?(k|model|param).*)?
     | ((camera|projection)_?)?model
-    | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)|latlong|equirect|ftheta).*""",
+    | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)|latlong|equirect|ftheta).*
+    | orthogr.*""",
     re.IGNORECASE | re.VERBOSE,
 )
 _OF_OTHERS = re.compile(
-    r"""m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.* | binning_[xy] | [xy]_offset
+    r"""m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.*
+    | binning_[xy] | [xy]_(offset|fov)
     | (?!std|fps_).*intrinsic(?!_wait).*""",
     re.IGNORECASE | re.VERBOSE,
 )
@@ -75,8 +77,11 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
         raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
-        unread(data, *present)
-        parts = {_CAMERAS_OF_A_PAIR[key]: keyed_camera(data[key]) for key in present}
+        parts, told = {}, _told(unread(data, *present))
+        for key in present:
+            camera = keyed_camera(data[key])
+            camera = replace(camera, warnings=(*camera.warnings, *told))
+            parts[_CAMERAS_OF_A_PAIR[key]] = camera
         return Calibration(parts=parts)
     data = dict(data)
     frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
@@ -98,20 +103,25 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
     lens, keys = _lens(data)
-    others = unread(data, key, *keys)
+    told = _told(unread(data, key, *keys))
     values = [float(data[k]) for k in _FOUR] if key is None else numbers(data[key])
     identity = data.get("identity")
     return Camera(
         numbers_camera(values or (), key or "K").K,
         _size(data),
         lens,
-        (f"keys that may change K are not read: {shortened(', '.join(others))}",) if others else (),
+        told,
         focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         lens_std=float(data.get("lens_std") or 0),
         aspect_std=float(data.get("aspect_std") or 0),
         identity=None if identity is None else str(identity),
     )
+
+
+def _told(others: Sequence[str]) -> tuple[str, ...]:
+    """A warning of keys that are not read; none without them."""
+    return (f"keys that may change K are not read: {shortened(', '.join(others))}",) * bool(others)
 
 
 def _size(data: Mapping[str, Any]) -> Size | None:
@@ -153,6 +163,12 @@ def read_table(text: str, path: Path) -> Calibration:
     return Calibration("", cameras, poses=poses)
 
 
+def of_camera(data: Mapping[str, Any]) -> dict[str, Any]:
+    """The values whose keys may be of a lens or of another camera."""
+    names = [key for key in data if _OF_LENS.fullmatch(key) or _OF_OTHERS.fullmatch(key)]
+    return {name: data[name] for name in names}
+
+
 def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
     """The keys that may be of other cameras, are not among those that are `read` and hold anything
     but zeros, here or in a mapping that is not read either.
@@ -166,7 +182,8 @@ def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
         held, name = numbers(value), str(key).strip()
         is_of_lens = _OF_LENS.fullmatch(name)
         if is_of_lens or _OF_OTHERS.fullmatch(name):
-            if held is None or any(held):
+            nothing = (0, 1) if name.startswith("binning") else (0,)
+            if held is None or any(value not in nothing for value in held):
                 others.append(name)
                 if is_of_lens:
                     raise InputError(f"{name} may be of the lens, and is not read")

@@ -99,12 +99,13 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
 def _kitti_cameras(text: str, path: Path) -> Calibration | None:
     """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
     calib_cam_to_cam.txt of raw drives."""
-    keyed.unread(dict(_OTHERS.findall(text)))
+    others = dict.fromkeys(keyed.unread(dict(_OTHERS.findall(text))), True)
     sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
     tables = {}
     for key, values in _PROJECTION.findall(text):
         P = np.array(values.split(), dtype=np.float64).reshape(3, 4)
-        tables[f"image_{int(key)}"] = {"matrix": P[:, :3].tolist(), "size": sizes.get(key)}
+        table = {"matrix": P[:, :3].tolist(), "size": sizes.get(key)}
+        tables[f"image_{int(key)}"] = others | table
     return rigs.calibration(tables, path)
 
 
@@ -152,7 +153,8 @@ def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
         raise InputError("neither cx and cy nor w and h")
     middle = (size[0] / 2, size[1] / 2) if size else (0, 0)
     cx, cy = (float(data.get(key, middle[axis])) - 0.5 for axis, key in enumerate(("cx", "cy")))
-    return keyed.keyed_camera({**data, "K": [fx, fy, cx, cy]}, "K")
+    camera = keyed.keyed_camera({**keyed.of_camera(data), "K": [fx, fy, cx, cy]}, "K")
+    return replace(camera, size=size)
 
 
 def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:

@@ -121,10 +121,11 @@ def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         if isinstance(values, Mapping) and numbers(values.get("intrinsics"))
     }
     for table in tables.values():
-        table["matrix"] = table.pop("intrinsics")
-    if tables and "intrinsics" not in data:
-        unread(data, *tables)
-    return tables
+        table["matrix"], table["size"] = table.pop("intrinsics"), table.pop("resolution", None)
+    if not tables or "intrinsics" in data:
+        return tables
+    others = dict.fromkeys(unread(data, *tables), True)
+    return {name: others | table for name, table in tables.items()}
 
 
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -138,8 +139,8 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     lenses = [{"distortions"}, {"matrix", "coefficients"}]
     if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}
-    unread(data, "cameras", *tables)
-    return tables
+    others = dict.fromkeys(unread(data, "cameras", *tables), True)
+    return {name: others | table for name, table in tables.items()}
 
 
 def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,7 @@ import pycolmap
 import pytest
 
 from dgc_pose.cameras.by_image import Calibration
-from dgc_pose.cameras.calibration import parse_camera
+from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import intrinsics, parameters
 from dgc_pose.cameras.formats.colmap import read_database
@@ -171,3 +171,15 @@ def test_a_database_whose_log_is_not_in_the_file_yet(tmp_path: Path) -> None:
     assert read_database(tmp_path / "killed.db").names == ("a.png", "b.png")
     assert (tmp_path / "killed.db").read_bytes() == content[0]
     assert (tmp_path / "killed.db-wal").read_bytes() == content[1]
+
+
+@pytest.mark.parametrize("quaternion", ["0 0 0 0", "1 nan 0 0"])
+def test_a_pose_that_is_not_rigid_is_refused(tmp_path: Path, quaternion: str) -> None:
+    """And the name of a model may be in small letters."""
+    (tmp_path / "cameras.txt").write_text("1 pinhole 640 480 500 510 320 240\n")
+    images = tmp_path / "images.txt"
+    images.write_text("1 1 0 0 0 1 2 3 1 a b.png\n1 2 -1\n")
+    assert [*read_calibration(str(tmp_path)).poses] == ["a b.png"]
+    images.write_text(f"1 {quaternion} 1 2 3 1 a b.png\n\n")
+    with pytest.raises(InputError, match="a b.png that is not rigid|COLMAP model that can be read"):
+        read_calibration(str(tmp_path))

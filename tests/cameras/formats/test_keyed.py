@@ -279,3 +279,43 @@ def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, An
     assert _lens(_with_keys(tmp_path, format, **lens, **model)) == expected
     with pytest.raises(InputError, match="p1 may be of the lens"):
         _lens(_with_keys(tmp_path, format, **lens, **model, p1=0.1))
+
+
+TOLD = "keys that may change K are not read: "
+CAMCHAIN = KALIBR.format(model="none", coefficients="[]")
+OF_NERF = {"fl_x": 500, "fl_y": 510, "cx": 321.75, "cy": 239, "w": 640, "h": 480}
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("cam.yaml", f"new_camera_matrix: 7\n{CAMCHAIN}", ["new_camera_matrix"]),
+        ("calib.txt", "P0: 500 0 321.25 0 0 510 238.5 0 0 0 1 0\nK_other: 1 2\n", ["K_other"]),
+        ("pair.json", json.dumps({"K1": K.tolist(), "new_K": 3}), ["new_K"]),
+        ("ros.yaml", MESSAGE.removesuffix("---\n") + "binning_x: 1\nbinning_y: 0\n", []),
+        ("ros.yaml", MESSAGE.removesuffix("---\n") + "binning_x: 2\n", ["binning_x"]),
+        ("a.json", json.dumps({"K": K.tolist(), "width": 640, "height": 480, "resolution": 5}), []),
+        ("a.json", json.dumps({**OF_NERF, "width": 1280, "height": 960, "image_size": 3}), []),
+        ("a.json", json.dumps({**OF_NERF, "mask": {"k1": 3}, "x_fov": 60}), ["x_fov"]),
+    ],
+)
+def test_what_else_a_file_holds(tmp_path: Path, name: str, text: str, told: list[str]) -> None:
+    """It changes neither K nor the size, and is told in a warning if it might."""
+    (tmp_path / name).write_text(text)
+    header = Header("PNG", SIZE)
+    calibration = read_calibration(str(tmp_path / name))
+    camera = calibration.camera(tmp_path, "cam0/image_0/a.png", header, "K1")
+    assert camera.K.tolist() == K.tolist() and camera.size == SIZE
+    assert camera.warnings == tuple(TOLD + key for key in told)
+
+
+def test_an_orthographic_camera_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "t.json").write_text(json.dumps({**OF_NERF, "orthographic": 1}))
+    with pytest.raises(InputError, match="orthographic may be of the lens"):
+        read_calibration(str(tmp_path / "t.json"))
+
+
+def test_a_rig_has_its_cameras_before_a_list(tmp_path: Path) -> None:
+    (tmp_path / "cam.yaml").write_text(CAMCHAIN)
+    calibration = read_calibration(str(tmp_path / "cam.yaml"))
+    assert not calibration.lacks(tmp_path, "cam1/a.png") and calibration.lacks(tmp_path, "a.png")
