@@ -21,11 +21,12 @@ class ImageCache:
     """Images that were read, and values with `nbytes` that are computed of images, by their keys.
 
     limit_bytes: the images used least recently are dropped, with all that is computed of them, if
-    all take more; the latest is always kept. None to keep the last three images.
+    all take more; the latest is always kept. None to keep the last three images. beside_bytes: what
+    an image's values take at the least, which is so free before they are computed.
     """
 
-    def __init__(self, limit_bytes: int | None = 3 * 2**28) -> None:
-        self.limit_bytes = limit_bytes
+    def __init__(self, limit_bytes: int | None = 3 * 2**28, *, beside_bytes: int = 0) -> None:
+        self.limit_bytes, self.beside_bytes = limit_bytes, beside_bytes
         self.made = 0  # values computed
         self._kept: OrderedDict[Image, dict[Hashable, Any]] = OrderedDict()
         self._read: dict[Hashable, Image] = {}
@@ -83,6 +84,8 @@ class ImageCache:
     def _is_full(self) -> bool:
         if self.limit_bytes is None:
             return len(self._kept) > _LAST
-        held = sum(image.pixels.nbytes for image in self._kept)
-        held += sum(value.nbytes for of in self._kept.values() for value in of.values())
+        held = 0
+        for image, values in self._kept.items():
+            beside = sum(value.nbytes for value in values.values())
+            held += image.pixels.nbytes + max(beside, self.beside_bytes)
         return held > self.limit_bytes
