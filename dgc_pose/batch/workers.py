@@ -67,7 +67,7 @@ class Worker:
 
     def __init__(self, job: Job) -> None:
         self.job, self.bad = job, dict(job.bad)
-        self.cache = ImageCache(job.memory_bytes)
+        self.cache = ImageCache(job.memory_bytes, beside_bytes=FEATURE_BYTES)
         self.matcher = job.matcher.load(self.cache)
 
     def describe(self, names: Sequence[str]) -> dict[str, np.ndarray | str]:

@@ -21,11 +21,12 @@ class ImageCache:
     """Images that were read, and values with `nbytes` that are computed of images, by their keys.
 
     limit_bytes: the images used least recently are dropped, with all that is computed of them, if
-    all take more; the latest is always kept. None to keep the last three images.
+    all take more; the latest is always kept. None to keep the last three images. beside_bytes: what
+    an image's values take at the least, which is so free before they are computed.
     """
 
-    def __init__(self, limit_bytes: int | None = 3 * 2**28) -> None:
-        self.limit_bytes = limit_bytes
+    def __init__(self, limit_bytes: int | None = 3 * 2**28, *, beside_bytes: int = 0) -> None:
+        self.limit_bytes, self.beside_bytes = limit_bytes, beside_bytes
         self.made = 0  # values computed
         self._kept: OrderedDict[Image, dict[Hashable, Any]] = OrderedDict()
         self._read: dict[Hashable, Image] = {}
@@ -52,8 +53,9 @@ class ImageCache:
         """A value of an image; computed by `make` if it is not kept."""
         values = self._values(image)
         if key not in values:
-            values[key] = make()
-            self._held += values[key].nbytes
+            made, before = make(), self._bytes(image)
+            values[key] = made
+            self._held += self._bytes(image) - before
             self.made += 1
             self._values(image)
         return values[key]
@@ -71,20 +73,25 @@ class ImageCache:
 
     def forget(self, image: Image) -> None:
         """Drop an image, and all that is computed of it."""
-        values = self._kept.pop(image, None)
-        if values is not None:
-            self._held -= image.pixels.nbytes + sum(value.nbytes for value in values.values())
+        if image in self._kept:
+            self._held -= self._bytes(image)
+            del self._kept[image]
         self._read = {key: read for key, read in self._read.items() if read is not image}
 
     def _values(self, image: Image) -> dict[Hashable, Any]:
         """The values of an image, which is the latest now."""
         if image not in self._kept:
             self._kept[image] = {}
-            self._held += image.pixels.nbytes
+            self._held += self._bytes(image)
         self._kept.move_to_end(image)
         while len(self._kept) > 1 and self._is_full():
             self.forget(next(iter(self._kept)))
         return self._kept[image]
+
+    def _bytes(self, image: Image) -> int:
+        """What an image takes that is kept, with its values."""
+        beside = sum(value.nbytes for value in self._kept[image].values())
+        return int(image.pixels.nbytes) + max(beside, self.beside_bytes)
 
     def _is_full(self) -> bool:
         if self.limit_bytes is None:

@@ -151,8 +151,8 @@ class EpipolarBand:
         children: bool,
     ) -> None:
         finer = 2 if children else 1
-        self.points1, side1 = _normalised(*source, views.camera1, finer)
-        self.points2, side2 = _normalised(*target, views.camera2, finer)
+        seen = (*source, views.camera1), (*target, views.camera2)
+        (self.points1, side1), (self.points2, side2) = (_normalised(*of, finer) for of in seen)
         self.E = views.E.astype(np.float32)
         self.limit = _BAND * (side1 + side2) / 2  # Sampson distance, in the points' unit
 

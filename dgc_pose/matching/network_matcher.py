@@ -125,11 +125,11 @@ class NetworkMatcher(Matcher):
         def aligned_and_agreeing(part: Matches) -> tuple[Matches, Matches]:
             return refine(image1, image2, part, most, radius)
 
-        parts = in_threads(aligned_and_agreeing, found)
-        both = (
-            parts[0] if not first else tuple(map(Matches.joined, zip(*first, *parts, strict=True)))
+        parts = [*first, *in_threads(aligned_and_agreeing, found)]
+        aligned, agreeing = (
+            self._textured(image1, image2, Matches.joined(of) if len(of) > 1 else of[0])
+            for of in zip(*parts, strict=True)
         )
-        aligned, agreeing = (self._textured(image1, image2, of) for of in both)
         too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
         if instead is not None and too_few:
             part = aligned_and_agreeing(instead)

@@ -166,14 +166,9 @@ def surroundings(
     over cells with structure and no mask, and of both images the lesser. None if nothing surrounds
     them. scale: of the views' sides, over those at full resolution."""
     first, second = views
-
-    def likeness(is_swapped: bool) -> list[np.ndarray]:
-        if is_swapped:
-            return _likeness(second, first, textures[0], matches.swapped(), scale)
-        return _likeness(first, second, textures[1], matches, scale)
-
+    both = (first, second, textures[1], matches), (second, first, textures[0], matches.swapped())
     shares = []
-    for at_matches, around in in_threads(likeness, (False, True)):
+    for at_matches, around in in_threads(lambda one: _likeness(*one, scale), both):
         if min(len(at_matches), len(around)) >= _LEAST:
             shares.append(float(around.mean()) / max(float(at_matches.mean()), _LEAST_LIKENESS))
     return min(shares, default=None)

@@ -33,6 +33,10 @@ def test_the_image_used_least_recently_is_dropped_with_its_values() -> None:
     assert cache.made == 2 * 5
     cache.forget(IMAGES[0])
     assert list(cache._kept) == [IMAGES[3], IMAGES[1]]
+    cache = ImageCache(3 * (30 + 20), beside_bytes=45)  # room for two that are computed
+    for image in IMAGES[:3]:
+        cache.get(image, "a", VALUE.copy)
+    assert list(cache._kept) == IMAGES[1:3]
 
 
 @pytest.mark.parametrize("in_turn", [True, False])
