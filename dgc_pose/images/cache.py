@@ -52,13 +52,16 @@ class ImageCache:
     def get(self, image: Image, key: Hashable, make: Callable[[], Any]) -> Any:
         """A value of an image; computed by `make` if it is not kept."""
         values = self._values(image)
-        if key not in values:
-            made, before = make(), self._bytes(image)
-            values[key] = made
-            self._held += self._bytes(image) - before
-            self.made += 1
-            self._values(image)
-        return values[key]
+        if key in values:
+            return values[key]
+        value = make()
+        values = self._values(image)  # other values that were made meanwhile may have dropped it
+        before = self._bytes(image)
+        values[key] = value
+        self._held += self._bytes(image) - before
+        self.made += 1
+        self._values(image)
+        return value
 
     def get_all(self, wanted: Sequence[Wanted], *, in_turn: bool) -> list[Any]:
         """As `get` of each. Those that are not kept are made in threads, or else in turn."""
