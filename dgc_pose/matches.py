@@ -69,6 +69,7 @@ class Matches:
         return f"Matches({len(self)} {kind}, error_px={self.error_px:.3g})"
 
     def subset(self, kept: np.ndarray) -> Matches:
+        """Some of the matches. kept: (N,) bool, or indices."""
         return replace(
             self,
             points1=self.points1[kept],
