@@ -39,7 +39,7 @@ class Outputs:
     )
     plot: str | None = output_file("Draw matches, epipolar lines, warp.", "PATH.png", picture=True)
     ply: str | None = output_file(
-        "Write the inliers' points in space, coloured, in metres if t has a length; nothing "
+        "Write the inliers' points in space, coloured, in metres if t has a length; no points "
         "without a pose.",
         "PATH.ply",
     )
@@ -98,7 +98,7 @@ def estimate(
             from dgc_pose.viz import plot_pose, save_figure
 
             save_figure(plot_pose(result), stage(outputs.plot))
-        if outputs.ply is not None and pose.success:
+        if outputs.ply is not None:
             from dgc_pose.model import write_points
 
             points = result.points3d  # in camera 1's axes

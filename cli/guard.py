@@ -93,14 +93,30 @@ class GuardedCommand(click.Command):
             return super().invoke(ctx)
         except DgcPoseError as error:
             flags = {}  # by the field's name, and by the argument's, such as K_size
-            for option in self.params:
-                flags[option.opts[0].lstrip("-").replace("-", "_")] = option.opts[0]
-                flags[(option.name or "").rpartition("__")[2]] = option.opts[0]
+            for parameter in self.params:
+                flags[parameter.opts[0].lstrip("-").replace("-", "_")] = _flag(parameter)
+                flags[(parameter.name or "").rpartition("__")[2]] = _flag(parameter)
             error.args = tuple(
                 flags.get(part, part) if isinstance(part, ArgumentName) else part
                 for part in error.args
             )
+            flag = self._option_of(error.path, ctx)
+            if flag is not None and flag not in str(error):
+                error.args = (f"{flag}:", *error.args)
             raise
+        except OSError as error:
+            if (flag := self._option_of(error.filename, ctx)) is None:
+                raise
+            raise InputError(f"{flag}: {error.filename}: {error.strerror}") from error
+
+    def _option_of(self, path: Any, ctx: click.Context) -> str | None:
+        """The option whose value is this path; None if there is none."""
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name or "")
+            values = value if isinstance(value, tuple) else (value,)
+            if isinstance(parameter, click.Option) and str(path) in map(str, values) and path:
+                return parameter.opts[0]
+        return None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
@@ -129,6 +145,12 @@ def guarded(command: click.Command) -> click.Command:
 def overwrites() -> bool:
     """Whether the present command was given --overwrite."""
     return bool(click.get_current_context().meta.get("overwrite"))
+
+
+def _flag(parameter: click.Parameter) -> str:
+    """The name of a parameter as its user knows it: --K-size, FRAMES."""
+    is_option = isinstance(parameter, click.Option)
+    return parameter.opts[0] if is_option else parameter.human_readable_name.removesuffix("...")
 
 
 def _section(option: click.Option) -> Section:

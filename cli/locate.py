@@ -21,7 +21,7 @@ from dgc_pose.estimation.status import probability_text
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.decoding import image_header
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.system.files import save_text, staged
+from dgc_pose.system.files import require_no_input, save_text, staged
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import json_text
 
@@ -78,7 +78,7 @@ def locate(
     model, with their expected errors. Exits with 3 and the reason if a query is not located.
     """
     from dgc_pose.localization.locate import Locator
-    from dgc_pose.model import load_model
+    from dgc_pose.model import load_model, model_path
     from dgc_pose.viz import save_figure
     from dgc_pose.viz.pose_figure import plot_location
 
@@ -90,6 +90,7 @@ def locate(
         image_header(Path(query))
     model = load_model(place.model, place.images)
     if place.add is not None:
+        require_no_input([place.add], [model_path(place.model)])
         model.require_addable(place.add, dict.fromkeys(queries))
     for warning in model.warnings:
         say(f"warning: {warning}")
@@ -147,5 +148,6 @@ def location_text(query: str, location: Location) -> str:
         lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
     matched = location.database_images
     used = [image.name for image in matched if image.agrees]
-    lines.append(f"database images: {len(used)} of {len(matched)} agree: {', '.join(used)}")
+    agree = f"database images: {len(used)} of {len(matched)} agree"
+    lines.append(": ".join([agree, ", ".join(used)] if used else [agree]))
     return "\n".join(map(printable, lines + closing_lines(location.warnings, location.seconds)))

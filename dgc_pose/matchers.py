@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from dgc_pose.errors import InputError, WeightsError, is_installed, require
+from dgc_pose.errors import ArgumentName, InputError, WeightsError, is_installed, require
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.matching import Matcher, MatchingOptions, NetworkMatcher
 from dgc_pose.matching.key_points import OnnxMatcher, SiftMatcher
@@ -73,9 +73,8 @@ class MatcherOptions:
             if name in PRESETS or Path(name).suffix or Path(name).exists():
                 raise
             names = ", ".join([*shipped(), *NAMES])
-            raise InputError(
-                f"{name}: no such file, and no such matcher: there are {names}"
-            ) from None
+            missing = f"{name}: no such file, and no such matcher: there are {names}"
+            raise InputError(ArgumentName("weights"), missing) from None
         return NetworkMatcher(engine, self.matching, cache)
 
 

@@ -84,7 +84,8 @@ class Calibration:
             names = shortened(", ".join(self.parts))
             other = f": state one of {names}, as in {self.where}:{last}" if last else ""
             raise InputError(f"{self.where} has no camera for {name}{other}")
-        raise InputError(f"no camera for {name}: give", ArgumentName("K"), "or auto in its place")
+        K = ArgumentName("K")
+        raise InputError(f"no camera for {name}: state", K, "or", K, "auto")
 
     def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
         """The camera of an image as the text or file states it; None without one."""

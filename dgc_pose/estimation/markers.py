@@ -51,10 +51,10 @@ def marker_side(
                 views[name].append((equations, pose[2], side_px))
     fits = {name: fit for name, seen in views.items() if (fit := _fit(seen))}
     if not fits:
-        count = sum(len(seen) > 1 for seen in views.values())
-        shown = f"needs a marker, and two or more of the {len(corners)} images show {count}"
-        squares = ", none a square under the poses" if count else ""
-        raise InputError(ArgumentName("marker"), shown + squares)
+        both = f"a marker in two of the {len(corners)} images"
+        seen_twice = any(len(seen) > 1 for seen in views.values())
+        words = f"{both} that is a square under the poses" if seen_twice else both
+        raise InputError(ArgumentName("marker"), f"needs {words}: there is none")
     names, (sides, stds, counts) = [*fits], np.array([*fits.values()]).T
     low, high = sides.argmin(), sides.argmax()
     ratio = sides[high] / sides[low]

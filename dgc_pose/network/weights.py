@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from safetensors import safe_open
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import ArgumentName, InputError, WeightsError
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS, preset
 from dgc_pose.system.files import open_file, read_as
 
@@ -164,9 +164,9 @@ def choose_device(name: str = "auto") -> torch.device:
     except RuntimeError:
         known = False
     if not known:
-        raise InputError(f"device must be auto, cpu, cuda or cuda:N, not '{name}'")
+        raise InputError(ArgumentName("device"), f"must be auto, cpu, cuda or cuda:N, not '{name}'")
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise InputError(f"device {name}: no CUDA device is available here")
+        raise InputError(ArgumentName("device"), f"{name}: no CUDA device is available here")
     return device
 
 

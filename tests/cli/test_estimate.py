@@ -111,7 +111,8 @@ def test_noise_has_no_pose(folder, network):
     assert data["R"] is None and data["t"] is None and data["quaternion_wxyz"] is None
     assert data["warnings"], "the reason must be told"
     assert result.stderr == f"no pose: {data['warnings'][0]}\n"
-    assert sorted(os.listdir(folder)) == ["one.png", "p.png", "two.png"]
+    assert sorted(os.listdir(folder)) == ["one.png", "p.ply", "p.png", "two.png"]
+    assert b"element vertex 0\n" in (folder / "p.ply").read_bytes()
 
 
 def test_an_ambiguous_pair_exits_with_3_and_has_both_poses(folder, network, monkeypatch):

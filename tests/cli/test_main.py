@@ -68,6 +68,15 @@ def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy)
         (["estimte"], "error: No such command 'estimte'."),
         (["estimate", "a.png"], "IMG2"),
         (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
+        (
+            ["estimate", "a.png", "b.png", "--json", "no/x.json"],
+            "--json: no/x.json: No such file",
+        ),
+        (
+            ["rig", ".", "--out", "no", "--start", os.devnull],
+            "error: --start: /dev/null is no regular file",
+        ),
+        (["rig", "none", "--out", "no"], "error: FRAMES none: no such folder"),
     ],
 )
 def test_misuse_is_one_line_and_exit_2(arguments, words):

@@ -87,12 +87,12 @@ def test_what_is_no_square_is_left_out() -> None:
     found = marker_side(seen, [CAMERA] * 4, poses)
     assert found.images == {"a:1": 3} and found.side == pytest.approx(0.15, rel=1e-4)
     kite = square(0.15, (0.1, 0, 2)) * (1, 2, 1)
-    for markers, count in (({"a:1": kite}, "1, none a square under the poses"), ({}, "0")):
-        message = f"marker needs a marker, and two or more of the 4 images show {count}"
+    for markers, more in (({"a:1": kite}, " that is a square under the poses"), ({}, "")):
+        message = f"marker needs a marker in two of the 4 images{more}: there is none"
         with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
             measured(markers, poses)
 
 
 def test_two_images_from_one_place_do_not_measure() -> None:
-    with pytest.raises(InputError, match="none a square"):
+    with pytest.raises(InputError, match="a square under the poses: there is none"):
         measured({"a:1": square(0.15, (0.1, 0, 2))}, [views(2)[0]] * 2)
