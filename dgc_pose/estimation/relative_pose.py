@@ -241,12 +241,21 @@ def _judged(
         count = len(alternatives)
         others = "1 other pose explains" if count == 1 else f"{count} other poses explain"
         warnings += (f"{others} the matches about as well: see the alternatives",)
-    pose = RelativePose(
+    covariance = known.covariance if has_t else None
+    if covariance is not None and model is not None:
+        covariance = model.calibrated(covariance, evidence)
+    camera1, camera2 = known.cameras if has_t else (None, None)
+    return RelativePose(
         status=status,
         reason=reason,
         inliers=best.inliers,
         num_matches=len(found.problem),
-        R=evidence.rotation if rotation_alone else None,
+        R=best.R if has_t else evidence.rotation if rotation_alone else None,
+        t=best.t if has_t else None,
+        covariance=covariance,
+        camera1=camera1,
+        camera2=camera2,
+        camera_covariance=known.camera_covariance if has_t else None,
         evidence=evidence,
         probability=0.0 if rotation_alone or ambiguous or unusable else poses[0].probability,
         any_probability=0.0 if unusable else probability,
@@ -256,18 +265,4 @@ def _judged(
         cameras=known.cameras,
         median_triangulation_angle_deg=evidence.median_triangulation_angle_deg,
         warnings=warnings,
-    )
-    if not has_t:
-        return pose
-    covariance = known.covariance
-    if covariance is not None and model is not None:
-        covariance = model.calibrated(covariance, evidence)
-    return replace(
-        pose,
-        R=best.R,
-        t=best.t,
-        covariance=covariance,
-        camera_covariance=known.camera_covariance,
-        camera1=known.cameras[0],
-        camera2=known.cameras[1],
     )
