@@ -15,7 +15,6 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
@@ -316,7 +315,7 @@ def _mirrored(
     """
     if pose.success or pose.any_probability is None:
         return None
-    if pose.evidence is not None and pose.evidence.camera_model in OF_STATED:
+    if pose.evidence is not None and pose.evidence.contradicts_K:
         return None
     if pose.status in ("rotation_only", "same_picture"):
         return None

@@ -20,12 +20,7 @@ from dgc_pose.images.decoding import image_header, read_pixels
 from dgc_pose.images.markers import find_markers
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import (
-    only_writer,
-    replaced,
-    replaced_folder,
-    scratch_folder,
-)
+from dgc_pose.system.files import only_writer, replaced, replaced_folder, scratch_folder
 from dgc_pose.system.parallel import in_threads
 from dgc_pose.system.texts import write_json
 

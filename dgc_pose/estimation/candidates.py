@@ -125,9 +125,7 @@ def _refined(problem: TwoViewProblem, run: Hypothesis) -> Hypothesis:
     return refine(problem, run) if problem.options.refine else run
 
 
-def _runs_by_model(
-    stated: TwoViewProblem,
-) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
+def _runs_by_model(stated: TwoViewProblem) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
     """RANSAC, and the cameras by their likeliest model, fitted if they are not exact.
 
     Returns the problem, normalised by the cameras; these; and the hypotheses of the runs, that with

@@ -86,7 +86,9 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
     assumed = sample.valued(CameraModel("assumed", stated), pose, joint)
     if not math.isfinite(assumed.log_evidence):
         return replace(assumed, pose=pose)
-    others = [model for model in other_models(stated) if not sample.excludes(model, assumed)]
+    far = {"tail"} if assumed.focal_std < _OPEN_STD else set[str]()  # that are no other, or too far
+    far |= set(WIDE) if sample.is_explained else set()
+    others = [model for model in other_models(stated) if model.name not in far]
     fits = in_threads(lambda model: sample.fitted(model, pose, assumed), others)
     models = [assumed, *fits]
     shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
@@ -142,12 +144,6 @@ class _Sample:
     def is_explained(self) -> bool:
         """Whether the assumed cameras explain the matches so well that others are near them."""
         return bool((self.error < 1).mean() > _EXPLAINED)
-
-    def excludes(self, model: CameraModel, assumed: CameraModel) -> bool:
-        """Whether a model is no other one, or too far away."""
-        if model.name == "tail":
-            return assumed.focal_std < _OPEN_STD
-        return model.name in WIDE and self.is_explained
 
     def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
         """The model with the likeliest of its fits, or as the slopes at the pose of the assumed

@@ -311,9 +311,8 @@ def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
     """A warning for each two cameras whose poses differ by less than their expected errors."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
-        pose1, pose2 = one.cam_from_world, two.cam_from_world
-        assert pose1 is not None and pose2 is not None and one.centre is not None
-        angle = rotation_angle_deg(pose1[:, :3] @ pose2[:, :3].T)
+        assert one.R is not None and two.R is not None and one.centre is not None
+        angle = rotation_angle_deg(one.R @ two.R.T)
         apart = float(np.linalg.norm(one.centre - two.centre))
         turn, shift = (
             sum(getattr(of, error) or 0.0 for of in (one, two))
