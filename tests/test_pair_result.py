@@ -13,7 +13,7 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions, estimate_pose
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
-from dgc_pose.pair_result import PairResult
+from dgc_pose.pose import PairResult
 
 LENS = Distortion("OPENCV", (-0.12, 0.03, 0.001, -0.001))
 

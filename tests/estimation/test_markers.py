@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose import InputError
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.markers import MarkerSide, marker_side
+from dgc_pose.estimation.scale import MarkerSide, marker_side
 from dgc_pose.images.markers import find_markers
 
 SIZE = (640, 480)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose, estimate_pose
-from dgc_pose.estimation.overlay import staying
+from dgc_pose.estimation.relative_pose import staying
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
