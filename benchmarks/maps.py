@@ -18,6 +18,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from torch import nn
 
 from dgc_pose.benchmarks.flow import NAME as FLOW
@@ -40,6 +41,7 @@ from dgc_pose.network.weights import choose_device, load_network
 from dgc_pose.system.files import read_as, read_text
 from dgc_pose.system.texts import aligned
 from dgc_pose.training.views import MapPairs, image_arrays, level_truth
+from dgc_pose.viz.figure import new_figure
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 SEQUENCES = 59  # of a changing viewpoint in HPatches
@@ -348,28 +350,44 @@ def groups_of(scores: Scores) -> list[str]:
     return list(dict.fromkeys(pair.group for pair in next(iter(scores.values()))))
 
 
-def maps_table(scores: Scores) -> str:
-    """A line a group and method, and over all pairs."""
-    lines = [["group", "method", *(column[0] for column in _COLUMNS)]]
+def report_text(scores: Scores) -> str:
+    """A line a group and method, and over all pairs; and for each method that has a mask, the share
+    of right matches by matchability."""
+    table = [["group", "method", *(column[0] for column in _COLUMNS)]]
     for group in [*groups_of(scores), "all"]:
         for method, pairs in scores.items():
             data = pooled(pairs, group).data
             cells = (decimals(factor * data[name], n) for _, name, factor, n in _COLUMNS)
-            lines.append([group, method, *cells])
-    return aligned(lines)
-
-
-def reliability_lines(scores: Scores) -> list[str]:
-    """For each method that has a mask, the share of right matches by matchability, on one line."""
-    lines = []
+            table.append([group, method, *cells])
+    parts = [HEADING, aligned(table)]
     for method, pairs in scores.items():
         if (counts := pooled(pairs).reliability) is not None:
             words = " ".join(decimals(100 * share, 0) for share in shares(counts)[0])
-            lines.append(
+            parts.append(
                 f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {words}; "
                 f"expected calibration error {decimals(100 * calibration_error(counts), 1)} %"
             )
-    return lines
+    return "\n\n".join(parts)
+
+
+def plot_pck(scores: Scores) -> Figure:
+    """PCK: the share of pixels whose error is at most a share alpha of the image's side.
+
+    A panel a group, in it a curve a method.
+    """
+    groups = groups_of(scores)
+    figure = new_figure(4.0 * len(groups), 4.4)
+    panels = np.ravel(figure.subplots(1, len(groups), sharey=True, squeeze=False))
+    for axes, group in zip(panels, groups, strict=True):
+        for method, pairs in scores.items():
+            within = pooled(pairs, group).pck[: len(PCK_ALPHAS)]
+            axes.plot(PCK_ALPHAS, 100 * within, label=method)
+        axes.set(xlim=(PCK_ALPHAS[0], PCK_ALPHAS[-1]), ylim=(0, 100), xlabel="alpha")
+        axes.set_title(group, fontsize=10)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("pixels within alpha x side (%)")
+    panels[-1].legend(loc="lower right", fontsize=9)
+    return figure
 
 
 def report_data(scores: Scores) -> dict[str, Any]:
