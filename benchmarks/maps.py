@@ -147,16 +147,6 @@ def true_map(
     return np.clip(truth, -_FAR, _FAR), valid
 
 
-def read_matrix(path: Path) -> np.ndarray:
-    """A homography from a text file. Raises InputError, with the path, if it is malformed."""
-    with read_as("a homography", path):
-        words = read_text(path, "a homography", _MATRIX_BYTES).split()
-        H = np.array(words, np.float64).reshape(3, 3)
-        if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
-            raise ValueError("a homography has finite numbers and an inverse")
-    return H
-
-
 def _squaring(size: tuple[int, int]) -> np.ndarray:
     """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
     sx, sy = np.divide(INPUT_SIZE, size)
@@ -170,20 +160,22 @@ def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
         if folder.name.startswith("v_"):
             found.append((f"{name} 1-{k}", viewpoint, "1", f"{k}", f"H_1_{k}"))
         found.append((f"{name} 1-{k}", name, "img1", f"img{k}", f"H1to{k}p"))
-    for matrix in sorted(folder.glob("*_H.txt")):
-        stem = matrix.name.removesuffix("_H.txt")
-        found.append((f"{name}/{stem}", name, f"{stem}_A", f"{stem}_B", matrix.name))
-    for pair, group, stem1, stem2, matrix_name in found:
-        path1, path2 = _image(folder / stem1), _image(folder / stem2)
-        matrix = folder / matrix_name
-        if path1 is not None and path2 is not None and matrix.is_file():
-            yield HomographyPair(pair, group, path1, path2, read_matrix(matrix))
-
-
-def _image(stem: Path) -> Path | None:
-    """The image file of that name, whatever its suffix."""
-    paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
-    return next((path for path in paths if path.is_file()), None)
+    for path in sorted(folder.glob("*_H.txt")):
+        stem = path.name.removesuffix("_H.txt")
+        found.append((f"{name}/{stem}", name, f"{stem}_A", f"{stem}_B", path.name))
+    for pair, group, stem1, stem2, matrix in found:
+        files = [folder / matrix]
+        for stem in (stem1, stem2):
+            paths = (folder / f"{stem}{suffix}" for suffix in _SUFFIXES)
+            files += [path for path in paths if path.is_file()][:1]
+        if len(files) < 3 or not files[0].is_file():
+            continue
+        with read_as("a homography", files[0]):
+            words = read_text(files[0], "a homography", _MATRIX_BYTES).split()
+            H = np.array(words, np.float64).reshape(3, 3)
+            if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
+                raise ValueError("a homography has finite numbers and an inverse")
+        yield HomographyPair(pair, group, files[1], files[2], H)
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:

@@ -59,7 +59,10 @@ class FileMatcher(Matcher):
         """
         path = self.files[image1.name, image2.name]
         with read_as("a map, a flow or matches", path):
-            arrays = _read(path)
+            if path.suffix == ".npz":
+                arrays = read_arrays(path)
+            else:
+                arrays = {"flow": read_array(path) if path.suffix == ".npy" else _read_flo(path)}
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
                 if "flow" in arrays or "map" in arrays:
@@ -68,15 +71,6 @@ class FileMatcher(Matcher):
                 return MatchResult(_points(arrays, image1, image2), None)
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{path}: {reason(error)}") from None
-
-
-def _read(path: Path) -> Mapping[str, np.ndarray]:
-    """The arrays of a file by name."""
-    if path.suffix == ".npz":
-        return read_arrays(path)
-    if path.suffix == ".npy":
-        return {"flow": read_array(path)}
-    return {"flow": _read_flo(path)}
 
 
 def _read_flo(path: Path) -> np.ndarray:
@@ -98,7 +92,13 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
         points1 = _planes(arrays["map"])
     known = np.isfinite(points1).all(-1)
     points1 = np.where(known[..., None], points1, -np.inf)
-    matchability = np.where(known, _matchability(arrays, known.shape), np.float32(0))
+    matchability = np.asarray(
+        arrays.get("matchability", np.ones(known.shape)), np.float32
+    ).squeeze()
+    sound = ((matchability >= 0) & (matchability <= 1)).all()
+    if matchability.shape != known.shape or not sound:
+        raise ValueError(f"matchability must have shape {known.shape} and lie in 0 to 1")
+    matchability = np.where(known, matchability, np.float32(0))
     if "map" in arrays and "grid" in arrays:
         grid = _planes(arrays["grid"])
         if grid.shape != points1.shape:
@@ -115,15 +115,6 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
     # No finer than the pixels of image 2.
     shares = np.divide(known.shape[::-1], image2.size)
     return stored.thinned(max(1, *(round(share) for share in shares.tolist())))
-
-
-def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
-    """The matchability (H, W) float32 of a map of that shape; 1 if none is stored."""
-    stored = arrays.get("matchability", np.ones(shape))
-    matchability = np.asarray(stored, dtype=np.float32).squeeze()
-    if matchability.shape != shape or not ((matchability >= 0) & (matchability <= 1)).all():
-        raise ValueError(f"matchability must have shape {shape} and lie in 0 to 1")
-    return matchability
 
 
 def _points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Matches:
