@@ -21,8 +21,7 @@ import torch
 from matplotlib.figure import Figure
 from torch import nn
 
-from dgc_pose.benchmarks.flow import NAME as FLOW
-from dgc_pose.benchmarks.flow import FlowMatcher
+from dgc_pose.benchmarks.other_matchers import FLOW, FlowMatcher
 from dgc_pose.benchmarks.report import (
     calibration_error,
     decimals,

@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import score
 from dgc_pose.benchmarks.methods import EVERYWHERE, CameraTrial, load_matchers, parse_methods
+from dgc_pose.benchmarks.other_matchers import pair_files
 from dgc_pose.benchmarks.posed_pairs import ListedPairs
 from dgc_pose.benchmarks.report import (
     CAMERA_COLUMNS,
@@ -26,7 +27,6 @@ from dgc_pose.benchmarks.report import (
     write_rows,
 )
 from dgc_pose.benchmarks.store import open_run
-from dgc_pose.benchmarks.stored_matches import pair_files
 from dgc_pose.cameras.pair_list import Pair, read_pairs
 from dgc_pose.cli.guard import NamedPath, OutputFolder
 from dgc_pose.cli.options import dataclass_options
