@@ -45,7 +45,6 @@ from dgc_pose.viz.figure import new_figure
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 SEQUENCES = 59  # of a changing viewpoint in HPatches
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
-_MATRIX_BYTES = 2**16  # of a file with nine numbers
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 _SIZE = (INPUT_SIZE, INPUT_SIZE)
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
@@ -170,7 +169,7 @@ def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
         if len(files) < 3 or not files[0].is_file():
             continue
         with read_as("a homography", files[0]):
-            words = read_text(files[0], "a homography", _MATRIX_BYTES).split()
+            words = read_text(files[0], "a homography").split()
             H = np.array(words, np.float64).reshape(3, 3)
             if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
                 raise ValueError("a homography has finite numbers and an inverse")

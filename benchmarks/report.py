@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.evaluate import pose_auc
@@ -270,19 +269,3 @@ def plot_errors(methods: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
         axes.grid(alpha=0.3)
         axes.legend(loc="lower right", fontsize=9)
     return figure
-
-
-def draw_reliability(axes: Axes, methods: Mapping[str, np.ndarray], *, right: str) -> None:
-    """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
-
-    methods: by name, of `reliability`; right: which matches are right, for the label.
-    """
-    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
-    for method, counts in methods.items():
-        share, confidence = shares(counts[:, counts[0] > 0])
-        label = f"{method}, calibration error {100 * calibration_error(counts):.1f} %"
-        axes.plot(confidence, share, marker="o", ms=4, label=label)
-    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
-    axes.grid(alpha=0.3)
-    if methods:
-        axes.legend(loc="lower right", fontsize=9)
