@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.flow import FlowMatcher, agreement
+from dgc_pose.benchmarks.other_matchers import FlowMatcher, agreement
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches

@@ -9,7 +9,6 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.benchmarks.flow import scaled_map
 from dgc_pose.benchmarks.maps import (
     PCK_THRESHOLDS,
     VIEWPOINTS,
@@ -22,6 +21,7 @@ from dgc_pose.benchmarks.maps import (
     score_map,
     true_map,
 )
+from dgc_pose.benchmarks.other_matchers import scaled_map
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image

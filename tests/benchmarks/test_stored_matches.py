@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
+from dgc_pose.benchmarks.other_matchers import FileMatcher, pair_files
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError

@@ -8,13 +8,14 @@ import pytest
 import torch
 
 from dgc_pose.batch.pairs import MatchedPair, row_of
-from dgc_pose.benchmarks.folders.fitting import (
+from dgc_pose.benchmarks.folders import (
+    KINDS,
+    View,
     fit,
     folder_names,
     has_right_pose,
     shows_one_place,
 )
-from dgc_pose.benchmarks.folders.rendered import KINDS, View
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import RelativePose
 from dgc_pose.matches import Matches

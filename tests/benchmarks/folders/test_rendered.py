@@ -7,7 +7,7 @@ import pytest
 import torch
 from textures import drawn_photos
 
-from dgc_pose.benchmarks.folders.rendered import KINDS, _copied, _Maker, rendered_folder
+from dgc_pose.benchmarks.folders import KINDS, _copied, _Maker, rendered_folder
 from dgc_pose.training.views import about_axis, pixel_grid
 
 SHAPE = (36, 48)
