@@ -13,8 +13,6 @@ from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_model import (
     OF_STATED,
     CameraModel,
-    camera_warnings,
-    is_contradicted,
     other_models,
 )
 from dgc_pose.estimation.probability import shipped_models
@@ -330,62 +328,3 @@ def test_lines_of_each_image_speak_for_two_cameras() -> None:
         return model.log_odds
 
     assert odds(0.7, 1.2) > odds(0.9, 0.9) + 1 and odds(0.9, 0.9) < odds(0.8, 1.0) < 0
-
-
-@pytest.mark.parametrize(
-    ("name", "stated", "fitted", "said"),
-    [
-        (
-            "assumed",
-            {"focal_std": 0.02},
-            {"focal_std": 0.01},
-            "f = 1300 +- 13 px, and K states 1000",
-        ),
-        ("focal", {}, {"focal_std": 0.02}, "f = 1300 +- 26 px, and K states 1000"),
-        (
-            "centre",
-            {},
-            {"centre_std": 7.0},
-            "a principal point of (800, 512) +- 7 px, and K states",
-        ),
-        (
-            "lens",
-            {},
-            {"distortion": Distortion("RADIAL", (-0.15, 0.0)), "lens_std": 0.01},
-            "a lens of k1 = -0.150 +- 0.010, and K states none",
-        ),
-        ("unlensed", {"distortion": LENS}, {}, "no lens, and K states RADIAL"),
-    ],
-)
-def test_what_is_told_of_a_camera_that_K_does_not_state(
-    name: str, stated: dict, fitted: dict, said: str
-) -> None:
-    """Once of a camera that both images have; and a wide deviation is told too."""
-    before = replace(pinhole(1000, SIZE), **stated)
-    after = replace(pinhole(1300, SIZE, centre=(32.5, 0.5)), focal_source="matches", **fitted)
-    (line,) = camera_warnings(name, (before, before), (after, after))
-    assert line.startswith("the matches agree with " + said)
-    loose = replace(after, focal_std=0.3)
-    told = camera_warnings("focal", (before, before), (loose, loose))
-    assert told == ("the focal length is hardly known: f = 1300 px within 30 %",)
-    other = replace(after, K=after.K * [[1.2], [1.2], [1.0]])
-    if name in ("focal", "centre"):
-        assert len(camera_warnings(name, (before, before), (after, other))) == 2
-
-
-@pytest.mark.parametrize(
-    ("ratio", "std", "contradicted"),
-    [
-        (1.05, 0.0, False),
-        (1.09, 0.0, True),
-        (1.0 / 1.09, 0.0, True),
-        (1.09, 0.05, False),
-        (1.2, 0.05, True),
-        (1.2, 0.07, False),
-    ],
-)
-def test_a_focal_length_is_contradicted_by_three_deviations(
-    ratio: float, std: float, contradicted: bool
-) -> None:
-    stated = replace(USUAL, focal_std=std)
-    assert is_contradicted(stated, stated.with_focal(ratio * stated.focal)) is contradicted
