@@ -46,23 +46,14 @@ def test_errors_in_the_image_are_of_the_first_order_by_pixels(
     E = essential_from_pose(pose.R, pose.t)
 
     def algebraic(shift: np.ndarray) -> np.ndarray:
-        rays = [
-            homogeneous(c.normalise(points + part))
-            for c, points, part in zip(
-                cameras,
-                (scene.matches.points1, scene.matches.points2),
-                (shift[:2], shift[2:]),
-                strict=True,
-            )
-        ]
-        return ((rays[0] @ E.T) * rays[1]).sum(1)
+        rays1 = homogeneous(cameras[0].normalise(scene.points1 + shift[:2]))
+        rays2 = homogeneous(cameras[1].normalise(scene.points2 + shift[2:]))
+        return ((rays1 @ E.T) * rays2).sum(1)
 
     slopes = [(algebraic(s) - algebraic(-s)) / (2 * STEP) for s in STEP * np.eye(4)]
     expected = np.abs(algebraic(np.zeros(4))) / np.linalg.norm(slopes, axis=0)
     errors = joint.errors_px(pose)
-    seen = np.isfinite(errors)
-    assert seen.all()
-    np.testing.assert_allclose(errors[seen], expected[joint.problem.index][seen], rtol=2e-3)
+    np.testing.assert_allclose(errors, expected[joint.problem.index], rtol=2e-3)
 
 
 def test_errors_do_not_tell_the_side_of_a_camera_and_the_cost_does() -> None:
@@ -75,18 +66,10 @@ def test_errors_do_not_tell_the_side_of_a_camera_and_the_cost_does() -> None:
     assert joint.cost(behind) > 5 * joint.cost(pose)
     # A fit turns the translation round.
     np.testing.assert_allclose(joint.fitted(behind).t, joint.fitted(pose).t, atol=1e-3)
-
-
-def test_the_cost_prefers_the_true_cameras() -> None:
-    """And each deviation costs half of its square, where nothing else changes."""
-    scene, joint = _joint(pinhole(800, IMAGE))
-    true = JointPose(scene.R, scene.t, np.zeros(len(joint.prior)))
-    for k in range(len(joint.prior)):
-        other = replace(true, z=np.eye(len(joint.prior))[k])
-        assert joint.cost(other) > joint.cost(true) + 0.5
+    # Without matches a deviation costs half of its square.
     empty = JointFit(joint.problem.subset(np.zeros(len(joint.problem), dtype=bool)))
     z = np.full(len(joint.prior), 0.5)
-    assert empty.cost(replace(true, z=z)) == pytest.approx(z @ z / 2)
+    assert empty.cost(replace(pose, z=z)) == pytest.approx(z @ z / 2)
 
 
 def test_the_slopes_are_those_of_the_losses() -> None:

@@ -25,34 +25,21 @@ OF_30_MM = Exif("Maker", "X1", focal_35mm=30)  # of 1536 x 1024 a focal length o
 ASIDE = {"turn_deg": (5.0, 30.0, 3.0), "centre": (3.0, 0.5, 0.5)}
 
 
-def _fisheye(size: tuple[int, int] = (1440, 1080), degrees: float = 119) -> Camera:
-    """Whose width is so many degrees."""
-    return pinhole(size[0] / np.radians(degrees), size, EQUIDISTANT)
-
-
-def _squeezed(width: int, height: int) -> Camera:
-    """Of 1536 x 1024 pixels with a focal length of 1250."""
-    focal = 1250 * height / 1024
-    return pinhole(focal, (width, height), LENS, aspect=1250 * width / 1536 / focal)
-
-
 def _panorama(degrees: float = 100) -> Camera:
     return pinhole(1400 / np.radians(degrees), (1400, 700), CYLINDER)
 
 
 USUAL = pinhole(1250, SIZE, LENS, centre=(3, -2))
 ZOOMED = pinhole(1.6 * 1280, SIZE, LENS)
-PARTS = [pinhole(1900, (1700, 1200), centre=centre) for centre in ((30, -20), (-25, 25))]
+SQUEEZED = pinhole(1250, (1152, 1024), LENS, aspect=0.75)
+PARTS = [pinhole(1900, (1700, 1200), centre=centre) for centre in ((60, -40), (-50, 50))]
+FISHEYE = pinhole(1440 / np.radians(119), (1440, 1080), EQUIDISTANT)
 # The true cameras, the model, and the changes of the scene.
 CASES = {
     "usual": ((USUAL, USUAL), "assumed", {}),
-    "usual aside": ((USUAL, USUAL), "assumed", ASIDE),
-    "0.75": ((_squeezed(1152, 1024),) * 2, "squeezed", {}),
-    "1 / 0.75": ((_squeezed(1536, 768),) * 2, "squeezed", {}),
-    "1 / 0.5": ((_squeezed(1536, 512),) * 2, "squeezed", {}),
-    "square": ((_squeezed(512, 512),) * 2, "squeezed", {}),
+    "squeezed": ((SQUEEZED, SQUEEZED), "squeezed", {}),
     "parts": (PARTS, "off_centre", ASIDE),
-    "fisheye": ((_fisheye(), _fisheye()), "fisheye", {}),
+    "fisheye": ((FISHEYE, FISHEYE), "fisheye", {}),
     "zoomed": ((ZOOMED, ZOOMED), "assumed", {}),
     "two": ((pinhole(1000, SIZE, LENS), pinhole(1500, SIZE, LENS)), "two", {}),
 }
@@ -84,17 +71,8 @@ def _assert_as_stated(pose: RelativePose, scene: TwoViewScene, times: float = 2.
 def test_the_model_is_named_and_the_pose_as_near_as_is_stated(name: str) -> None:
     scene, model = _scene(name, 0), CASES[name][1]
     pose = _estimated(scene, name)
-    assert pose.status == "ok"
-    if model == "squeezed" and pose.evidence.camera_model == "two":
-        # Either has two unknowns beside the pose, and a lens alone tells them apart.
-        if pose.evidence.camera_agreement > 0.9:
-            _assert_as_stated(pose, scene)
-        return
+    assert (pose.status, pose.evidence.camera_model) == ("ok", model)
     _assert_as_stated(pose, scene, 3.0)
-    if (named := pose.evidence.camera_model) != model:
-        # Two views hardly tell some of these apart.
-        assert name == "parts" and named in ("assumed", "two")
-        return
     says = SAID[model]
     if name == "zoomed":
         says = f"the matches agree with f = {pose.camera1.focal:.0f} +- "
@@ -126,22 +104,19 @@ def test_images_on_a_cylinder_are_panoramas(degrees: float, seed: int) -> None:
     assert "matches agree on images on a cylinder" in pose.reason
 
 
-@pytest.mark.parametrize(
-    ("name", "exif", "seed"),
-    [("usual", NO_EXIF, 0), ("usual", OF_30_MM, 1), ("usual aside", OF_30_MM, 0)],
-)
+@pytest.mark.parametrize(("exif", "seed"), [(NO_EXIF, 0), (OF_30_MM, 1)])
 def test_a_usual_camera_costs_nothing(
-    name: str, exif: Exif, seed: int, monkeypatch: pytest.MonkeyPatch
+    exif: Exif, seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The pose is that of the assumed cameras alone, and its error grows by no half with EXIF data.
     Without, a part of a larger picture is in the errors."""
-    scene = _scene(name, seed)
+    scene = _scene("usual", seed)
     pose = scene.estimate(*scene.auto(exif), seed=seed)
-    monkeypatch.setattr(
-        candidates,
-        "likeliest_model",
-        lambda problem, pose: CameraModel("assumed", problem.cameras, pose=pose),
-    )
+
+    def assumed(problem, pose):
+        return CameraModel("assumed", problem.cameras, pose=pose)
+
+    monkeypatch.setattr(candidates, "likeliest_model", assumed)
     alone = scene.estimate(*scene.auto(exif), seed=seed)
     assert (pose.status, pose.evidence.camera_model) == ("ok", "assumed")
     rotation, translation = replace(scene, R=alone.R, t=alone.t).errors_deg(pose)
@@ -162,7 +137,7 @@ def test_a_usual_camera_costs_nothing(
         {"focal_std": 0.45, "distortion": LENS, "focal_source": "size"},
     ],
 )
-@pytest.mark.parametrize("name", ["square", "fisheye"])
+@pytest.mark.parametrize("name", ["squeezed", "fisheye"])
 def test_a_camera_that_is_stated_is_of_no_other_kind(name: str, stated: dict[str, object]) -> None:
     """Although it is wrong: K, with deviations or none, and a lens. Another focal length, lens or
     principal point may be found."""
@@ -185,7 +160,7 @@ def test_a_camera_that_is_stated_is_of_no_other_kind(name: str, stated: dict[str
     ("other", "models"),
     [
         # A lens of two coefficients fits such an image of 119 degrees as well.
-        (_fisheye(), {"fisheye", "assumed", "squeezed", "off_centre"}),
+        (FISHEYE, {"fisheye", "assumed", "squeezed", "off_centre"}),
         (_panorama(), {"cylinder"}),
         (USUAL, {"assumed"}),
     ],
@@ -218,8 +193,7 @@ def test_beside_a_camera_that_is_stated_the_other_alone_changes(
     assert len(said) == (model != "assumed") and (not said or said[0].startswith(SAID[model]))
 
 
-@pytest.mark.parametrize("number", [1, 2])
-@pytest.mark.parametrize("kind", ["equirectangular", "cylindrical"])
+@pytest.mark.parametrize(("number", "kind"), [(1, "equirectangular"), (2, "cylindrical")])
 def test_a_panorama_by_its_file_has_no_fit(
     number: int, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -259,19 +233,12 @@ def test_a_long_lens_on_an_orbit_is_in_the_expected_errors(over_side: float, see
     camera = pinhole(over_side * 1536, SIZE)
     away = 5.0 * over_side
     turn = np.radians(20.0)
-    scene = camera_scene(
-        camera,
-        camera,
-        seed=seed,
-        weights=min(shipped_models().weights),
-        turn_deg=(0.0, 20.0, 0.0),
-        centre=(away * np.sin(turn), 0.1, away * (1 - np.cos(turn))),
-        depths=(away - 1.0, away + 1.0),
-    )
+    orbit = {"centre": (away * np.sin(turn), 0.1, away * (1 - np.cos(turn)))}
+    orbit |= {"turn_deg": (0.0, 20.0, 0.0), "depths": (away - 1.0, away + 1.0)}
+    scene = camera_scene(camera, camera, seed=seed, weights=min(shipped_models().weights), **orbit)
     pose = scene.estimate(seed=seed)
-    if pose.success and pose.probability >= 0.5:
-        _assert_as_stated(pose, scene, 3.0)
-        assert pose.probability < 0.9 or max(scene.errors_deg(pose)) < 10
+    assert pose.success and pose.probability < 0.95
+    _assert_as_stated(pose, scene, 3.0)
 
 
 def _models(*cameras: Camera) -> dict[str, list[CameraModel]]:
