@@ -145,9 +145,7 @@ def test_an_object_before_a_scene_with_depth_is_left_over() -> None:
 
 
 @pytest.mark.parametrize(("share", "seed"), [(0.7, 0), (0.5, 1)])
-def test_a_rotation_that_another_motion_contradicts_is_not_given_out(
-    seed: int, share: float
-) -> None:
+def test_a_rotation_that_another_motion_contradicts_is_not_given_out(seed, share) -> None:
     """Matches of a camera that turned by 10 degrees, and others of one that turned by 25."""
     turned = two_view_scene(
         "rotation_only", seed=seed, count=round(800 * share), outliers=0.0, rotation_deg=10

@@ -34,9 +34,7 @@ def _joint(camera: Camera, seed: int = 0, **changes: float):
 
 @pytest.mark.parametrize("deviates", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
-def test_errors_in_the_image_are_of_the_first_order_by_pixels(
-    lens: Distortion | None, deviates: bool
-) -> None:
+def test_errors_in_the_image_are_of_the_first_order_by_pixels(lens, deviates) -> None:
     """The algebraic error over the length of its gradient by the four coordinates of a match."""
     camera = pinhole(800, IMAGE, lens)
     scene, joint = _joint(camera, count=60, outliers=0.0, sigma_px=1.0)

@@ -105,9 +105,7 @@ def test_images_on_a_cylinder_are_panoramas(degrees: float, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("exif", "seed"), [(NO_EXIF, 0), (OF_30_MM, 1)])
-def test_a_usual_camera_costs_nothing(
-    exif: Exif, seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_usual_camera_costs_nothing(exif, seed, monkeypatch) -> None:
     """The pose is that of the assumed cameras alone, and its error grows by no half with EXIF data.
     Without, a part of a larger picture is in the errors."""
     scene = _scene("usual", seed)
@@ -167,9 +165,7 @@ def test_a_camera_that_is_stated_is_of_no_other_kind(name: str, stated: dict[str
     ids=["fisheye", "cylinder", "usual"],
 )
 @pytest.mark.parametrize("first", [True, False])
-def test_beside_a_camera_that_is_stated_the_other_alone_changes(
-    other: Camera, models: set[str], first: bool
-) -> None:
+def test_beside_a_camera_that_is_stated_the_other_alone_changes(other, models, first) -> None:
     """first: whether the camera that is stated is that of image 1."""
     stated = pinhole(1100, (1400, 1000), LENS)
     scene = camera_scene(*((stated, other) if first else (other, stated)), seed=1)
@@ -194,9 +190,7 @@ def test_beside_a_camera_that_is_stated_the_other_alone_changes(
 
 
 @pytest.mark.parametrize(("number", "kind"), [(1, "equirectangular"), (2, "cylindrical")])
-def test_a_panorama_by_its_file_has_no_fit(
-    number: int, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_panorama_by_its_file_has_no_fit(number, kind, monkeypatch) -> None:
     monkeypatch.setattr(relative_pose, "candidates", None)
     scene = _scene("usual", 0)
     cameras = list(scene.auto())
@@ -210,9 +204,7 @@ def test_a_panorama_by_its_file_has_no_fit(
 @pytest.mark.parametrize(
     ("exif", "factor", "seed"), [(NO_EXIF, 1.3, 0), (OF_30_MM, 1.6, 1), (NO_EXIF, 2.0, 1)]
 )
-def test_a_zoom_of_one_image_that_the_files_do_not_say_is_no_wrong_pose(
-    exif: Exif, factor: float, seed: int
-) -> None:
+def test_a_zoom_of_one_image_that_the_files_do_not_say_is_no_wrong_pose(exif, factor, seed) -> None:
     """The data of both are equal, or lost, so that one camera with one focal length is assumed."""
     network = min(shipped_models().weights)
     cameras = pinhole(1280, SIZE), pinhole(factor * 1280, SIZE)

@@ -8,16 +8,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import poster_scene, two_view_scene
+from scenes import camera_scene, joined, pinhole, poster_scene, two_view_scene
 from scipy.spatial.transform import Rotation
 from scipy.special import softmax
 
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, Hypothesis, estimate_pose
 from dgc_pose.estimation.candidates import compared, ranked
 from dgc_pose.estimation.probability import choice_shares, utility
 from dgc_pose.geometry.epipolar import depths, sampson_distance
-from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 
 AS_THEY_ARE = EstimationOptions(refine=False)
@@ -42,12 +40,10 @@ def test_structure_one_period_off_gives_a_second_pose() -> None:
     """Four matches in ten agree on another motion: those of windows taken for their neighbours."""
     right = two_view_scene("general", seed=1, count=600, outliers=0.0, rotation_deg=10)
     wrong = two_view_scene("general", seed=5, count=450, outliers=0.0, rotation_deg=25)
-    rng = np.random.default_rng(0)
-    noise1, noise2 = rng.random((100, 2)) * (1600, 1200), rng.random((100, 2)) * (1280, 960)
-    points1 = np.vstack([right.points1, wrong.points1, noise1])
-    points2 = np.vstack([right.points2, wrong.points2, noise2])
-    matches = Matches(points1, points2, np.ones(len(points1)), 0.5)
-    pose = estimate_pose(matches, *right.cameras, OPTIONS)
+    anywhere = two_view_scene("random", count=100)
+    both = joined(right, wrong.points1, wrong.points2)
+    both = joined(both, anywhere.points1, anywhere.points2)
+    pose = estimate_pose(both.matches, *both.cameras, OPTIONS)
     assert pose.status == "ambiguous" and pose.R is None
     first, second = pose.alternatives
     assert max(right.errors_deg(first)) < 2 and first.num_inliers >= 560
@@ -58,23 +54,17 @@ def test_structure_one_period_off_gives_a_second_pose() -> None:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_relief_seen_from_afar_can_be_turned_inside_out(seed: int) -> None:
     """Perspective, which tells the two apart, is within the error that the matches expect."""
-    rng = np.random.default_rng(seed)
-    K = np.array([[20000.0, 0, 500], [0, 20000, 500], [0, 0, 1]])
-    X = np.column_stack([rng.uniform(-1, 1, (400, 2)), rng.uniform(-0.4, 0.4, 400)])
-    R = Rotation.from_rotvec(np.radians(12) * np.array([0.2, 0.97, 0.1])).as_matrix()
-    middle = np.array([0, 0, 45.0])
-    seen = []
-    for rotation in (np.eye(3), R):
-        local = X @ rotation.T + middle
-        pixels = (local @ K.T)[:, :2] / local[:, 2:]
-        seen.append(pixels + 0.3 * rng.standard_normal(pixels.shape))
-    camera = Camera(K, (1001, 1001))
-    pose = estimate_pose(Matches(*seen, np.ones(400), 1.5), camera, camera, OPTIONS)
+    camera, turn = pinhole(20000, (901, 901)), np.radians(12)
+    orbit = {"turn_deg": (0, 12, 0), "centre": (45 * np.sin(turn), 0, 45 * (1 - np.cos(turn)))}
+    noise = {"count": 400, "sigma_px": 0.3, "outliers": 0.0, "seed": seed}
+    scene = camera_scene(camera, camera, depths=(44.6, 45.4), **orbit, **noise)
+    matches = dataclasses.replace(scene.matches, error_px=1.5)
+    pose = estimate_pose(matches, camera, camera, OPTIONS)
     (other,) = pose.alternatives
     assert pose.success and other.num_inliers > 390
-    assert rotation_error_deg(pose.R, R) < 1
+    assert rotation_error_deg(pose.R, scene.R) < 1
     # The same rotation the other way round.
-    assert rotation_error_deg(other.R, R.T) < 4 < 20 < rotation_error_deg(other.R, R)
+    assert rotation_error_deg(other.R, scene.R.T) < 4 < 20 < rotation_error_deg(other.R, scene.R)
 
 
 def _valued(likelihood: float, agreement: float | None = None, likely: bool = True) -> Hypothesis:
@@ -127,9 +117,7 @@ def test_likelihood_and_agreement_are_those_of_a_sum_over_the_matches(seed: int)
 
 
 @pytest.mark.parametrize(("count", "likely"), [(75, True), (74, False)])
-def test_a_hypothesis_is_likely_from_three_quarters_of_the_inliers(
-    count: int, likely: bool
-) -> None:
+def test_a_hypothesis_is_likely_from_three_quarters_of_the_inliers(count, likely) -> None:
     scene = two_view_scene("general", count=200)
     problem = dataclasses.replace(scene.problem(), options=AS_THEY_ARE)
     pose = Hypothesis.of_pose(problem, scene.R, scene.t)

@@ -46,7 +46,6 @@ def refitted(points1, points2, scene, key_points=True):
     scale = pose_loss_width(problem, scene.R, scene.t)
     pose = Hypothesis.of_pose(problem, *least_squares_pose(problem, scene.R, scene.t, scale))
     covariance = pose_covariance(problem, pose)
-    assert covariance is not None
     return pose.R, pose.t, covariance[0]
 
 

@@ -182,9 +182,7 @@ def test_a_right_K_of_any_camera_is_kept(camera: Camera, motion: str) -> None:
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (1.5, 1.2, 0.3), (0.6, 0.1, 0.1)])
-def test_a_right_principal_point_far_from_the_middle_is_kept(
-    centre: tuple[float, float, float],
-) -> None:
+def test_a_right_principal_point_far_from_the_middle_is_kept(centre) -> None:
     """As of a part of a photograph; also where the camera only turned."""
     part = pinhole(1300, SIZE, centre=(110, -70))
     for seed in range(2):
@@ -197,9 +195,7 @@ def test_a_right_principal_point_far_from_the_middle_is_kept(
 
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.4])
 @pytest.mark.parametrize("kind", ["orbit", "forward"])
-def test_a_focal_length_that_the_matches_hardly_tell_contradicts_nothing(
-    kind: SceneKind, factor: float
-) -> None:
+def test_a_focal_length_that_the_matches_hardly_tell_contradicts_nothing(kind, factor) -> None:
     """Few matches of a motion with axes that meet, or along the axis."""
     for seed in range(2):
         scene = two_view_scene(kind, seed=seed, count=60, sigma_px=1.5, same_camera=True)

@@ -66,13 +66,10 @@ def test_the_threshold_is_the_mean_over_both_cameras_of_pixels_over_focal_length
 
 def test_a_cell_is_a_24th_of_the_longer_side():
     scene = two_view_scene(count=30)
-    camera1, camera2 = scene.cameras
-    dense = scene.matches
-    assert TwoViewProblem.of(dense, camera1, camera2).cells == pytest.approx(
-        (1600 / 24 / 1695, 1280 / 24 / 1105)
-    )
+    cells = TwoViewProblem.of(scene.matches, *scene.cameras).cells
+    assert cells == pytest.approx((1600 / 24 / 1695, 1280 / 24 / 1105))
     # Without a size the principal point, (810, 590), counts as the middle.
-    unknown = TwoViewProblem.of(dense, Camera(scene.K1), camera2)
+    unknown = TwoViewProblem.of(scene.matches, Camera(scene.K1), scene.cameras[1])
     assert unknown.cells[0] == pytest.approx(1621 / 24 / 1695)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import SIZE1, SIZE2, camera_scene, two_view_scene
+from scenes import K1, SIZE1, SIZE2, camera_scene, project, two_view_scene
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
@@ -44,7 +44,7 @@ def test_the_pose_of_a_solid_scene(kind):
         assert pose.num_inliers == pose.inliers.sum()
         assert pose.inlier_ratio == pytest.approx(pose.inliers.mean())
         assert pose.evidence.cheirality_ratio > 0.95
-        assert pose.evidence.homography_ratio < 0.8 and pose.alternatives == ()
+        assert pose.evidence.homography_ratio < 0.2 and pose.alternatives == ()
 
 
 @pytest.mark.parametrize(
@@ -127,9 +127,9 @@ def test_most_points_behind_a_camera_are_a_failure():
     rng = np.random.default_rng(3)
     X = rng.uniform(-1, 1, (600, 3)) * (3, 2, 1) + (0, 0, 6)
     X[:300] *= -1  # seen backwards: the same lines, a negative depth
-    local = X @ Rotation.from_rotvec([0.02, 0.1, 0.0]).as_matrix().T + (-1.0, 0.1, 0.05)
-    camera = Camera(two_view_scene(count=1).K1)  # some points lie outside its 1600 x 1200
-    points = [(p @ camera.K.T)[:, :2] / p[:, 2:] for p in (X, local)]
+    R = Rotation.from_rotvec([0.02, 0.1, 0.0]).as_matrix()
+    points = project(X, K1), project(X, K1, R, np.array([-1.0, 0.1, 0.05]))
+    camera = Camera(K1)  # some points lie outside its 1600 x 1200
     pose = estimate_pose(as_matches(*points), camera, camera)
     assert_no_pose(pose)
     assert pose.status == "behind_cameras"

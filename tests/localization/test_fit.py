@@ -81,7 +81,6 @@ def test_expected_errors_hold() -> None:
         scene = world_scene(seed=seed, count=150)
         sights = _sights(scene, seed)
         pose = located(sights, [], EXACT, OPTIONS)
-        assert pose is not None
         covariance = world_covariance(sights, pose, EXACT)
         assert covariance is not None and covariance.shape == (6, 6)
         rotation, position = _errors(scene, pose)

@@ -31,9 +31,7 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("K", "source"), [("auto", "lines"), ("900,900,480,360", "given")])
-def test_the_lines_of_a_query_tell_its_focal_length(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, K: str, source: str
-) -> None:
+def test_the_lines_of_a_query_tell_its_focal_length(tmp_path, monkeypatch, K, source) -> None:
     """Which no K states."""
     model = known_model(tmp_path, render_views(2, step=0.5))
     searched: list[Camera] = []
