@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
-from dgc_pose.estimation.intrinsics_prior import ASPECTS, SIZE, pair_with_parameters
+from dgc_pose.estimation.camera_fit import JointFit, JointPose
+from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous
-from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 IMAGE = (1400, 1000)
 LENSES = [
@@ -94,25 +93,3 @@ def test_the_slopes_are_those_of_the_losses() -> None:
         slope = (losses[1] - losses[0]) / (2 * step)
         scale = np.sqrt(information[k, k])
         assert abs(gradient[k] - slope) < 0.02 * abs(slope) + 0.05 * scale, k
-
-
-@pytest.mark.parametrize(("factor", "aspect"), [(1.0, 1.0), (1.25, 1.0), (1.0, 0.75), (0.8, 1.3)])
-def test_a_start_at_the_deviations_of_the_cameras_is_fitted(factor: float, aspect: float) -> None:
-    """Of cameras whose focal lengths and their ratio were assumed otherwise."""
-    camera = pinhole(800, IMAGE)
-    scene = camera_scene(camera, camera, seed=2)
-    fx, fy = 800 / factor * np.sqrt(aspect), 800 / factor / np.sqrt(aspect)
-    assumed = replace(Camera(np.array([fx, fy, *camera.K[:2, 2]]), IMAGE), **LOOSE, identity="one")
-    joint = JointFit(TwoViewProblem.of(scene.matches, assumed, assumed))
-    at = of_focals(np.full(2, np.log(factor)))
-    at[ASPECTS] = np.log(aspect)
-    start = start_at(joint, at, seed=3)
-    np.testing.assert_allclose(joint.parameters(start), at, atol=1e-9)
-    pose = joint.fitted(start)
-    assert joint.cost(pose) <= joint.cost(start)
-    assert rotation_error_deg(pose.R, scene.R) < 0.5
-    assert translation_error_deg(pose.t, scene.t) < 1
-    np.testing.assert_allclose(joint.parameters(pose)[[0, 5]], at[[0, 5]], atol=0.04)
-    # A fit without a round is the start.
-    assert joint.fitted(start, ()) is start
-    assert len(at) == 2 * SIZE

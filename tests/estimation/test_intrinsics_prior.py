@@ -126,18 +126,3 @@ def test_points_are_what_the_deviating_camera_makes_of_the_pixels(lens):
     camera, points = replace(CAMERA, distortion=lens), CAMERA.normalise(SCENE.points1)
     expected = with_parameters(camera, SHIFT).normalise(camera.project(points))
     np.testing.assert_allclose(renormalised(points, lens, SHIFT), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("lens", [lens for lens in RADIAL if lens != Distortion("CYLINDER")])
-def test_a_camera_that_deviates_has_the_focal_lengths_and_the_lens_that_it_says(lens):
-    """Against the definition: ln of the mean and of the ratio of the focal lengths."""
-    camera = replace(CAMERA, distortion=lens)
-    moved = with_parameters(camera, np.array([0.04, -0.01, 0.02, 0.03, -0.02, 0.03]))
-    (fx, fy), (before_x, before_y) = moved.K.diagonal()[:2], camera.K.diagonal()[:2]
-    assert np.log(fx * fy / (before_x * before_y)) / 2 == pytest.approx(0.04)
-    assert np.log(fy / fx) - np.log(before_y / before_x) == pytest.approx(0.03)
-    by_focal = (moved.K[:2, 2] - camera.K[:2, 2]) / (before_x, before_y)
-    np.testing.assert_allclose(by_focal, (-0.01, 0.02))
-    assert moved.distortion.model == ("RADIAL" if lens is None else lens.model)
-    first, second = (0, 0) if lens is None else lens.radial
-    assert moved.distortion.radial == pytest.approx((first + 0.03, second - 0.02))
