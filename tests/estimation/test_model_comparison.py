@@ -58,14 +58,6 @@ def _assert_found(pose: RelativePose, scene: TwoViewScene, name: str) -> None:
     assert pose.probability > 0.9
 
 
-def _is_honest(pose: RelativePose, scene: TwoViewScene) -> bool:
-    if not pose.success or pose.probability < 0.5:
-        return True
-    errors = np.array(scene.errors_deg(pose))
-    stated = np.array([pose.rotation_error_90_deg, pose.translation_error_90_deg])
-    return bool((errors < 3 * stated).all())
-
-
 @pytest.mark.parametrize(
     ("motion", "factor", "seed"), [("aside", 0.8, 0), ("far", 1.3, 1), ("near", 1.6, 0)]
 )
@@ -106,14 +98,6 @@ def test_K1_and_K2_that_are_swapped(motion: str, seed: int) -> None:
     assert [camera.focal for camera in (pose.camera1, pose.camera2)] == [1300, 1950]
     said = [f"f = {focal} px, that of the other image's K" for focal in (1300, 1950)]
     assert _agreed(pose) == said
-
-
-@EACH_MOTION
-def test_cameras_that_are_not_found_are_no_wrong_pose(motion: str, seed: int) -> None:
-    scene = _scene(CAMERA, ZOOMED, motion, seed)
-    for cameras in ((ZOOMED, CAMERA), (CAMERA, CAMERA), (ZOOMED, ZOOMED)):
-        pose = scene.estimate(*cameras, seed=seed)
-        assert _is_honest(pose, scene), (scene.errors_deg(pose), pose, pose.warnings)
 
 
 @pytest.mark.parametrize(

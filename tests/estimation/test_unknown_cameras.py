@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import two_view_scene
+from scenes import pinhole, two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -13,11 +13,8 @@ from dgc_pose.estimation import EstimationOptions, estimate_pose
 
 def _unknown(camera: Camera, identity: str | None = None, factor: float = 1.3) -> Camera:
     """A camera whose focal length is off, as that of an image without a K is."""
-    width, height = camera.size
-    f = factor * camera.focal
-    K = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
-    size = camera.size
-    return Camera(K, size, focal_std=0.4, centre_std=0.01 * max(size), identity=identity)
+    assumed, centre_std = pinhole(factor * camera.focal, camera.size), 0.01 * max(camera.size)
+    return replace(assumed, focal_std=0.4, centre_std=centre_std, identity=identity)
 
 
 def _error(pose, scene) -> float:
