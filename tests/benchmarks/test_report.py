@@ -110,7 +110,7 @@ def test_no_pose_has_no_figures_and_json_has_null_for_them():
     assert data["pairs"] == data["failures"] == 1
 
 
-def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
+def test_every_bin_counts_its_own_matches_parts_add_up_and_empty_ones_say_nothing() -> None:
     rng = np.random.default_rng(5)
     confidence = rng.random((20, 30)).astype(np.float32)
     matches = confidence, rng.random((20, 30)) < confidence**2
@@ -130,11 +130,8 @@ def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
     np.testing.assert_allclose(shares(found), expected)
     gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
     assert calibration_error(found) == pytest.approx(sum(gaps) / sum(counts))
-
-
-def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
     found = reliability(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
-    assert found[0].tolist() == [1, 0, 0, 2]
+    assert found[0].tolist() == [1, 0, 0, 2]  # both ends belong to bins
     np.testing.assert_array_equal(shares(found)[0], [0, np.nan, np.nan, 0.5])
     assert calibration_error(found) == pytest.approx(2 / 3 * 0.5)
     assert np.isnan(calibration_error(reliability(np.zeros(0), np.zeros(0, bool))))
