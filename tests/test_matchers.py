@@ -190,7 +190,7 @@ def test_other_requests_are_refused(no_gpu, tmp_path):
         ({"weights": "nowhere.safetensors"}, WeightsError, "no such weights"),
         ({"weights": "dgcm"}, WeightsError, "no weights are shipped for dgcm "),
         ({"device": "cuda", "runtime": "onnx"}, InputError, "on the CPU, not on cuda"),
-        ({"device": "quantum"}, InputError, "device"),
+        ({"device": "mps"}, InputError, "device must be auto, cpu, cuda or cuda:N, not 'mps'"),
     ):
         with pytest.raises(error, match=words):
             load_engine(**options)  # type: ignore[arg-type]

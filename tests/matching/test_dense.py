@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from map_nets import ShiftNet
 
-from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import within
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize
@@ -50,8 +49,6 @@ def test_identity_maps_corners_to_corners_at_any_size(align_corners: bool) -> No
 def test_a_mask_network_has_no_coarser_level() -> None:
     masked = NetworkMatcher(TorchEngine(DGCNet(preset("dgcm"))))
     assert masked.coarse(_image(100, 100), _image(100, 100)) is None
-    with pytest.raises(InputError, match="aligned"):
-        MatchingOptions(aligned="nothing")  # type: ignore[arg-type]
 
 
 def test_nothing_is_nan_whatever_the_network_says() -> None:

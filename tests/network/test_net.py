@@ -91,25 +91,6 @@ def test_align_corners_modes_sample_at_their_points():
         torch.testing.assert_close(to_pixels(place, (60, 60), align_corners), pixels)
 
 
-def test_a_part_of_a_level_decodes_as_the_whole_does():
-    """Away from the part's border, as training needs it."""
-    config = preset("dgcm-lite0")
-    net = DGCNet(config).eval()
-    generator = torch.Generator().manual_seed(5)
-    channels = config.level_channels[1]
-    source, target = torch.randn(2, 1, channels, 120, 120, generator=generator)
-    state = torch.rand(1, 3, 120, 120, generator=generator) - 0.5
-    rows, columns = slice(20, 90), slice(30, 100)
-    with torch.no_grad():
-        whole = net.refine(1, net.warp(source, state), target, state, (120, 120))
-        part = state[:, :, rows, columns]
-        warped = net.warp(source, part)
-        found = net.refine(1, warped, target[:, :, rows, columns], part, (120, 120))
-    inner = slice(15, -15)
-    expected = whole[:, :, rows, columns][:, :, inner, inner]
-    torch.testing.assert_close(found[:, :, inner, inner], expected, atol=1e-5, rtol=1e-4)
-
-
 def test_the_grid_has_the_images_shape_and_about_225_cells():
     config = preset("dgcm-lite0")
     assert config.input_size((800, 800)) == (240, 240)

@@ -175,11 +175,10 @@ def test_a_backbone_learns_at_a_third_of_the_rate():
     assert sum(p.numel() for p in rest["params"]) == own + 4
 
 
-@pytest.mark.parametrize("decay", [0.3, 0.998])
-def test_the_average_is_the_sum_of_all_values_by_their_decays(decay):
+def test_the_average_is_the_sum_of_all_values_by_their_decays():
     """Of the weights, which lie between the values, and of the statistics; counters are copied."""
     norm = nn.BatchNorm1d(1)
-    average = copy.deepcopy(norm)
+    average, decay = copy.deepcopy(norm), 0.3
     expected, statistic = 1.0, 0.0  # as a norm begins
     for n, value in enumerate((0.5, 2.0, -1.0, 4.0, 1.5)):
         nn.init.constant_(norm.weight, value)

@@ -106,7 +106,10 @@ def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
     nowhere, none = np.full((4, 4, 2), -9.0, np.float32), np.zeros((4, 4, 2), np.float32)
     result = result_of(dense_scene.make_map(nowhere, none))
     assert result.pose.num_matches == 0
-    save_figure(plot_pose(result), tmp_path / "p.png")
+    figure = plot_pose(result)
+    (warped,) = figure.axes[4].images  # white outside image 1
+    assert (warped.get_array() == 255).all()
+    save_figure(figure, tmp_path / "p.png")
     assert cv2.imread(str(tmp_path / "p.png")) is not None
 
 
