@@ -91,19 +91,9 @@ def test_models_have_the_poses_of_their_files(kind: str, images: Path, tmp_path:
         np.testing.assert_allclose(pixels, expected, atol=1e-6)
 
 
-def test_images_that_are_missing_are_told(images: Path, tmp_path: Path) -> None:
-    source = _table(SCENE, tmp_path / "poses.csv")
-    (images / "r1.jpg").unlink()
-    model = load_model(source, images)
-    assert "r1.jpg" not in model.poses
-    assert "lacks 1 of 5 images (first: r1.jpg)" in model.warnings[0]
-    for name in SCENE.names[2:]:
-        (images / name).unlink()
-    with pytest.raises(InputError, match=r"images .* lacks 4 of 5 images \(first: r1.jpg, "):
-        load_model(source, images)
-
-
-def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
+def test_what_is_no_model_is_refused_and_missing_images_are_told(
+    images: Path, tmp_path: Path
+) -> None:
     write_colmap(SCENE, tmp_path / "two" / "0")
     write_colmap(SCENE, tmp_path / "two" / "1")
     cameras = tmp_path / "cameras.csv"
@@ -123,6 +113,15 @@ def test_what_is_no_model_is_refused(images: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(DgcPoseError, match=words):
             load_model(source, images)
+    # Images that are missing are told, unless one alone is left.
+    (images / "r1.jpg").unlink()
+    model = load_model(_table(SCENE, single), images)
+    assert "r1.jpg" not in model.poses
+    assert "lacks 1 of 5 images (first: r1.jpg)" in model.warnings[0]
+    for name in SCENE.names[2:]:
+        (images / name).unlink()
+    with pytest.raises(InputError, match=r"images .* lacks 4 of 5 images \(first: r1.jpg, "):
+        load_model(single, images)
 
 
 @pytest.mark.parametrize(("kind", "orientation"), [("binary", 1), ("table", 6)])

@@ -100,10 +100,7 @@ def test_the_figures_of_cameras_and_probabilities():
     assert found.sure_median_focal_error_percent == pytest.approx(1.5)
     # 4 x 0.9 expected to be right where 3 are; one of 0.2 where none is.
     assert found.probability_error_percent == pytest.approx(100 * (0.6 + 0.2) / 5)
-
-
-def test_no_pose_has_no_figures_and_json_has_null_for_them():
-    found = summary(LOST)
+    found = summary(LOST)  # which has no figures, in JSON null
     assert (found.claimed, found.wrong, found.told_percent) == (0, 0, 100)
     data = json.loads(json.dumps(finite_data(vars(found)), allow_nan=False))
     assert data["median_rotation_deg"] is data["median_focal_error_percent"] is None
