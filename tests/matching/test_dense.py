@@ -131,3 +131,6 @@ def test_a_part_is_found_in_the_whole(closer: int) -> None:
     extent = np.array(wide.size) / wide.scale
     assert (extent > (320 / 3.5, 240 / 3.5)).all() and (extent < (320, 240)).all()
     assert views[1].angle_deg == 0
+    found = _map(_engine(), first, second)
+    shown = within(views[1].to_view(found.grid), views[1].size)
+    assert (~shown).any() == (closer == 1) and not found.matchability[~shown].any()
