@@ -134,10 +134,6 @@ def test_every_bin_counts_its_own_matches_parts_add_up_and_empty_ones_say_nothin
     assert np.isnan(calibration_error(reliability(np.zeros(0), np.zeros(0, bool))))
 
 
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
-
-
 def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
     """A method may be called as a formula."""
     errors, lost = np.array([3.0, np.inf, 1.0, 9.0, 3.0]), np.full(5, np.inf)
@@ -152,7 +148,8 @@ def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
     }
     figure = plot_errors(methods)
     rotation, _, everywhere, confident = figure.axes
-    assert legend(rotation)[:2] == ["$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°"]
+    first, second, _ = (text.get_text() for text in rotation.get_legend().get_texts())
+    assert (first, second) == ("$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°")
     # At each value the share of errors not above it.
     assert rotation.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
     assert rotation.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]

@@ -23,8 +23,6 @@ from dgc_pose.runtime.onnx_engine import OnnxEngine, session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, for_inference
 from dgc_pose.training.run import save_weights
 
-Engines = tuple[OnnxEngine, TorchEngine]
-
 
 @pytest.fixture(scope="module")
 def engines():
