@@ -30,7 +30,6 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
 @pytest.mark.parametrize(
     ("sizes", "plane"),
     [
-        (((200, 160), (200, 160)), (200, 160)),
         (((100, 160), (200, 160)), (200, 160)),
         (((1280, 1024), (960, 768)), (640, 512)),
     ],

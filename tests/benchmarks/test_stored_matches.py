@@ -91,12 +91,6 @@ def test_a_format_gives_the_points_of_its_flow(tmp_path, writer) -> None:
     assert unknown > 0
 
 
-def test_matchability_is_taken(tmp_path) -> None:
-    values = np.random.default_rng(0).random((60, 80)).astype(np.float32)
-    np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), matchability=values)
-    assert np.array_equal(_map(tmp_path, STORED).matchability, values)
-
-
 def test_points_are_given_in_pixels_of_the_images_shown(tmp_path) -> None:
     points1 = np.array([[20.5, 20.5], [58.5, 38.5], [39.5, 29.5]])
     np.savez(tmp_path / f"{STEM}.npz", points1=points1, points2=points1[::-1], error_px=3.0)
