@@ -163,6 +163,10 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
         ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv line 2: K must be upper triangular"),
         ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv line 2: more cells than columns"),
         ("t.json", b"{", "t.json is not a file of cameras that can be read"),
+        ("rig.toml", b"[cam_0]\nsize 640\n", "not TOML that can be read"),
+        ("rig.toml", b".".join([b"a"] * 9999) + b" = 1", "a key of over 100 parts"),
+        ("rig.toml", b"a = " + b"[" * 9999, "not TOML that can be read"),
+        ("rig.toml", b"a = 1", "no K and no camera of"),
         ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read (an alias"),
     ],
 )
