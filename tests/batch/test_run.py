@@ -240,10 +240,8 @@ def test_the_cameras_are_read_back(tmp_path):
     assert list(again) == list(cameras)
     for name, camera in cameras.items():
         np.testing.assert_array_equal(again[name].K, camera.K)
-        assert again[name].distortion == camera.distortion
-        assert again[name].size == camera.size and again[name].identity == camera.identity
-        assert again[name].focal_std == camera.focal_std
-        assert (again[name].centre_std, again[name].lens_std) == (5.0, camera.lens_std)
+        same = {"K": None, "focal_source": None}  # the file has no source
+        assert vars(again[name]) | same == vars(camera) | same
 
 
 @pytest.fixture(scope="module")
