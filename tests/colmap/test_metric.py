@@ -158,11 +158,6 @@ def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
         to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
 
 
-def test_one_option_gives_metres() -> None:
-    with pytest.raises(InputError, match="^gps and marker both bring the model into"):
-        ReconstructionOptions(gps=True, marker=0.2)
-
-
 def test_the_command(tmp_path: Path) -> None:
     folder = tmp_path / "photos"
     first, *_, last = (view.centre for view in view_folder(folder))
