@@ -133,7 +133,7 @@ def test_pairs_that_are_turned_down_are_told_by_their_groups_and_left_out(whole)
         assert [pair.row.names for pair in pair_geometries(batch)] == [("view1.png", "view2.png")]
 
 
-def test_a_database_as_source(photos, whole, tmp_path):
+def test_a_database_and_a_list_as_source(photos, whole, tmp_path):
     """Its pairs, in their order, with the camera that it holds; it is left as it is."""
     database = tmp_path / "a.db"
     fx, fy, cx, cy = map(float, K_text().split(","))
