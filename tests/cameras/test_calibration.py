@@ -146,20 +146,16 @@ def test_the_deviation_of_a_K() -> None:
         read_calibration("auto", details=details)
 
 
-@pytest.mark.parametrize(
-    ("text", "std"),
-    [
+def test_a_lens_that_is_not_known() -> None:
+    (image,) = _images((320, 200))
+    for text, std in (
         ("300,300,159.5,99.5,lens", LENS_STD),
         ("PINHOLE,320,200,300,300,160,100,lens", LENS_STD),
         ("300,300,159.5,99.5", 0.0),
         ("SIMPLE_RADIAL,320,200,300,160,100,0.1,lens", 0.0),  # its lens is known
-    ],
-)
-def test_a_lens_that_is_not_known(text: str, std: float) -> None:
-    image = Image(np.zeros((200, 320, 3), np.uint8))
-    cameras = pair_cameras(text, text, image, image, ("--K", "--K"))
-    assert [camera.lens_std for camera in cameras] == [std, std]
-    assert all(camera.exact == (std == 0) and camera.focal_std == 0 for camera in cameras)
+    ):
+        for camera in pair_cameras(text, text, image, image, ("--K", "--K")):
+            assert (camera.lens_std, camera.exact, camera.focal_std) == (std, std == 0, 0)
 
 
 LENS = Distortion("OPENCV", (0.1, 0.02, 0.01, -0.03))

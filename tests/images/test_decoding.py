@@ -263,21 +263,14 @@ def test_what_is_no_positive_number_is_not_known(
         assert exif.pixels_per_mm == pytest.approx(per_mm)
 
 
-@pytest.mark.parametrize(
-    ("letters", "position"),
-    [
-        ({1: "S", 3: "E"}, (-33.5, 70.25, 12.0)),
-        ({1: "S"}, None),
-        ({1: "W", 3: "S"}, None),
-    ],
-)
-def test_a_position_has_the_letters_of_its_hemispheres(
-    tmp_path: Path, letters: dict[int, str], position: tuple[float, float, float] | None
-) -> None:
-    exif = PIL.Image.Exif()
-    exif[271] = "Maker"  # Pillow writes no block of GPS alone
-    exif.get_ifd(34853).update({2: (33.0, 30.0, 0.0), 4: (70.0, 15.0, 0.0), 6: 12.0, **letters})
-    assert exif_of(tmp_path, exif.tobytes()).position == position
+def test_a_position_has_the_letters_of_its_hemispheres(tmp_path: Path) -> None:
+    south_east = (-33.5, 70.25, 12.0)
+    for letters, position in (("SE", south_east), ("S", None), ("WS", None)):
+        exif = PIL.Image.Exif()
+        exif[271] = "Maker"  # Pillow writes no block of GPS alone
+        tags = {2: (33.0, 30.0, 0.0), 4: (70.0, 15.0, 0.0), 6: 12.0}
+        exif.get_ifd(34853).update(tags | dict(zip((1, 3), letters, strict=False)))
+        assert exif_of(tmp_path, exif.tobytes()).position == position
 
 
 def with_density(path: Path, unit: int, along_x: int, along_y: int) -> None:
