@@ -136,7 +136,7 @@ def test_two_rooms_that_look_alike_are_parted():
     found, alone = _rights(0.98, np.where(ROOMS, 0.0, -0.6) + noise, ROOMS)
     assert ((alone > 0) != ROOMS).any() and _agree(ROOMS).all()
     assert np.array_equal(found, ROOMS)
-    assert _rights(0.98, np.where(ROOMS, 0.0, -0.9), ROOMS, known=False)[0].all()
+    assert _rights(0.98, np.where(ROOMS, 0.0, -6.0), ROOMS, known=False)[0].all()
 
 
 def test_an_ordinary_folder_keeps_its_pairs():
