@@ -12,6 +12,7 @@ from torch import nn
 from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matchers import load_matcher
 from dgc_pose.network.config import preset
+from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet, to_normalised, to_pixels
 from dgc_pose.network.weights import load_network
 from dgc_pose.runtime.torch_engine import for_inference, network_input
@@ -90,6 +91,25 @@ def test_align_corners_modes_sample_at_their_points():
         torch.testing.assert_close(to_pixels(place, (60, 60), align_corners), pixels)
 
 
+def test_a_part_of_a_level_decodes_as_the_whole_does():
+    """Away from the part's border, as training needs it."""
+    config = preset("dgcm-lite0")
+    net = DGCNet(config).eval()
+    generator = torch.Generator().manual_seed(5)
+    channels = config.level_channels[1]
+    source, target = torch.randn(2, 1, channels, 120, 120, generator=generator)
+    state = torch.rand(1, 3, 120, 120, generator=generator) - 0.5
+    rows, columns = slice(20, 90), slice(30, 100)
+    with torch.no_grad():
+        whole = net.refine(1, net.warp(source, state), target, state, (120, 120))
+        part = state[:, :, rows, columns]
+        warped = net.warp(source, part)
+        found = net.refine(1, warped, target[:, :, rows, columns], part, (120, 120))
+    inner = slice(15, -15)
+    expected = whole[:, :, rows, columns][:, :, inner, inner]
+    torch.testing.assert_close(found[:, :, inner, inner], expected, atol=1e-5, rtol=1e-4)
+
+
 def test_the_grid_has_the_images_shape_and_about_225_cells():
     config = preset("dgcm-lite0")
     assert config.input_size((800, 800)) == (240, 240)
@@ -122,6 +142,22 @@ def test_a_wide_pair_is_matched_in_its_shape():
     step = dense.grid[0, 1, 0] - dense.grid[0, 0, 0]
     assert dense.grid[0, 0, 0] == pytest.approx(step / 2 - 0.5, abs=1e-3)
     assert dense.grid[0, -1, 0] == pytest.approx(539 - step / 2 + 0.5, abs=1e-2)
+
+
+def test_features_of_a_rotated_image_lie_in_the_rotated_cells():
+    """By 180 degrees, kernels too. With odd kernels of stride 2 they would be half a cell off."""
+    torch.manual_seed(0)
+    pyramid = EfficientPyramid().eval().requires_grad_(False)
+    image = torch.randn(1, 3, 96, 64)
+    upright = pyramid(image)
+    for module in pyramid.modules():
+        if isinstance(module, nn.Conv2d):
+            module.weight.copy_(module.weight.flip(-1, -2))
+    rotated = pyramid(image.flip(-1, -2))
+    # Level 1 has an odd kernel of stride 2, as in dgcm-lite0, and is not matched between rotations.
+    for level in (0, 2, 3, 4):
+        expected = upright[level].flip(-1, -2)
+        assert torch.allclose(rotated[level], expected, atol=1e-4 * expected.abs().max())
 
 
 def test_a_network_made_for_inference_gives_the_same_map():
