@@ -234,9 +234,7 @@ def test_a_key_that_is_not_read(tmp_path: Path, format: str) -> None:
         for value in (0.1, [0.0, 0.1], "text"):
             with pytest.raises(InputError, match=f" {key} may be of the lens, and is not read$"):
                 _camera(_with_keys(tmp_path, format, **{key: value}))
-    others = {"K_right": 7, "new_camera_matrix": 7, "new_K": 3, "x_fov": 60}
-    if format == "ROS":
-        others["binning_x"] = 2
+    others = {"K_right": 7, "new_camera_matrix": 7, "new_K": 3, "x_fov": 60, "binning_x": 2}
     camera = _camera(_with_keys(tmp_path, format, **others))
     assert camera.warnings == (f"keys that may change K are not read: {', '.join(others)}",)
     harmless = {"k5": 0, "dist_x": [0, 0.0], "xi": "", "avg_reprojection_error": 0.3, "flags": 4}
