@@ -15,7 +15,7 @@ from dgc_pose.benchmarks.evaluate import pose_auc
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
-from dgc_pose.system.files import naming_path, replaced
+from dgc_pose.system.files import naming_path
 from dgc_pose.system.texts import aligned, finite_or_none
 from dgc_pose.viz.figure import new_figure
 
@@ -219,12 +219,11 @@ def finite_data(data: Any) -> Any:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write records as CSV, whole or not at all."""
-    with replaced(path) as file, naming_path(file):
-        with file.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
+    """Write records as CSV. Raises OSError, with the path."""
+    with naming_path(path), path.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def split_names(text: str) -> list[str]:

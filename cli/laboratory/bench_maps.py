@@ -10,9 +10,11 @@ from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.weights import shipped
-from dgc_pose.system.files import replaced
+from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
-from dgc_pose.system.texts import write_json
+from dgc_pose.system.texts import json_text
+
+_FILES = ("summary.json", "pairs.csv", "pck.png")
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,7 @@ class MapBenchOptions:
         None,
         "Write pairs.csv, summary.json and pck.png there.",
         metavar="DIR",
-        type=OutputFolder("summary.json", "pairs.csv", "pck.png", path_type=Path),
+        type=OutputFolder(*_FILES, path_type=Path),
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
 
@@ -66,19 +68,23 @@ def bench_maps(bench: MapBenchOptions) -> None:
     sequences = len({pair.path1.parent for pair in pairs if pair.group in VIEWPOINTS})
     names = shipped() if bench.methods is None else split_names(bench.methods)
     methods = load_map_methods(list(names), device=bench.device)
+    paths = []
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    scores: dict[str, list[MapScore]] = {name: [] for name in methods}
-    for pair in tqdm(pairs, unit="pair", disable=None):
-        loaded = load_pair(pair)
-        for name, compare in methods.items():
-            scores[name].append(score_map(name, pair.group, pair.name, compare(loaded)))
-    if out is not None:
-        data = {"root": str(root), "sequences": sequences, **report_data(scores)}
-        write_json(out / "summary.json", data)
-        rows = [finite_data(score.data) for of_method in scores.values() for score in of_method]
-        write_rows(out / "pairs.csv", rows)
-        with replaced(out / "pck.png") as file:
-            save_figure(plot_pck(scores), file)
+        paths = [str(out / name) for name in _FILES]
+    # A file that cannot be written stops the run before it begins.
+    with staged(*paths) as stage:
+        scores: dict[str, list[MapScore]] = {name: [] for name in methods}
+        for pair in tqdm(pairs, unit="pair", disable=None):
+            loaded = load_pair(pair)
+            for name, compare in methods.items():
+                scores[name].append(score_map(name, pair.group, pair.name, compare(loaded)))
+        if paths:
+            summary, table, figure = map(stage, paths)
+            data = {"root": str(root), "sequences": sequences, **report_data(scores)}
+            save_text(summary, json_text(data))
+            each = [score for of_method in scores.values() for score in of_method]
+            write_rows(table, [finite_data(score.data) for score in each])
+            save_figure(plot_pck(scores), figure)
     title = f"{len(pairs)} pairs of {root}, {sequences} of HPatches' {SEQUENCES} sequences"
     click.echo(f"{title}\n\n{report_text(scores)}")

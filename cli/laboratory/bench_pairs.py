@@ -156,7 +156,8 @@ def run_bench(
     figures = columns(scores)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:
-        write_rows(out / "results.csv", scores)
+        with replaced(out / "results.csv") as file:
+            write_rows(file, scores)
         write_json(out / "summary.json", {"methods": finite_data(summaries)})
         with replaced(out / "errors.png") as file:
             save_figure(plot_errors(figures), file)
