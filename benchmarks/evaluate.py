@@ -12,7 +12,7 @@ from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
-from dgc_pose.estimation.camera_model import OF_STATED, is_contradicted
+from dgc_pose.estimation.camera_model import is_contradicted
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches
@@ -108,7 +108,7 @@ def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
     if pose.evidence is None or not STATUSES[pose.status].of_cameras:
         return False
     fitted = zip(cameras, (pose.camera1, pose.camera2), strict=True)
-    return pose.evidence.camera_model in OF_STATED or any(
+    return pose.contradicts_K or any(
         before.focal_source == "exif" and after is not None and is_contradicted(before, after)
         for before, after in fitted
     )

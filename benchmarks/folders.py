@@ -52,6 +52,15 @@ KINDS = ("rooms", "object", "tower", "shelf")
 # Half of the length that a photograph covers, over the root of a box's median half size
 _SPANS = ((0.4, 1.1), (0.25, 0.75))
 _OTHER_LIGHT = 0.3  # its share of a photograph
+_HOLDS = math.log(LEAST_BELIEF / (1 - LEAST_BELIEF))
+_FRAMES = 13  # of a posed scene, evenly spread
+_LANDS_PX = 8.0  # of an inlier from where the truth has it
+_RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the latter over the depth, of a t that counts
+# Folder of images, their cameras by name, and whether a pair that has a pose is right
+Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
+# Of the pairs that have a pose the values (n, 3) of `evidence_of_pairs`, whether they are right,
+# (n,), their triples (M, 3), and whether these agree, (M,)
+Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,17 +193,6 @@ class _Maker:
         return [(boxes, centres, targets)]
 
 
-_HOLDS = math.log(LEAST_BELIEF / (1 - LEAST_BELIEF))
-_FRAMES = 13  # of a posed scene, evenly spread
-_LANDS_PX = 8.0  # of an inlier from where the truth has it
-_RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the latter over the depth, of a t that counts
-# Folder of images, their cameras by name, and whether a pair that has a pose is right
-Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
-
-
-# Of the pairs that have a pose the values (n, 3) of `evidence_of_pairs`, whether they are right,
-# (n,), their triples (M, 3), and whether these agree, (M,)
-Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 _photos = cache(load_held_back)
 
 

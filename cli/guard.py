@@ -96,29 +96,18 @@ class GuardedCommand(click.Command):
             for parameter in self.params:
                 flags[parameter.opts[0].lstrip("-").replace("-", "_")] = _flag(parameter)
                 flags[(parameter.name or "").rpartition("__")[2]] = _flag(parameter)
+            is_named = any(isinstance(part, ArgumentName) and part in flags for part in error.args)
             error.args = tuple(
                 flags.get(part, part) if isinstance(part, ArgumentName) else part
                 for part in error.args
             )
-            flag = self._option_of(error.path, ctx)
-            if flag is not None and flag not in str(error):
+            if not is_named and (flag := _option_of(error.path, ctx)) is not None:
                 error.args = (f"{flag}:", *error.args)
             raise
         except OSError as error:
-            if (flag := self._option_of(error.filename, ctx)) is None:
+            if (flag := _option_of(error.filename, ctx)) is None:
                 raise
             raise InputError(f"{flag}: {error.filename}: {error.strerror}") from error
-
-    def _option_of(self, path: Any, ctx: click.Context) -> str | None:
-        """The option that alone was given this path; None if there is none."""
-        given = []
-        for parameter in self.params:
-            value = ctx.params.get(parameter.name or "")
-            for one in value if isinstance(value, tuple) else (value,):
-                is_path = isinstance(one, str | Path) and one not in (STDOUT, parameter.default)
-                if is_path and path is not None and Path(one) == Path(path):
-                    given.append(parameter)
-        return given[0].opts[0] if len(given) == 1 and isinstance(given[0], click.Option) else None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]
@@ -161,9 +150,29 @@ def _section(option: click.Option) -> Section:
     return getattr(option, "section", "options")
 
 
+def _option_of(path: Any, context: click.Context) -> str | None:
+    """The option that alone was given this path; None if there is none."""
+    given = [
+        parameter
+        for parameter, value in _given(context)
+        if isinstance(value, str | Path) and value not in (STDOUT, parameter.default)
+        if path is not None and Path(value) == Path(path)
+    ]
+    return given[0].opts[0] if len(given) == 1 and isinstance(given[0], click.Option) else None
+
+
 def _inputs(context: click.Context) -> Iterator[Any]:
     """The paths that the command names beside its outputs."""
-    for parameter in context.command.params:
-        value, kind = context.params.get(parameter.name or ""), parameter.type
+    for parameter, value in _given(context):
+        kind = parameter.type
         if isinstance(kind, click.Path) and not isinstance(kind, OutputFile | OutputFolder):
-            yield from value if isinstance(value, tuple) else [value] if value else []
+            yield value
+
+
+def _given(context: click.Context) -> Iterator[tuple[click.Parameter, Any]]:
+    """Each value that the command has, with its parameter, which may have several."""
+    for parameter in context.command.params:
+        value = context.params.get(parameter.name or "")
+        for one in value if isinstance(value, tuple) else (value,):
+            if one:
+                yield parameter, one

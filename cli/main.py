@@ -59,11 +59,8 @@ SECTIONS = {
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
-FILES = {
-    "demo": "estimate",
-    "export-colmap": "export",
-    "fit-folders": "fit_probability",
-}  # of the others the file has the name
+# Of the others the file has the name.
+FILES = {"demo": "estimate", "export-colmap": "export", "fit-folders": "fit_probability"}
 
 
 class LazyGroup(click.Group):

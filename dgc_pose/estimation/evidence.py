@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dgc_pose.estimation.camera_model import OF_STATED, ModelName
+from dgc_pose.estimation.camera_model import ModelName
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import (
@@ -111,11 +111,6 @@ class Evidence:
     def over_chance(self) -> float:
         """The inlier ratio, over that of wrong matches."""
         return self.inlier_ratio / max(self.chance_ratio, 1e-6)
-
-    @property
-    def contradicts_K(self) -> bool:
-        """Whether the matches agree with other cameras than K states."""
-        return self.camera_model in OF_STATED
 
     @property
     def map_over_chance(self) -> float:

@@ -85,7 +85,7 @@ def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose
     """The pose, refused if it is of other cameras than K states, which further pairs do not have.
     stated: before the estimation."""
     evidence, cameras = pose.evidence, pose.cameras
-    if evidence is None or cameras is None or not evidence.contradicts_K:
+    if evidence is None or cameras is None or not pose.contradicts_K:
         return pose
     reason, *_ = (*camera_warnings(evidence.camera_model, stated, cameras), "K is contradicted")
     none = np.zeros_like(pose.inliers)

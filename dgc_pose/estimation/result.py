@@ -9,6 +9,7 @@ import numpy as np
 
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.problem import Hypothesis
@@ -126,6 +127,11 @@ class RelativePose:
     def success(self) -> bool:
         """Whether R and t are known."""
         return STATUSES[self.status].has_t
+
+    @property
+    def contradicts_K(self) -> bool:
+        """Whether the matches agree with other cameras than K states."""
+        return self.evidence is not None and self.evidence.camera_model in OF_STATED
 
     @property
     def one_place_probability(self) -> float | None:

@@ -290,8 +290,7 @@ class LocationSearch:
         against it."""
         log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
         for pair in self.pairs:
-            evidence, against = pair.pose.evidence, pair.pose.status == "mirrored"
-            against |= evidence is not None and evidence.contradicts_K
+            against = pair.pose.status == "mirrored" or pair.pose.contradicts_K
             likely = 1.0 if against else pair.probability
             right = min(max(likely, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
             log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)

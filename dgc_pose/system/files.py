@@ -76,13 +76,13 @@ def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError)
         raise error(Path(path), why) from failure
 
 
-def read_text(path: str | Path, what: str = "a text", limit: int = TEXT_BYTES) -> str:
+def read_text(path: str | Path, what: str = "a text") -> str:
     """A text in UTF-8, without a byte order mark.
 
     Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
     almost any other file has, or is no regular file; OSError if it cannot be read.
     """
-    data = read_bytes(path, limit)
+    data = read_bytes(path, TEXT_BYTES)
     with suppress(UnicodeDecodeError):
         if b"\0" not in data[:_START_BYTES]:
             return data.decode("utf-8-sig")

@@ -83,7 +83,7 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
             camera = replace(camera, warnings=(*camera.warnings, *told))
             parts[_CAMERAS_OF_A_PAIR[key]] = camera
         return Calibration(parts=parts)
-    if "camera1" in data:
+    if {*_MATRICES, "fx"}.isdisjoint(data):  # the cameras of a pair are null
         raise InputError("has no cameras, as a pair without a pose")
     data = dict(data)
     frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
