@@ -18,10 +18,10 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from torch import nn
 
-from dgc_pose.benchmarks.flow import NAME as FLOW
-from dgc_pose.benchmarks.flow import FlowMatcher
+from dgc_pose.benchmarks.other_matchers import FLOW, FlowMatcher
 from dgc_pose.benchmarks.report import (
     calibration_error,
     decimals,
@@ -40,11 +40,11 @@ from dgc_pose.network.weights import choose_device, load_network
 from dgc_pose.system.files import read_as, read_text
 from dgc_pose.system.texts import aligned
 from dgc_pose.training.views import MapPairs, image_arrays, level_truth
+from dgc_pose.viz.figure import new_figure
 
 VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
 SEQUENCES = 59  # of a changing viewpoint in HPatches
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
-_MATRIX_BYTES = 2**16  # of a file with nine numbers
 _FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
 _SIZE = (INPUT_SIZE, INPUT_SIZE)
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
@@ -145,16 +145,6 @@ def true_map(
     return np.clip(truth, -_FAR, _FAR), valid
 
 
-def read_matrix(path: Path) -> np.ndarray:
-    """A homography from a text file. Raises InputError, with the path, if it is malformed."""
-    with read_as("a homography", path):
-        words = read_text(path, "a homography", _MATRIX_BYTES).split()
-        H = np.array(words, np.float64).reshape(3, 3)
-        if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
-            raise ValueError("a homography has finite numbers and an inverse")
-    return H
-
-
 def _squaring(size: tuple[int, int]) -> np.ndarray:
     """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
     sx, sy = np.divide(INPUT_SIZE, size)
@@ -168,20 +158,22 @@ def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
         if folder.name.startswith("v_"):
             found.append((f"{name} 1-{k}", viewpoint, "1", f"{k}", f"H_1_{k}"))
         found.append((f"{name} 1-{k}", name, "img1", f"img{k}", f"H1to{k}p"))
-    for matrix in sorted(folder.glob("*_H.txt")):
-        stem = matrix.name.removesuffix("_H.txt")
-        found.append((f"{name}/{stem}", name, f"{stem}_A", f"{stem}_B", matrix.name))
-    for pair, group, stem1, stem2, matrix_name in found:
-        path1, path2 = _image(folder / stem1), _image(folder / stem2)
-        matrix = folder / matrix_name
-        if path1 is not None and path2 is not None and matrix.is_file():
-            yield HomographyPair(pair, group, path1, path2, read_matrix(matrix))
-
-
-def _image(stem: Path) -> Path | None:
-    """The image file of that name, whatever its suffix."""
-    paths = (stem.with_name(stem.name + suffix) for suffix in _SUFFIXES)
-    return next((path for path in paths if path.is_file()), None)
+    for path in sorted(folder.glob("*_H.txt")):
+        stem = path.name.removesuffix("_H.txt")
+        found.append((f"{name}/{stem}", name, f"{stem}_A", f"{stem}_B", path.name))
+    for pair, group, stem1, stem2, matrix in found:
+        files = [folder / matrix]
+        for stem in (stem1, stem2):
+            paths = (folder / f"{stem}{suffix}" for suffix in _SUFFIXES)
+            files += [path for path in paths if path.is_file()][:1]
+        if len(files) < 3 or not files[0].is_file():
+            continue
+        with read_as("a homography", files[0]):
+            words = read_text(files[0], "a homography").split()
+            H = np.array(words, np.float64).reshape(3, 3)
+            if not np.isfinite(H).all() or np.linalg.matrix_rank(H) < 3:
+                raise ValueError("a homography has finite numbers and an inverse")
+        yield HomographyPair(pair, group, files[1], files[2], H)
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
@@ -348,28 +340,44 @@ def groups_of(scores: Scores) -> list[str]:
     return list(dict.fromkeys(pair.group for pair in next(iter(scores.values()))))
 
 
-def maps_table(scores: Scores) -> str:
-    """A line a group and method, and over all pairs."""
-    lines = [["group", "method", *(column[0] for column in _COLUMNS)]]
+def report_text(scores: Scores) -> str:
+    """A line a group and method, and over all pairs; and for each method that has a mask, the share
+    of right matches by matchability."""
+    table = [["group", "method", *(column[0] for column in _COLUMNS)]]
     for group in [*groups_of(scores), "all"]:
         for method, pairs in scores.items():
             data = pooled(pairs, group).data
             cells = (decimals(factor * data[name], n) for _, name, factor, n in _COLUMNS)
-            lines.append([group, method, *cells])
-    return aligned(lines)
-
-
-def reliability_lines(scores: Scores) -> list[str]:
-    """For each method that has a mask, the share of right matches by matchability, on one line."""
-    lines = []
+            table.append([group, method, *cells])
+    parts = [HEADING, aligned(table)]
     for method, pairs in scores.items():
         if (counts := pooled(pairs).reliability) is not None:
             words = " ".join(decimals(100 * share, 0) for share in shares(counts)[0])
-            lines.append(
+            parts.append(
                 f"{method}: percent within {RIGHT_PX:g} px by tenths of matchability: {words}; "
                 f"expected calibration error {decimals(100 * calibration_error(counts), 1)} %"
             )
-    return lines
+    return "\n\n".join(parts)
+
+
+def plot_pck(scores: Scores) -> Figure:
+    """PCK: the share of pixels whose error is at most a share alpha of the image's side.
+
+    A panel a group, in it a curve a method.
+    """
+    groups = groups_of(scores)
+    figure = new_figure(4.0 * len(groups), 4.4)
+    panels = np.ravel(figure.subplots(1, len(groups), sharey=True, squeeze=False))
+    for axes, group in zip(panels, groups, strict=True):
+        for method, pairs in scores.items():
+            within = pooled(pairs, group).pck[: len(PCK_ALPHAS)]
+            axes.plot(PCK_ALPHAS, 100 * within, label=method)
+        axes.set(xlim=(PCK_ALPHAS[0], PCK_ALPHAS[-1]), ylim=(0, 100), xlabel="alpha")
+        axes.set_title(group, fontsize=10)
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("pixels within alpha x side (%)")
+    panels[-1].legend(loc="lower right", fontsize=9)
+    return figure
 
 
 def report_data(scores: Scores) -> dict[str, Any]:

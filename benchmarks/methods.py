@@ -1,7 +1,7 @@
 """Methods by name: what matches, with which options and which cameras.
 
 A method is `NAME[/all][:K=K][:K_scale=F]`, as `dgcm-lite0:K=auto:shared`. NAME is that of a matcher
-(see `load_matcher`), `dis` (`flow.py`), or that of stored matches. `NAME/all` takes every pixel
+(see `load_matcher`), `dis`, or that of stored matches. `NAME/all` takes every pixel
 that the map of NAME sends into image 1, whatever its matchability, and refines nothing. K and
 K_scale are those of `CameraTrial`.
 """
@@ -12,10 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from dgc_pose.benchmarks.flow import NAME as FLOW
-from dgc_pose.benchmarks.flow import FlowMatcher
+from dgc_pose.benchmarks.other_matchers import FLOW, FileMatcher, FlowMatcher, Names
 from dgc_pose.benchmarks.posed_pairs import PosedPair
-from dgc_pose.benchmarks.stored_matches import FileMatcher, Names
 from dgc_pose.cameras.by_image import checked_camera
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera

@@ -27,7 +27,6 @@ Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of 
 _VIEWS = Path(__file__).with_name("dtu_views.txt")
 _FIRST_SCAN, _STEP = 65, 24  # the scan that begins with the first line; by so many lines the next
 _EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
-_BYTES = 2**16  # of a file with a few matrices
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,7 @@ def read_projection(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     be read.
     """
     with read_as("a calibration", path):
-        P = np.array(read_text(path, "a calibration", _BYTES).split(), np.float64).reshape(3, 4)
+        P = np.array(read_text(path, "a calibration").split(), np.float64).reshape(3, 4)
         if not (np.isfinite(P).all() and np.linalg.cond(P[:, :3]) < 1e12):
             raise ValueError("the left 3x3 of a camera has finite numbers and an inverse")
     if np.linalg.det(P[:, :3]) < 0:

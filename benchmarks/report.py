@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dgc_pose.benchmarks.evaluate import pose_auc
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import RIGHT_DEG
 from dgc_pose.estimation.problem import THRESHOLD_FACTOR
+from dgc_pose.system.files import naming_path, replaced
 from dgc_pose.system.texts import aligned, finite_or_none
 from dgc_pose.viz.figure import new_figure
 
@@ -216,6 +218,15 @@ def finite_data(data: Any) -> Any:
     return finite_or_none(data) if isinstance(data, float) else data
 
 
+def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write records as CSV, whole or not at all."""
+    with replaced(path) as file, naming_path(file):
+        with file.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(rows[0]))
+            writer.writeheader()
+            writer.writerows(rows)
+
+
 def split_names(text: str) -> list[str]:
     """The names in a comma-separated list, without blanks around them; empty ones are dropped."""
     return [name for name in (part.strip() for part in text.split(",")) if name]
@@ -258,38 +269,3 @@ def plot_errors(methods: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
         axes.grid(alpha=0.3)
         axes.legend(loc="lower right", fontsize=9)
     return figure
-
-
-def plot_pck(curves: Mapping[str, Mapping[str, np.ndarray]], alphas: np.ndarray) -> Figure:
-    """PCK: the share of pixels whose error is at most a share alpha of the image's side.
-
-    A panel a group, in it a curve a method. curves: by group, by method, the shares (K,) in [0, 1]
-    at `alphas` (K,); NaN for a group without pixels.
-    """
-    figure = new_figure(4.0 * len(curves), 4.4)
-    panels = np.ravel(figure.subplots(1, len(curves), sharey=True, squeeze=False))
-    for axes, (group, by_method) in zip(panels, curves.items(), strict=True):
-        for method, shares in by_method.items():
-            axes.plot(alphas, 100 * shares, label=method)
-        axes.set(xlim=(alphas[0], alphas[-1]), ylim=(0, 100), xlabel="alpha")
-        axes.set_title(group, fontsize=10)
-        axes.grid(alpha=0.3)
-    panels[0].set_ylabel("pixels within alpha x side (%)")
-    panels[-1].legend(loc="lower right", fontsize=9)
-    return figure
-
-
-def draw_reliability(axes: Axes, methods: Mapping[str, np.ndarray], *, right: str) -> None:
-    """Draw the share of right matches by bin of confidence, a curve a method, and the diagonal.
-
-    methods: by name, of `reliability`; right: which matches are right, for the label.
-    """
-    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
-    for method, counts in methods.items():
-        share, confidence = shares(counts[:, counts[0] > 0])
-        label = f"{method}, calibration error {100 * calibration_error(counts):.1f} %"
-        axes.plot(confidence, share, marker="o", ms=4, label=label)
-    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel=f"share of matches {right}")
-    axes.grid(alpha=0.3)
-    if methods:
-        axes.legend(loc="lower right", fontsize=9)

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from dgc_pose.model import load_model as load_model
     from dgc_pose.motion import CameraMotion as CameraMotion
     from dgc_pose.motion import camera_motion as camera_motion
-    from dgc_pose.pair_result import PairResult as PairResult
+    from dgc_pose.pose import PairResult as PairResult
     from dgc_pose.pose import estimate_relative_pose as estimate_relative_pose
     from dgc_pose.pose import solve_pair as solve_pair
     from dgc_pose.rigs.rig import Rig as Rig
@@ -70,8 +70,7 @@ _PUBLIC = {
         "NetworkMatcher",
     ),
     "motion": ("CameraMotion", "camera_motion"),
-    "pair_result": ("PairResult",),
-    "pose": ("estimate_relative_pose", "solve_pair"),
+    "pose": ("PairResult", "estimate_relative_pose", "solve_pair"),
     "rigs.rig": ("Rig", "estimate_rig"),
 }
 _HOMES = {name: module for module, names in _PUBLIC.items() for name in names}

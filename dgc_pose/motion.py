@@ -25,14 +25,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import with_lines
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation.covariance import NORMAL_90
-from dgc_pose.estimation.least_squares import (
-    EFFICIENT,
-    KEPT,
-    SHIFTS,
-    block_sums,
-    jackknife,
-    loss_terms,
-)
+from dgc_pose.estimation.least_squares import EFFICIENT, KEPT, block_jackknife, loss_terms
 from dgc_pose.geometry.epipolar import homogeneous, unit_rays
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.images.image import load_image
@@ -257,8 +250,8 @@ def _fit(matched: _Matched, R: np.ndarray, std: float) -> _Fit:
     terms = loss_terms(errors.ravel(), slopes.reshape(-1, 6), EFFICIENT)
     terms, points = (terms * np.repeat(weights, 2)[:, None])[some], np.repeat(x1, 2, axis=0)[some]
     information = terms[:, :36].sum(0).reshape(6, 6) + _PRIOR
-    blocks = [jackknife(information, block_sums(terms, points, by), KEPT) for by in SHIFTS]
-    covariance = _ERROR_SCALE**2 * (np.mean(blocks, axis=0) + np.linalg.inv(information))
+    blocks = block_jackknife(information, terms, points, KEPT)
+    covariance = _ERROR_SCALE**2 * (blocks + np.linalg.inv(information))
     slopes = _seen(x1, np.eye(3), t)[2]
     error = NORMAL_90 * np.sqrt(np.einsum("nki,ij,nkj->n", slopes, covariance, slopes))
     seen, parallax, _ = _seen(x1, R, t)

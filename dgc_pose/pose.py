@@ -1,10 +1,10 @@
-"""The pipeline on one page: images, matches, essential matrix, pose."""
+"""The pipeline on one page: images, matches, essential matrix, pose; and its whole result."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -15,15 +15,16 @@ from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
 from dgc_pose.estimation.status import percent_text
+from dgc_pose.geometry.epipolar import depths, homogeneous
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image, flipped, load_pair
 from dgc_pose.matchers import load_matcher
-from dgc_pose.matching import DEFAULT_WEIGHTS, Matcher, MatchResult
-from dgc_pose.pair_result import PairResult
+from dgc_pose.matches import Matches
+from dgc_pose.matching import DEFAULT_WEIGHTS, CorrespondenceMap, Matcher, MatchResult
+from dgc_pose.metrics import epipolar_residuals_px
 from dgc_pose.system.options import check_type
 from dgc_pose.system.parallel import one_blas_thread
 
@@ -52,6 +53,84 @@ _LIKELY = 0.9
 _DOUBT = -1.0  # log-odds of another camera by the matches, which more of them confirm or not
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
+
+
+@dataclass(frozen=True, eq=False)
+class PairResult:
+    """A pose with everything that it was computed from, by `solve_pair`.
+
+    Attributes:
+        image1: Image 1.
+        image2: Image 2.
+        prior1: Camera of image 1 before the estimation: of the K stated or of EXIF data.
+        prior2: Camera of image 2, likewise.
+        matches: The N matches that the pose was estimated from.
+        correspondence_map: The dense map; None for a matcher that makes none.
+        pose: The pose, or why there is none.
+    """
+
+    image1: Image
+    image2: Image
+    prior1: Camera
+    prior2: Camera
+    matches: Matches
+    correspondence_map: CorrespondenceMap | None
+    pose: RelativePose
+
+    def __repr__(self) -> str:
+        return f"PairResult: {self.image1}, {self.image2}\n{self.matches}\n{self.pose}"
+
+    @property
+    def camera1(self) -> Camera:
+        """Camera of image 1 that the pose is of; without a pose, `prior1`."""
+        return self.pose.camera1 or self.prior1
+
+    @property
+    def camera2(self) -> Camera:
+        """Camera of image 2, likewise."""
+        return self.pose.camera2 or self.prior2
+
+    @property
+    def points3d(self) -> np.ndarray:
+        """The matches' points (N, 3) float64 in camera 1's frame (OpenCV axes), in metres if the
+        length of t is known, else in units of the distance between the cameras; on the rays of
+        camera 1 where the two rays come nearest.
+
+        NaN where a match is no inlier or its point is not in front of both cameras, and without R
+        and t.
+        """
+        points = np.full((len(self.matches), 3), np.nan)
+        R, t, inliers = self.pose.R, self.pose.t, self.pose.inliers
+        if R is None or t is None:
+            return points
+        x1 = self.camera1.normalise(self.matches.points1[inliers])
+        x2 = self.camera2.normalise(self.matches.points2[inliers])
+        depth1, depth2 = depths(x1, x2, R, t * (self.pose.length or 1.0))
+        ahead = (depth1 > 0) & (depth2 > 0) & np.isfinite(depth1)
+        points[inliers] = homogeneous(x1) * np.where(ahead, depth1, np.nan)[:, None]
+        return points
+
+    @property
+    def colours(self) -> np.ndarray:
+        """Colours (N, 3) uint8 RGB of image 1 at the matches, of the nearest pixels; black where
+        the match is not finite."""
+        points = self.matches.points1
+        finite = np.isfinite(points).all(1)
+        last = np.array(self.image1.size) - 1
+        x, y = np.rint(np.clip(np.where(finite[:, None], points, 0), 0, last)).astype(np.intp).T
+        return self.image1.pixels[y, x] * finite[:, None].astype(np.uint8)
+
+    @property
+    def residuals_px(self) -> np.ndarray:
+        """Symmetric epipolar distances (N,) of the matches, in pixels without lens distortion: the
+        mean of the distances of each point to the epipolar line of the other.
+
+        NaN without R and t, and where the distortion cannot be undone.
+        """
+        if self.pose.E is None:
+            return np.full(len(self.matches), np.nan)
+        points = self.matches.points1, self.matches.points2
+        return epipolar_residuals_px(*points, self.camera1, self.camera2, self.pose.E)
 
 
 def estimate_relative_pose(
@@ -129,7 +208,7 @@ def solve_pair(
         (options, EstimationOptions, "options"),
     ):
         check_type(value, kind, name)
-    depths, markers = scale.maps((image1, image2)), scale.markers((image1, image2))
+    maps, markers = scale.maps((image1, image2)), scale.markers((image1, image2))
     pose: RelativePose | None = None
     found: MatchResult | None = None
     seconds = {} if start is None else {"load": begun - start}
@@ -155,7 +234,7 @@ def solve_pair(
         estimating += time.perf_counter() - matched
     assert pose is not None and found is not None
     pose = _mirrored(image1, image2, cameras, matcher, pose, options) or pose
-    pose = with_length(pose, found.matches, scale, depths, markers)
+    pose = with_length(pose, found.matches, scale, maps, markers)
     pose = replace(pose, seconds={**seconds, "estimate": estimating})
     return PairResult(image1, image2, *cameras, found.matches, found.correspondence_map, pose)
 
@@ -213,6 +292,14 @@ def in_doubt(pose: RelativePose) -> bool:
     return of_others > _MIN_SEARCHED and not _is_clear(pose)
 
 
+def mirror_image(image: Image, camera: Camera, axis: int = 1) -> tuple[Image, Camera] | None:
+    """The mirror image, see `flipped`, and its camera; None for a lens that is not turned."""
+    try:
+        return flipped(image, axis), camera.turned(exif_turn(2 if axis else 4), image.size)
+    except InputError:
+        return None
+
+
 def _mirrored(
     image1: Image,
     image2: Image,
@@ -228,22 +315,20 @@ def _mirrored(
     """
     if pose.success or pose.any_probability is None:
         return None
-    if pose.evidence is not None and pose.evidence.camera_model in OF_STATED:
+    if pose.evidence is not None and pose.evidence.contradicts_K:
         return None
     if pose.status in ("rotation_only", "same_picture"):
         return None
     flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
-    mirror_image = flipped(image2, 0 if flips else 1)
-    try:
-        second = cameras[1].turned(exif_turn(4 if flips else 2), image2.size)
-    except InputError:  # a lens that is not turned
+    mirror = mirror_image(image2, cameras[1], 0 if flips else 1)
+    if mirror is None:
         return None
-    result = matcher.coarse(image1, mirror_image)
-    matcher.cache.forget(mirror_image)  # no other pair has it
+    result = matcher.coarse(image1, mirror[0])
+    matcher.cache.forget(mirror[0])  # no other pair has it
     if result is None:
         return None
     of_mirror_image = estimate_pose(
-        result.matches, cameras[0], second, options, map_matches=result.map_matches
+        result.matches, cameras[0], mirror[1], options, map_matches=result.map_matches
     )
     probability = (of_mirror_image.one_place_probability or 0.0) if of_mirror_image.success else 0.0
     if probability < max(_LIKELY, pose.any_probability):

@@ -4,7 +4,6 @@ from contextlib import contextmanager
 from itertools import count
 
 import cv2
-import h5py
 import numpy as np
 import pytest
 from worlds import SIZE, K_text, render_views, write_views
@@ -91,28 +90,12 @@ def killed_after(tasks_done):
     return start
 
 
-def result(out):
-    """The rows, the cameras and all data sets of a finished batch."""
-    arrays = {}
-    with h5py.File(out / "matches.h5") as file:
-
-        def add(name, item):
-            if isinstance(item, h5py.Dataset):
-                arrays[name] = np.asarray(item)
-
-        file.visititems(add)
-    texts = [p.read_text() for name in ("pairs.jsonl", "cameras.csv") if (p := out / name).exists()]
-    return texts, arrays
-
-
 def assert_same_result(out1, out2):
     """The rows, cameras and matches of two batches are the same to the bit."""
-    (rows1, arrays1), (rows2, arrays2) = result(out1), result(out2)
-    assert rows1 == rows2
-    assert arrays1.keys() == arrays2.keys()
-    for name, array in arrays1.items():
-        assert array.dtype == arrays2[name].dtype
-        np.testing.assert_array_equal(array, arrays2[name])
+    for name in ("pairs.jsonl", "matches.h5", "cameras.csv"):
+        one, other = (out / name for out in (out1, out2))
+        assert one.exists() == other.exists()
+        assert not one.exists() or one.read_bytes() == other.read_bytes()
 
 
 def change_result(out, change):

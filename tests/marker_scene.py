@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
+from scenes import project
 from scipy.spatial.transform import Rotation
 
 _SUPERSAMPLED = 4
@@ -19,8 +20,7 @@ def square(side: float, middle: Sequence[float], tilt: Sequence[float] = (0, 0, 
 
 def pixels_of(K: np.ndarray, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Pixels (N, 2) of points (N, 3) for a camera with K and cam_from_world [R | t]."""
-    seen = (points @ pose[:, :3].T + pose[:, 3]) @ K.T
-    return seen[:, :2] / seen[:, 2:]
+    return project(points, K, pose[:, :3], pose[:, 3])
 
 
 def draw_markers(

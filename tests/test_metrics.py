@@ -34,9 +34,7 @@ def test_rotation_error_keeps_its_digits_near_0_and_180() -> None:
 
 
 @given(seeds, st.floats(0, 180), st.floats(1e-200, 1e200))
-def test_translation_error_is_the_angle_whatever_the_lengths(
-    seed: int, angle: float, length: float
-) -> None:
+def test_translation_error_is_the_angle_whatever_the_lengths(seed, angle, length) -> None:
     rng = np.random.default_rng(seed)
     a, b, _ = Rotation.random(rng=rng).as_matrix().T
     t = math.cos(math.radians(angle)) * a + math.sin(math.radians(angle)) * b

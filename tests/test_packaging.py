@@ -44,10 +44,10 @@ def test_what_needs_no_heavy_library_imports_none() -> None:
     code = "import sys, {}; print([n for n in {} if n in sys.modules])"
     heavy = ("torch", "cv2", "matplotlib", "pycolmap")
     ground = "dgc_pose.errors, dgc_pose.cameras.camera"
-    assert run_elsewhere(code.format(ground, heavy)) == "[]"
+    assert run(sys.executable, "-I", "-c", code.format(ground, heavy)) == "[]"
     rooms = ("images.image", "matches", "metrics", "geometry", "estimation")
     names = ", ".join(f"dgc_pose.{room}" for room in rooms)
-    assert run_elsewhere(code.format(names, ("torch",))) == "[]"
+    assert run(sys.executable, "-I", "-c", code.format(names, ("torch",))) == "[]"
 
 
 def test_every_dependency_is_pinned_within_its_range_and_told_where_it_is_missing() -> None:
@@ -67,12 +67,6 @@ def test_every_dependency_is_pinned_within_its_range_and_told_where_it_is_missin
     for extra, modules in errors.EXTRAS.items():
         names = {requirement.name for requirement in listed[extra]}
         assert set(modules.values()) == names
-
-
-def run_elsewhere(code: str) -> str:
-    """What the code prints in a fresh interpreter whose path lacks the repository's folder."""
-    command = [sys.executable, "-I", "-c", code]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
 
 
 def run(*command: str | Path, cwd: Path | None = None, **environment: str) -> str:

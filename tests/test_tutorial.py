@@ -49,7 +49,8 @@ def test_every_cell_runs_and_the_results_are_good(run: nbformat.NotebookNode) ->
     assert 1200 < before < 1290 and 1000 < after < 1300
     assert refused.startswith("False rotation_only\na ") and " explains " in refused
     assert float(re.search(r"R off ([\d.]+) deg", refused)[1]) < 0.1 and "t None" in refused
-    assert all(float(value) < 0.5 for value in re.findall(r"is ([\d.]+) deg", errors))
+    found = [float(value) for value in re.findall(r"is ([\d.]+) deg", errors)]
+    assert len(found) == 2 and max(found) < 0.5
     assert orb.startswith("ok ")
     assert "4 poses of 6 pairs" in model and "4 of 4 images" in model
     assert size.startswith("4 cameras, ")

@@ -73,7 +73,7 @@ def _noise(rng, size, first, octaves=5, persistence=0.6, stretch=1):
         options = {"mode": "bicubic", "align_corners": True}
         smooth = interpolate(knots[None, None], (size, size), **options)[0, 0].numpy()
         total += persistence**octave * smooth
-    return ((total - total.mean()) / total.std())[..., None]
+    return ((total - total.mean()) / max(total.std(), 1e-9))[..., None]
 
 
 def _ramp(values, colours):

@@ -63,6 +63,13 @@ def write_views(folder: Path, views: list[View]) -> list[str]:
     return names
 
 
+def known_model(folder: Path, views: list[View]) -> Model:
+    """The images, written to the folder, with their true poses and camera."""
+    names = write_views(folder, views)
+    poses = {n: np.column_stack([v.R, v.t]) for n, v in zip(names, views, strict=True)}
+    return Model(folder, dict.fromkeys(names, Camera(K, SIZE)), poses)
+
+
 def K_text() -> str:
     """K as on the command line."""
     return f"{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 from sklearn.linear_model import LogisticRegression, QuantileRegressor
+from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 
 from dgc_pose.benchmarks.evaluate import folded
 from dgc_pose.benchmarks.probability.records import Record
@@ -222,34 +223,24 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
     The quantile is the least that holds for nine poses in ten of scenes left out: a scene's own
     errors have more in common than the fit knows.
     """
-    unit = "percent" if part == "focal" else "deg"
-    usable = [
-        (row, raw)
-        for row, evidence in samples
-        if (raw := getattr(evidence, f"raw_{part}_90_{unit}")) is not None
-    ]
-    X = np.array([[log_error(raw)] for _, raw in usable])
-    of_part = [
-        row.focal_error_percent if part == "focal" else getattr(row.best, f"{part}_error_deg")
-        for row, _ in usable
-    ]
-    errors = np.maximum(of_part, 1e-4)
-    y = np.log(errors / np.array([max(raw, 1e-4) for _, raw in usable]))
-    scenes = np.array([row.scene for row, _ in usable])
+    X, y, scenes = list[list[float]](), list[float](), list[str]()
+    for row, evidence in samples:
+        if part == "focal":
+            raw, error = evidence.raw_focal_90_percent, row.focal_error_percent
+        else:
+            raw = getattr(evidence, f"raw_{part}_90_deg")
+            error = getattr(row.best, f"{part}_error_deg")
+        if raw is not None:
+            X.append([log_error(raw)])
+            y.append(np.log(max(error, 1e-4) / max(raw, 1e-4)))
+            scenes.append(row.scene)
     for quantile in _QUANTILES:
-        within = np.zeros(len(y), bool)
-        for scene in np.unique(scenes):
-            out = scenes == scene
-            within[out] = y[out] <= _quantile(X[~out], y[~out], quantile).predict(X[out])
-        if within.mean() >= _WITHIN:
+        regressor = QuantileRegressor(quantile=quantile, alpha=0.0, solver="highs")
+        left_out = cross_val_predict(regressor, X, y, groups=scenes, cv=LeaveOneGroupOut())
+        if np.mean(y <= left_out) >= _WITHIN:
             break
-    fitted = _quantile(X, y, quantile)
+    fitted = regressor.fit(X, y)
     return {"slope": round(float(fitted.coef_[0]), 6), "intercept": round(fitted.intercept_, 6)}
-
-
-def _quantile(X: np.ndarray, y: np.ndarray, quantile: float) -> Any:
-    regressor = QuantileRegressor(quantile=quantile, alpha=0.0, solver="highs")
-    return regressor.fit(X, y)
 
 
 def regression(strength: float) -> Any:

@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.probability.planned import PlanEntry, PlannedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.lines import calibrated, focal_scores
 from dgc_pose.cameras.prior import auto_camera, by_lines
-from dgc_pose.estimation import EstimationOptions, Hypothesis
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.candidates import candidates
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import RIGHT_DEG
@@ -109,8 +109,7 @@ def collect(
         of_map = found.map_matches
         results[name] = [record(posed, "exact", matches, cameras, of_map, options)]
         if entry.withheld and not matches.key_points:
-            auto = record(posed, "auto", found.matches, withheld, of_map, options)
-            results[name].append(auto)
+            results[name].append(record(posed, "auto", found.matches, withheld, of_map, options))
     focals = []
     if entry.part == "fit" and entry.kind == "list":
         for camera, (of_image, count) in zip(cameras, scores, strict=True):
@@ -136,25 +135,35 @@ def record(
 ) -> dict[str, Any]:
     """The fields of a `Record` of one pair, but entry and scene, as JSON. stated: the cameras that
     the estimation gets."""
-    problem = TwoViewProblem.of(matches, *stated, options)
-    found, poses, evidence, focal_error = None, list[Any](), None, math.nan
-    if len(problem) >= MIN_MATCHES:
-        found = candidates(problem, map_matches)
-    if found is not None:
-        known = uncertainty(found)
-        evidence = {
-            name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
-            for name, value in vars(gathered(found, known)).items()
-        }
-        focal_error = _focal_error(known.cameras, posed)
-        poses = [_pose_record(choice, posed) for choice in found.hypotheses if choice.likely]
-    return {
-        "evidence": evidence,
-        "poses": poses,
+    data: dict[str, Any] = {
+        "evidence": None,
+        "poses": [],
         "cameras": case,
-        "focal_error_percent": focal_error,
+        "focal_error_percent": math.nan,
         "exact_cameras": _exact(posed),
     }
+    problem = TwoViewProblem.of(matches, *stated, options)
+    found = candidates(problem, map_matches) if len(problem) >= MIN_MATCHES else None
+    if found is None:
+        return data
+    known = uncertainty(found)
+    data["evidence"] = {
+        name: value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        for name, value in vars(gathered(found, known)).items()
+    }
+    for choice in found.hypotheses:
+        if choice.likely:
+            rotation = translation = math.inf
+            if posed.R is not None and posed.t is not None:
+                rotation = rotation_error_deg(choice.R, posed.R)
+                translation = translation_error_deg(choice.t, posed.t)
+            pose = choice.likelihood, choice.map_agreement, rotation, translation
+            data["poses"].append(pose)
+    fitted = zip(known.cameras, (posed.camera1, posed.camera2), strict=True)
+    if pairs := [(camera, true) for camera, true in fitted if camera.focal_std]:
+        camera, true = max(pairs, key=lambda item: item[0].focal_std)
+        data["focal_error_percent"] = 100 * abs(math.log(camera.focal / true.focal))
+    return data
 
 
 def records(
@@ -168,23 +177,9 @@ def records(
             if evidence is not None:
                 evidence = Evidence(**{**evidence, "rotation": np.array(evidence["rotation"])})
             poses = tuple(PoseRecord(*pose) for pose in fields["poses"])
-            rows.append(
-                Record(
-                    by_name[piece["entry"]],
-                    piece["scene"],
-                    **{**fields, "evidence": evidence, "poses": poses},
-                )
-            )
+            known = {**fields, "evidence": evidence, "poses": poses}
+            rows.append(Record(by_name[piece["entry"]], piece["scene"], **known))
     return rows
-
-
-def _pose_record(choice: Hypothesis, posed: PosedPair) -> list[float | None]:
-    """The fields of a `PoseRecord`."""
-    rotation = translation = math.inf
-    if posed.R is not None and posed.t is not None:
-        rotation = rotation_error_deg(choice.R, posed.R)
-        translation = translation_error_deg(choice.t, posed.t)
-    return [choice.likelihood, choice.map_agreement, rotation, translation]
 
 
 def _withheld(
@@ -205,15 +200,6 @@ def _withheld(
     ]
     first, second = by_lines(assumed, [calibrated(*of_image) for of_image in scores])
     return first, second
-
-
-def _focal_error(cameras: tuple[Camera, Camera], posed: PosedPair) -> float:
-    fitted = zip(cameras, (posed.camera1, posed.camera2), strict=True)
-    pairs = [(camera, true) for camera, true in fitted if camera.focal_std]
-    if not pairs:
-        return math.nan
-    camera, true = max(pairs, key=lambda item: item[0].focal_std)
-    return 100 * abs(math.log(camera.focal / true.focal))
 
 
 def _exact(posed: PosedPair) -> bool:

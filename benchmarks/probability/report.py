@@ -17,7 +17,7 @@ from dgc_pose.benchmarks.probability.fitting import (
 )
 from dgc_pose.benchmarks.probability.planned import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
-from dgc_pose.benchmarks.report import calibration_error, draw_reliability, reliability
+from dgc_pose.benchmarks.report import calibration_error, reliability, shares
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import (
@@ -66,16 +66,14 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
     if evidence is None:
         return Judged(record, False, 0.0, math.nan, math.nan)
     any_right = model.probability(evidence)
-    shares = choice_shares(
-        [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses],
-        model.choice["lapse"],
-    )
-    order = np.argsort(-shares, kind="stable")
-    share = float(shares[order[0]])
+    utilities = [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses]
+    of_poses = choice_shares(utilities, model.choice["lapse"])
+    order = np.argsort(-of_poses, kind="stable")
+    share = float(of_poses[order[0]])
     rotation, translation = model.errors_90_deg(evidence)
     same_place = model.same_place.probability(evidence)
     verdict = judge(
-        *(evidence, EstimationOptions().min_probability, any_right, (), shares[order].tolist()),
+        *(evidence, EstimationOptions().min_probability, any_right, (), of_poses[order].tolist()),
         same_place,
     )
     known = STATUSES[verdict.status]
@@ -128,6 +126,23 @@ def _calibration(poses: Sequence[Judged]) -> np.ndarray:
     return reliability(np.array([pose.probability for pose in known]), right)
 
 
+def plot_reliability(reported: Mapping[MatchKind, Sequence[Judged]]) -> Figure:
+    """The share of right poses by bin of their probability, a curve a kind, and the diagonal."""
+    figure = new_figure(5.5, 5)
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
+    for kind, poses in reported.items():
+        counts = _calibration(poses)
+        share, probability = shares(counts[:, counts[0] > 0])
+        label = f"{kind}, calibration error {100 * calibration_error(counts):.1f} %"
+        axes.plot(probability, share, marker="o", ms=4, label=label)
+    words = "share of poses within 10 degrees"
+    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="probability", ylabel=words)
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize=9)
+    return figure
+
+
 def fit_all(
     pieces: Sequence[Mapping[str, Any]],
     engines: Mapping[str, Any],
@@ -177,12 +192,8 @@ def fit_all(
         for kind, rows in by_kind.items()
     }
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
-    figure = new_figure(5.5, 5)
-    axes = figure.subplots()
-    curves = {str(kind): _calibration(rows) for kind, rows in reported.items()}
-    draw_reliability(axes, curves, right="within 10 degrees")
-    axes.set(xlabel="probability", ylabel="share of poses within 10 degrees")
-    return text, "\n\n\n".join([*parts, f"lines of the images: {of_images}"]), figure
+    lines = f"lines of the images: {of_images}"
+    return text, "\n\n\n".join([*parts, lines]), plot_reliability(reported)
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:

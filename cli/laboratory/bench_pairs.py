@@ -1,6 +1,5 @@
 """`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
 
-import csv
 import hashlib
 import json
 from collections.abc import Sequence
@@ -13,6 +12,7 @@ from tqdm import tqdm
 
 from dgc_pose.benchmarks.evaluate import score
 from dgc_pose.benchmarks.methods import EVERYWHERE, CameraTrial, load_matchers, parse_methods
+from dgc_pose.benchmarks.other_matchers import pair_files
 from dgc_pose.benchmarks.posed_pairs import ListedPairs
 from dgc_pose.benchmarks.report import (
     CAMERA_COLUMNS,
@@ -24,9 +24,9 @@ from dgc_pose.benchmarks.report import (
     split_names,
     summarise,
     summary_table,
+    write_rows,
 )
 from dgc_pose.benchmarks.store import open_run
-from dgc_pose.benchmarks.stored_matches import pair_files
 from dgc_pose.cameras.pair_list import Pair, read_pairs
 from dgc_pose.cli.guard import NamedPath, OutputFolder
 from dgc_pose.cli.options import dataclass_options
@@ -34,7 +34,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import DEVICE_HELP, RUNTIME_HELP, MatcherOptions, RuntimeName, device_type
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.system.files import naming_path, replaced
+from dgc_pose.system.files import replaced
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import write_json
 from dgc_pose.viz import save_figure
@@ -156,11 +156,7 @@ def run_bench(
     figures = columns(scores)
     summaries = [summarise(method, column) for method, column in figures.items()]
     if out is not None:
-        with replaced(out / "results.csv") as file, naming_path(file):
-            with file.open("w", newline="", encoding="utf-8") as table:
-                writer = csv.DictWriter(table, list(scores[0]))
-                writer.writeheader()
-                writer.writerows(scores)
+        write_rows(out / "results.csv", scores)
         write_json(out / "summary.json", {"methods": finite_data(summaries)})
         with replaced(out / "errors.png") as file:
             save_figure(plot_errors(figures), file)

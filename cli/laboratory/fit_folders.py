@@ -30,7 +30,7 @@ def fit_folders(choice: FolderFitChoice) -> None:
     in --out, and the same command goes on after any kill. Needs scikit-learn (the extra "fit").
     """
     require({"fit-folders": "fit"})  # before the work
-    from dgc_pose.benchmarks.folders.fitting import collected, fit, folder_names
+    from dgc_pose.benchmarks.folders import collected, fit, folder_names
 
     names = folder_names(choice.data, choice.folders)
     bar = tqdm(names, unit="folder", disable=None)

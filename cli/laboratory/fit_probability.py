@@ -16,7 +16,7 @@ from dgc_pose.errors import InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.config import DEFAULT_WEIGHTS
-from dgc_pose.system.files import save_text, staged
+from dgc_pose.system.files import replaced, write_text
 from dgc_pose.system.options import option
 
 _RECORDS = "records.jsonl"
@@ -65,14 +65,10 @@ def fit_probability(choice: FitChoice) -> None:
     from dgc_pose.viz import save_figure
 
     models, report, figure = fit_all(pieces, settings["engines"], entries)
-    paths = [
-        str(choice.out / name) for name in ("probability.json", "report.txt", "reliability.png")
-    ]
-    with staged(*paths) as stage:
-        model_file, report_file, figure_file = map(stage, paths)
-        save_text(model_file, models)
-        save_text(report_file, report + "\n")
-        save_figure(figure, figure_file)
+    write_text(choice.out / "probability.json", models)
+    write_text(choice.out / "report.txt", report + "\n")
+    with replaced(choice.out / "reliability.png") as file:
+        save_figure(figure, file)
     click.echo(report)
 
 

@@ -21,8 +21,7 @@ from dgc_pose.batch.pairs import MatchedPair, PairRow
 from dgc_pose.batch.workers import Cameras, PoseRunner
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import OTHER_STD, SHARED
-from dgc_pose.estimation.camera_model import OF_STATED, with_model
-from dgc_pose.estimation.evidence import ModelName
+from dgc_pose.estimation.camera_model import OF_STATED, ModelName, with_model
 from dgc_pose.estimation.intrinsics_prior import SIZE, is_of_part, parameter_stds, with_parameters
 from dgc_pose.estimation.least_squares import EFFICIENT
 

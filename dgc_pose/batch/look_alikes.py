@@ -247,18 +247,13 @@ def triples(pairs: Sequence[PlacedPair]) -> tuple[np.ndarray, np.ndarray]:
     near: dict[int, set[int]] = defaultdict(set)
     for first, second in number:
         near[first].add(second)
-    images = np.array(
-        [
-            (first, second, third)
-            for first in sorted(near)
-            for second, third in combinations(sorted(near[first]), 2)
-            if third in near[second]
-        ],
-        dtype=np.int64,
-    ).reshape(-1, 3)
-    found = np.array(
-        [[number[a, b], number[b, c], number[a, c]] for a, b, c in images.tolist()], dtype=np.int64
-    ).reshape(-1, 3)
+    those = [
+        ((a, b, c), (number[a, b], number[b, c], number[a, c]))
+        for a in sorted(near)
+        for b, c in combinations(sorted(near[a]), 2)
+        if c in near[b]
+    ]
+    images, found = np.array(those, dtype=np.int64).reshape(-1, 2, 3).swapaxes(0, 1)
     R, t = np.array([p.R for p in pairs]).reshape(-1, 3, 3), np.array([p.t for p in pairs])
     errors = np.array([p.error_deg for p in pairs]).reshape(-1, 2)
     t = t.reshape(-1, 3)
@@ -299,17 +294,15 @@ def _lengths(
 ) -> tuple[np.ndarray, np.ndarray]:
     """The baselines 23 and 13 of triples, (M,) each, over 12; NaN where the images do not
     determine them."""
-    logs = np.full((len(found), 2), np.nan)
-    for row, ((e12, e23, e13), (i1, i2, i3)) in enumerate(
-        zip(found.tolist(), images.tolist(), strict=True)
-    ):
-        by1, by2, by3 = (
-            ratios.get(key, np.nan) for key in ((i1, e12, e13), (i2, e12, e23), (i3, e23, e13))
-        )
-        logs[row, 0] = by1 - by3 if np.isnan(by2) else by2
-        logs[row, 1] = by2 + by3 if np.isnan(by1) else by1
-    length23, length13 = np.exp(logs).T
-    return length23, length13
+    keys = (
+        ((i1, e12, e13), (i2, e12, e23), (i3, e23, e13))
+        for (e12, e23, e13), (i1, i2, i3) in zip(found.tolist(), images.tolist(), strict=True)
+    )
+    logs = [[ratios.get(key, np.nan) for key in three] for three in keys]
+    by1, by2, by3 = np.array(logs).reshape(-1, 3).T
+    log23 = np.where(np.isnan(by2), by1 - by3, by2)
+    log13 = np.where(np.isnan(by1), by2 + by3, by1)
+    return np.exp(log23), np.exp(log13)
 
 
 def _gaps(

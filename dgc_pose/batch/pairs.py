@@ -10,7 +10,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.evidence import ModelName
+from dgc_pose.estimation.camera_model import ModelName
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.matches import Matches
 from dgc_pose.system.files import read_as

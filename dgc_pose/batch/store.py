@@ -40,7 +40,6 @@ _ADD = {
     "result": "INSERT INTO result SELECT ?1, ?2, ?3, NULLIF(?4, matches) FROM matched "
     "WHERE pair = ?1",
 }
-_REWRITE = "UPDATE result SET row = ? WHERE pair = ?"
 _WHAT = "the store of a batch"
 _FIELDS = ("points1", "points2", "confidence")
 Table = Literal["matched", "result"]
@@ -217,8 +216,8 @@ class BatchStore:
 
     def rewrite(self, rows: Collection[PairRow]) -> None:
         """Replace rows of the result, within a `change`."""
-        for row in rows:
-            self._database.execute(_REWRITE, (row.to_json(), row.index))
+        values = ((row.to_json(), row.index) for row in rows)
+        self._database.executemany("UPDATE result SET row = ? WHERE pair = ?", values)
 
     @property
     def plan(self) -> Plan | None:

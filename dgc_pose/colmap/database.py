@@ -34,9 +34,7 @@ class NoPairError(InputError):
 
 
 def share(
-    batch: Batch,
-    per_image: int,
-    progress: Callable[[int, int], None] = lambda done, of: None,
+    batch: Batch, per_image: int, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> SharedMatches:
     """The shared key points of a batch, of the pixels as stored. per_image: most corners of an
     image.

@@ -15,17 +15,12 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError, reason
 from dgc_pose.estimation.intrinsics_prior import is_of_part
-from dgc_pose.estimation.markers import marker_side
+from dgc_pose.estimation.scale import marker_side
 from dgc_pose.images.decoding import image_header, read_pixels
 from dgc_pose.images.markers import find_markers
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
-from dgc_pose.system.files import (
-    only_writer,
-    replaced,
-    replaced_folder,
-    scratch_folder,
-)
+from dgc_pose.system.files import only_writer, replaced, replaced_folder, scratch_folder
 from dgc_pose.system.parallel import in_threads
 from dgc_pose.system.texts import write_json
 

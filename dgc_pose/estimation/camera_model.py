@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,10 +17,29 @@ from dgc_pose.cameras.camera import Camera, Part
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import CENTRE_STD, OTHER_STD, of_part
 from dgc_pose.estimation.camera_fit import JointPose
-from dgc_pose.estimation.evidence import ModelName
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.problem import image_size
 
+# The cameras that the matches agree with: as assumed or stated; without K those of an unusual focal
+# length, of one for each image, of pixels that are not square, and so on; in place of a K those of
+# another focal length, of one for each image, of a lens, of another principal point, without the
+# lens, with the principal point in the middle, and those of the other image.
+ModelName = Literal[
+    "assumed",
+    "tail",
+    "two",
+    "squeezed",
+    "off_centre",
+    "fisheye",
+    "cylinder",
+    "focal",
+    "focals",
+    "lens",
+    "centre",
+    "unlensed",
+    "middle",
+    "swapped",
+]
 # Logarithms of the odds of another model before the matches are seen: for a picture with EXIF data;
 # without, for a wide lens, and for one that was edited and has a sensor's shape; and for one that
 # no sensor has the shape of, which was cut, squeezed or joined.
@@ -76,13 +96,12 @@ class CameraModel:
 
 def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """The models beside that of the cameras as they are."""
+    first, second = stated
     if any(map(_is_open, stated)):
         names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
         for name in names:
-            odds = max(_log_odds(camera, name) for camera in stated)
-            yield CameraModel(
-                name, (with_model(stated[0], name), with_model(stated[1], name)), odds
-            )
+            odds = max(_log_odds(first, name), _log_odds(second, name))
+            yield CameraModel(name, (with_model(first, name), with_model(second, name)), odds)
         yield from _other_focals(stated)
     elif all(camera.focal_source == "given" for camera in stated):
         yield from _others_than_stated(stated)
@@ -91,34 +110,32 @@ def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
 def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """Focal lengths of the less likely part of a belief; and one of each image."""
     first, second = stated
-    beliefs = [camera.belief for camera in stated]
+    beliefs = [camera.belief for camera in stated if camera.belief is not None]
     if first.identity is None or first.identity != second.identity:
-        for number, belief in enumerate(beliefs):
-            if belief is not None:
-                usual, tail = _parts(stated[number], [belief.lines])
-                cameras = [*stated]
-                cameras[number] = of_part(stated[number], tail)
-                odds = tail.log_weight - usual.log_weight
-                yield CameraModel("tail", (cameras[0], cameras[1]), odds)
+        for number, camera in enumerate(stated):
+            if camera.belief is not None:
+                usual, tail = _parts(camera, [camera.belief.lines])
+                other = of_part(camera, tail)
+                cameras = (first, other) if number else (other, second)
+                yield CameraModel("tail", cameras, tail.log_weight - usual.log_weight)
         return
-    if beliefs[0] is None or beliefs[1] is None:
+    if len(beliefs) < 2:
         return
-    usual, tail = _parts(first, [belief.lines for belief in beliefs if belief])
+    usual, tail = _parts(first, [belief.lines for belief in beliefs])
     odds = tail.log_weight - usual.log_weight
     yield CameraModel("tail", (of_part(first, tail), of_part(second, tail)), odds)
     exif = first.focal_source == "exif"
     own = [
         belief.tail.given(belief.lines) if exif else belief.parts([belief.lines])[0]
         for belief in beliefs
-        if belief
     ]
     odds = (_TWO_OF_EXIF if exif else _TWO) - usual.log_weight
     odds += sum(part.log_weight for part in own)
-    cameras = [
+    first, second = (
         replace(of_part(c, p), identity=None, lens_std=min(c.lens_std, _TWO_LENS_STD))
         for c, p in zip(stated, own, strict=True)
-    ]
-    yield CameraModel("two", (cameras[0], cameras[1]), odds)
+    )
+    yield CameraModel("two", (first, second), odds)
 
 
 def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
@@ -138,12 +155,13 @@ def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
     one = same_size and ratio < _OTHER_FOCAL  # then a lens is left out of both
     for name, odds in _STATED.items():
-        cameras = tuple(with_model(camera, name) for camera in stated)
+        other1, other2 = with_model(first, name), with_model(second, name)
         if name == "lens" and one:
-            cameras = tuple(replace(camera, identity="both") for camera in cameras)
-        far = name == "middle" and max(map(_from_middle, stated)) > _FAR_OFF
-        if any(own is not other for own, other in zip(cameras, stated, strict=True)):
-            yield CameraModel(name, (cameras[0], cameras[1]), _FAR_FROM_MIDDLE if far else odds)
+            other1, other2 = replace(other1, identity="both"), replace(other2, identity="both")
+        if name == "middle" and max(map(_from_middle, stated)) > _FAR_OFF:
+            odds = _FAR_FROM_MIDDLE
+        if other1 is not first or other2 is not second:
+            yield CameraModel(name, (other1, other2), odds)
     if same_size and not one:
         yield CameraModel("swapped", (second, first), _STATED["swapped"])
 
@@ -230,10 +248,8 @@ def with_model(camera: Camera, name: ModelName) -> Camera:
     longer, lens = max(width, height), camera.distortion
     if name in ("focal", "focals"):
         identity = "both" if name == "focal" else None
-        std, centre_std = (
-            max(camera.focal_std, _STATED_STD),
-            max(camera.centre_std, CENTRE_STD * longer),
-        )
+        std = max(camera.focal_std, _STATED_STD)
+        centre_std = max(camera.centre_std, CENTRE_STD * longer)
         return replace(camera, focal_std=std, centre_std=centre_std, identity=identity)
     if name == "lens":
         radial = lens is None or lens.projection in ("plane", "angles")

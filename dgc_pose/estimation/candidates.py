@@ -125,9 +125,7 @@ def _refined(problem: TwoViewProblem, run: Hypothesis) -> Hypothesis:
     return refine(problem, run) if problem.options.refine else run
 
 
-def _runs_by_model(
-    stated: TwoViewProblem,
-) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
+def _runs_by_model(stated: TwoViewProblem) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
     """RANSAC, and the cameras by their likeliest model, fitted if they are not exact.
 
     Returns the problem, normalised by the cameras; these; and the hypotheses of the runs, that with
@@ -219,14 +217,9 @@ def relief_reversal(problem: TwoViewProblem, pose: Hypothesis) -> Hypothesis | N
         return None
     middle = homogeneous(np.median(inliers.points1[near], axis=0)[None])[0]
     middle = middle * np.median(depth[near])
-    M1, M2 = (_reflection(point) for point in (middle, pose.R @ middle + pose.t))
+    units = [ray / np.linalg.norm(ray) for ray in (middle, pose.R @ middle + pose.t)]
+    M1, M2 = (np.eye(3) - 2 * np.outer(unit, unit) for unit in units)
     return Hypothesis.of_pose(problem, M2 @ pose.R @ M1, -M2 @ pose.t)
-
-
-def _reflection(direction: np.ndarray) -> np.ndarray:
-    """The reflection (3, 3) that reverses a direction (3,)."""
-    unit = direction / np.linalg.norm(direction)
-    return np.eye(3) - 2 * np.outer(unit, unit)
 
 
 def compared(

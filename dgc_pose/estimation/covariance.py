@@ -18,10 +18,8 @@ from dgc_pose.estimation.least_squares import (
     EFFICIENT,
     KEPT,
     REGULAR,
-    SHIFTS,
-    block_sums,
+    block_jackknife,
     cauchy_curvature,
-    jackknife,
     loss_terms,
 )
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
@@ -61,13 +59,7 @@ def pose_covariance(
     terms, count = loss_terms(error, slopes, width), slopes.shape[1]
     total = terms[:, : count**2].sum(0).reshape(count, count)
     try:
-        covariance = np.mean(
-            [
-                jackknife(total + information, block_sums(terms, inliers.points2, shift), kept)
-                for shift in SHIFTS
-            ],
-            axis=0,
-        )
+        covariance = block_jackknife(total + information, terms, inliers.points2, kept)
         beside = information if problem.matches.key_points else information + total
         inverse = np.linalg.inv(total + information)
         covariance += variance * inverse @ beside @ inverse

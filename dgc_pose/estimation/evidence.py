@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
+from dgc_pose.estimation.camera_model import OF_STATED, ModelName
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import MINIMAL
 from dgc_pose.geometry.epipolar import (
@@ -27,28 +27,6 @@ _AT_A_TIME = 4000  # of them
 _MIN_ROUNDS = 8  # in each a point has another wrong partner
 # `Matches.surroundings` of right pairs falls with the logarithm of the rotation: method.md
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
-
-
-# The cameras that the matches agree with: as assumed or stated; without K those of an unusual focal
-# length, of one for each image, of pixels that are not square, and so on; in place of a K those of
-# another focal length, of one for each image, of a lens, of another principal point, without the
-# lens, with the principal point in the middle, and those of the other image.
-ModelName = Literal[
-    "assumed",
-    "tail",
-    "two",
-    "squeezed",
-    "off_centre",
-    "fisheye",
-    "cylinder",
-    "focal",
-    "focals",
-    "lens",
-    "centre",
-    "unlensed",
-    "middle",
-    "swapped",
-]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +111,11 @@ class Evidence:
     def over_chance(self) -> float:
         """The inlier ratio, over that of wrong matches."""
         return self.inlier_ratio / max(self.chance_ratio, 1e-6)
+
+    @property
+    def contradicts_K(self) -> bool:
+        """Whether the matches agree with other cameras than K states."""
+        return self.camera_model in OF_STATED
 
     @property
     def map_over_chance(self) -> float:

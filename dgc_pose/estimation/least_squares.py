@@ -14,7 +14,7 @@ EFFICIENT = 2.385  # width of the Cauchy loss of 95 % efficiency on Gaussian noi
 # against a prior. See docs/experiments.md.
 CORRELATED = 10.0
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
-SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
+_SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
 # Share of the whole information that is kept when a block is left out: of a dense map a block may
 # have nearly all of it, see docs/experiments.md; else only so much that the rest is regular.
 KEPT, REGULAR = 0.1, 1e-9
@@ -66,6 +66,16 @@ def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = REGULAR) -> np.
     gradient = sums[:, count**2 :, None]
     moves = np.linalg.solve((1 + kept) * total - left_out, gradient)[:, :, 0]
     covariance: np.ndarray = (groups - 1) / groups * moves.T @ moves
+    return covariance
+
+
+def block_jackknife(
+    total: np.ndarray, terms: np.ndarray, points: np.ndarray, kept: float
+) -> np.ndarray:
+    """The covariance (P, P) by leaving out blocks of points (N, 2), mean over their shifts. terms:
+    (N, P * P + P) of `loss_terms`; the others as of `jackknife`."""
+    shifted = [jackknife(total, block_sums(terms, points, shift), kept) for shift in _SHIFTS]
+    covariance: np.ndarray = np.mean(shifted, axis=0)
     return covariance
 
 

@@ -9,7 +9,7 @@ the assumed cameras is not fitted itself.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -83,10 +83,12 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
     fast = replace(problem.options, iterations=_ITERATIONS)
     joint = JointFit(TwoViewProblem.of(drawn, *stated, fast))
     sample = _Sample.of(joint, pose, pixels, weight)
-    assumed = sample.valued(CameraModel("assumed", stated), pose)
+    assumed = sample.valued(CameraModel("assumed", stated), pose, joint)
     if not math.isfinite(assumed.log_evidence):
         return replace(assumed, pose=pose)
-    others = [model for model in other_models(stated) if not sample.excludes(model, assumed)]
+    far = {"tail"} if assumed.focal_std < _OPEN_STD else set[str]()  # that are no other, or too far
+    far |= set(WIDE) if sample.is_explained else set()
+    others = [model for model in other_models(stated) if model.name not in far]
     fits = in_threads(lambda model: sample.fitted(model, pose, assumed), others)
     models = [assumed, *fits]
     shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
@@ -122,40 +124,26 @@ class _Sample:
     joint: JointFit  # of the assumed cameras
     pixels: float  # the threshold
     weight: float  # of each, as there are others
-    error: np.ndarray = field(default_factory=lambda: np.zeros(0))  # (N,), as of `errors`
-    width: float = 1.0  # of the losses
+    error: np.ndarray  # (N,), as of `_errors`
+    width: float  # of the losses
     # Hessian (17, 17) and gradient (17,) at the assumed fit by the pose and by all parameters of
     # both cameras; the axes (3, 2) of t.
-    slopes: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+    slopes: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @classmethod
     def of(cls, joint: JointFit, pose: JointPose, pixels: float, weight: float) -> _Sample:
         """The sample with the errors of the pose of the assumed cameras."""
-        sample = cls(joint, pixels, weight)
-        error = sample.errors(joint, pose)
+        error = _errors(joint, pose, pixels)
         near = error[error < 1]
         width = loss_width(near, 1.0) if len(near) else 1.0
         hessian, gradient, tangent = joint.slopes(pose, width * joint.problem.threshold, _ALL)
         slopes = weight * hessian, weight * gradient, tangent
-        return replace(sample, error=error, width=width, slopes=slopes)
-
-    def errors(self, joint: JointFit, pose: JointPose) -> np.ndarray:
-        """Errors in the image of all matches (N,), thresholds, cut off."""
-        # Also where a distortion cannot be undone.
-        error = np.full(len(self.joint.problem.matches), MOST_ERROR)
-        error[joint.problem.index] = joint.errors_px(pose) / self.pixels
-        return np.minimum(error, MOST_ERROR)
+        return cls(joint, pixels, weight, error, width, slopes)
 
     @property
     def is_explained(self) -> bool:
         """Whether the assumed cameras explain the matches so well that others are near them."""
         return bool((self.error < 1).mean() > _EXPLAINED)
-
-    def excludes(self, model: CameraModel, assumed: CameraModel) -> bool:
-        """Whether a model is no other one, or too far away."""
-        if model.name == "tail":
-            return assumed.focal_std < _OPEN_STD
-        return model.name in WIDE and self.is_explained
 
     def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
         """The model with the likeliest of its fits, or as the slopes at the pose of the assumed
@@ -186,7 +174,7 @@ class _Sample:
         for run in runs:
             loss = math.inf
             if run is not None:
-                loss = float(cauchy_losses(self.errors(joint, run), 1.0).sum())
+                loss = float(cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum())
             if loss < rough:
                 rough, best = loss, run
         fits = [] if best is None else [joint.fitted(best, _OF_START, _FIT_ITERATIONS)]
@@ -199,13 +187,10 @@ class _Sample:
         valued = [self.valued(model, fit, joint) for fit in fits]
         return max([model, *valued], key=lambda each: each.log_evidence)
 
-    def valued(
-        self, model: CameraModel, pose: JointPose, joint: JointFit | None = None
-    ) -> CameraModel:
+    def valued(self, model: CameraModel, pose: JointPose, joint: JointFit) -> CameraModel:
         """The model with a pose and its evidence; without one if the inliers of the assumed cameras
         are not explained as well, as they are by what is likelier, unless far more others are."""
-        joint = joint or self.joint
-        error = self.errors(joint, pose)
+        error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
         if losses[near].sum() > before[near].sum() + _AS_WELL and not has_more:
@@ -219,7 +204,6 @@ class _Sample:
         self, model: CameraModel, prior: IntrinsicsPrior, pose: JointPose
     ) -> CameraModel:
         """The model at the minimum of the quadratic function that the slopes determine."""
-        assert self.slopes is not None
         hessian, gradient, tangent = self.slopes
         basis = np.zeros((len(gradient), 5 + len(prior)))
         basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis
@@ -231,6 +215,13 @@ class _Sample:
         cost = self.weight * float(cauchy_losses(self.error, self.width).sum())
         cost += float(pose.z @ pose.z + gradient @ step - moved.z @ moved.z) / 2
         return _with_evidence(model, prior, moved, cost, hessian, tangent)
+
+
+def _errors(joint: JointFit, pose: JointPose, pixels: float) -> np.ndarray:
+    """Errors in the image of all matches (N,), over a threshold in pixels, cut off."""
+    error = np.full(len(joint.problem.matches), MOST_ERROR)  # where a distortion is not undone
+    error[joint.problem.index] = joint.errors_px(pose) / pixels
+    return np.minimum(error, MOST_ERROR)
 
 
 def _to_middles(cameras: tuple[Camera, Camera]) -> list[np.ndarray]:

@@ -177,7 +177,10 @@ class ProbabilityModel:
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
-        total -= _OPEN_LOG_ODDS * _openness(evidence.raw_focal_90_percent)
+        # How far a belief decides on the focal length, and not the matches: 0 to 1.
+        low, high = _OPEN_FOCAL_PERCENT
+        error = _log(evidence.raw_focal_90_percent or low, low, high)
+        total -= _OPEN_LOG_ODDS * ((error - math.log(low)) / math.log(high / low))
         fitted = 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
         within = map(_within, self.errors_90_deg(evidence))
         return min(fitted, evidence.camera_agreement, *within)
@@ -280,12 +283,6 @@ def _within(error_90_deg: float) -> float:
     """The probability that a normal error is at most `RIGHT_DEG`, by what it stays below nine times
     in ten."""
     return math.erf(NORMAL_90 * RIGHT_DEG / max(error_90_deg, 1e-9) / math.sqrt(2))
-
-
-def _openness(focal_90_percent: float | None) -> float:
-    """How far a belief decides on the focal length, and not the matches: 0 to 1."""
-    low, high = _OPEN_FOCAL_PERCENT
-    return (_log(focal_90_percent or low, low, high) - math.log(low)) / math.log(high / low)
 
 
 def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str, float]) -> float:

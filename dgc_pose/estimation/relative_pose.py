@@ -2,33 +2,45 @@
 
 `estimate_pose` finds the candidates, measures the uncertainty of the likeliest, and judges it by
 the evidence.
+
+Some matches may stay at the same pixels while others move: an overlay (a watermark, a hood), or a
+background before which an object turned. They agree on a camera that stood still, which says
+nothing of the scene that moves, and are left out.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_model import OF_STATED, camera_warnings
+from dgc_pose.estimation.camera_model import camera_warnings
 from dgc_pose.estimation.candidates import Candidates, candidates
 from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, measured
 from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.overlay import are_far, of_the_moving, staying
 from dgc_pose.estimation.probability import DOUBTFUL, calibrated_focal_std
 from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, odd_extent
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import STATUSES, Status
 from dgc_pose.estimation.verdict import by_chance, judge
+from dgc_pose.geometry.pixels import rescale
+from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.options import check_type
 from dgc_pose.system.parallel import one_blas_thread
 
 _DEFAULTS = EstimationOptions()
+# Of matches that stay at the same pixels.
+_STAY_PX = 1.0  # that a match moves at most; or the expected error of the matches, if that is more
+_NEAR = 3.0  # times that: small motions of a camera are as frequent up to here
+_MIN_COUNT, _MIN_SHARE = 20, 0.04  # of the matches that stay
+_MOST_ERROR_DEG = 2.0  # of R, that counts where points that stay may be far away
+_MOST = 0.6  # share of the matches that stay, up to which the others decide
 
 
 @one_blas_thread()
@@ -62,7 +74,7 @@ def estimate_pose(
         moving = replace(matches.subset(~stay), surroundings=None)  # measured with the others
         problem = TwoViewProblem.of(moving, *cameras, options)
         pose = _estimated(problem, of_map, fit_cameras)
-        pose = None if are_far(pose, camera1) else of_the_moving(pose, stay)
+        pose = None if _are_far(pose, camera1) else _of_the_moving(pose, stay)
     if pose is None:
         problem = TwoViewProblem.of(matches, *cameras, options)
         pose = _estimated(problem, map_matches, fit_cameras)
@@ -73,11 +85,71 @@ def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose
     """The pose, refused if it is of other cameras than K states, which further pairs do not have.
     stated: before the estimation."""
     evidence, cameras = pose.evidence, pose.cameras
-    if evidence is None or cameras is None or evidence.camera_model not in OF_STATED:
+    if evidence is None or cameras is None or not evidence.contradicts_K:
         return pose
     reason, *_ = (*camera_warnings(evidence.camera_model, stated, cameras), "K is contradicted")
     none = np.zeros_like(pose.inliers)
     return RelativePose("improbable", reason, none, pose.num_matches, evidence=evidence)
+
+
+def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
+    """The matches that stay at the same pixels, (N,) bool; none if these are few, or no more than
+    those that move a little, as where the motion of a camera leaves a part of the image in place.
+    """
+    points2 = matches.points2
+    if camera1.size is not None and camera2.size is not None:
+        points2 = rescale(points2, camera2.size, camera1.size)
+    moved = np.hypot(*(points2 - matches.points1).T) / max(_STAY_PX, matches.error_px)
+    stay = moved < 1
+    little = (moved >= 1) & (moved < _NEAR)
+    least = max(_MIN_COUNT, _MIN_SHARE * np.isfinite(moved).sum())
+    if stay.sum() < least or stay.sum() <= little.sum():
+        return np.zeros(len(stay), dtype=bool)
+    return stay
+
+
+def _are_far(pose: RelativePose, camera: Camera) -> bool:
+    """Whether points that stay at the same pixels may be far away: the pose of the others turns by
+    no more than a pixel and its error. camera: of image 1."""
+    if pose.evidence is None or not pose.hypotheses:
+        return False
+    allowed = math.degrees(_STAY_PX / camera.focal)
+    error = pose.evidence.raw_rotation_90_deg or 0.0
+    return rotation_angle_deg(pose.hypotheses[0].R) < allowed + min(error, _MOST_ERROR_DEG)
+
+
+def _of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
+    """The pose of the matches that move, as that of all. stay: (N,) bool, the others. Where most
+    stay, the camera may have stood still as well."""
+    count = int(stay.sum()) + pose.num_matches  # without those that are not finite
+    part = stay.sum() / count
+    share = f"{stay.sum()} of {count} matches ({100 * part:.0f} %)"
+    inliers = np.zeros(len(stay), dtype=bool)
+    inliers[~stay] = pose.inliers
+    if part <= _MOST:
+        warning = (
+            f"{share} stay at the same pixels while others move, and are left out: an overlay, or "
+            "a background that stood still (mask1 and mask2 exclude it from the matching)"
+        )
+        return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))
+    reason = f"{share} stay at the same pixels"
+    if not pose.success:
+        reason += "" if part == 1 else ", and the others determine no pose"
+        return RelativePose("same_picture", reason, inliers, count, warnings=pose.warnings)
+    reason += f", and {pose.num_inliers} agree on a motion: which is the camera's does not show"
+    both = (pose.hypotheses[0], *pose.alternatives)
+    return RelativePose(
+        "ambiguous",
+        reason,
+        inliers,
+        count,
+        probability=0.0,
+        any_probability=pose.any_probability,
+        same_place_probability=pose.same_place_probability,
+        alternatives=both,
+        hypotheses=pose.hypotheses,
+        warnings=pose.warnings,
+    )
 
 
 def _estimated(
@@ -205,10 +277,7 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
 
 
 def _judged(
-    found: Candidates,
-    known: Uncertainty,
-    evidence: Evidence,
-    stated: tuple[Camera, Camera],
+    found: Candidates, known: Uncertainty, evidence: Evidence, stated: tuple[Camera, Camera]
 ) -> RelativePose:
     """The likeliest candidate, or why it is no pose. The inliers are over the matches used."""
     best, model = found.hypotheses[0], found.logistic
@@ -241,12 +310,21 @@ def _judged(
         count = len(alternatives)
         others = "1 other pose explains" if count == 1 else f"{count} other poses explain"
         warnings += (f"{others} the matches about as well: see the alternatives",)
-    pose = RelativePose(
+    covariance = known.covariance if has_t else None
+    if covariance is not None and model is not None:
+        covariance = model.calibrated(covariance, evidence)
+    camera1, camera2 = known.cameras if has_t else (None, None)
+    return RelativePose(
         status=status,
         reason=reason,
         inliers=best.inliers,
         num_matches=len(found.problem),
-        R=evidence.rotation if rotation_alone else None,
+        R=best.R if has_t else evidence.rotation if rotation_alone else None,
+        t=best.t if has_t else None,
+        covariance=covariance,
+        camera1=camera1,
+        camera2=camera2,
+        camera_covariance=known.camera_covariance if has_t else None,
         evidence=evidence,
         probability=0.0 if rotation_alone or ambiguous or unusable else poses[0].probability,
         any_probability=0.0 if unusable else probability,
@@ -256,18 +334,4 @@ def _judged(
         cameras=known.cameras,
         median_triangulation_angle_deg=evidence.median_triangulation_angle_deg,
         warnings=warnings,
-    )
-    if not has_t:
-        return pose
-    covariance = known.covariance
-    if covariance is not None and model is not None:
-        covariance = model.calibrated(covariance, evidence)
-    return replace(
-        pose,
-        R=best.R,
-        t=best.t,
-        covariance=covariance,
-        camera_covariance=known.camera_covariance,
-        camera1=known.cameras[0],
-        camera2=known.cameras[1],
     )

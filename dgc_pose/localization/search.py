@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.camera_model import OF_STATED, is_edited
+from dgc_pose.estimation.camera_model import is_edited
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
@@ -56,12 +56,6 @@ class Pair:
     matches: Matches
     points: np.ndarray  # (M,) int, points of the model that the query shows
     seen: np.ndarray  # (M, 2) where, pixels
-
-    @property
-    def contradicts(self) -> bool:
-        """Whether its matches agree with another camera than K states."""
-        evidence = self.pose.evidence
-        return evidence is not None and evidence.camera_model in OF_STATED
 
     @property
     def probability(self) -> float:
@@ -127,11 +121,11 @@ class LocationSearch:
             self.pose = fitted([*pairs, *shown], self.pose, prior)
         found = self.pose
         self.agreeing = {n: c for n, c in self.correspondences.items() if c.supports(found)}
-        self.covariance = world_covariance([*pairs, *shown], self.pose, prior)
+        self.covariance = world_covariance([*pairs, *shown], found, prior)
         if self.covariance is None:
             return
         self.covariance *= _ERROR_FACTOR**2
-        self.fitted = with_parameters(self.camera, self.pose.parameters)
+        self.fitted = with_parameters(self.camera, found.parameters)
         if len(prior):
             of_cameras = prior.basis @ self.covariance[6:, 6:] @ prior.basis.T
             focal, x, y, lens, _, aspect = np.sqrt(of_cameras.diagonal()[SIZE:]).tolist()
@@ -296,7 +290,8 @@ class LocationSearch:
         against it."""
         log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
         for pair in self.pairs:
-            against = pair.pose.status == "mirrored" or pair.contradicts
+            evidence, against = pair.pose.evidence, pair.pose.status == "mirrored"
+            against |= evidence is not None and evidence.contradicts_K
             likely = 1.0 if against else pair.probability
             right = min(max(likely, 1 - _MOST_PROBABLE), _MOST_PROBABLE)
             log_odds += math.log(right / (1 - right) if pair.name in self.agreeing else 1 - right)

@@ -96,8 +96,8 @@ def adjusted(
 
 def _with_stds(camera: Camera, of: Camera) -> Camera:
     """A camera with the deviations of another one."""
-    stated = replace(camera, focal_std=of.focal_std, centre_std=of.centre_std)
-    return replace(stated, focal_source=of.focal_source)
+    source = of.focal_source
+    return replace(camera, focal_std=of.focal_std, centre_std=of.centre_std, focal_source=source)
 
 
 def in_model_of_batch(

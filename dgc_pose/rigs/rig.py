@@ -34,17 +34,16 @@ from dgc_pose.colmap.reconstruction import (
     write_models,
 )
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation import EstimationOptions
-from dgc_pose.geometry.pixels import exif_turn
+from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.folder import frames_folder
-from dgc_pose.images.image import flipped, load_image
+from dgc_pose.images.image import Image, load_image
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.model import Model
-from dgc_pose.pose import solve_pair
+from dgc_pose.pose import mirror_image, solve_pair
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
@@ -123,7 +122,7 @@ def estimate_rig(
             raise InputError(ArgumentName(argument), neither)
     found, left_out = camera_frames(frames, out / _CAMERAS, [*given.values()])
     exact = _exact_cameras(K or {}, found)
-    source, calibration, walked = None, None, dict[str, Path]()
+    walked = dict[str, Path]()
     if isinstance(walk, Model):
         left_out = (*left_out, *walk.warnings)
         walked = {name: walk.root / name for name in walk.poses}
@@ -145,21 +144,23 @@ def estimate_rig(
     if options.scale:
         *pair, metres = options.scale.split(",")
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
-    batch = None
     if isinstance(walk, Model):
         models = [walk]
     else:
-        own, pairs, fast = walk is None, PairChoice("exhaustive"), estimation
-        if source is None or calibration is None:
-            source = Source(out / PICTURES, tuple(sorted(files.values())), None, {})
-            source = replace(source, masks=out / PICTURES)
+        pairs, fast = PairChoice("exhaustive"), estimation
+        up_to_scale = replace(options, gps=False, scale=None, marker=None)
+        if walk is None:
+            names = tuple(sorted(files.values()))
+            source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
             by_file = {files[name]: camera for name, camera in exact.items()}
             calibration = Calibration("K", by_file, auto="two")
+            up_to_scale = replace(up_to_scale, min_images=2)
         else:
             if len(source.names) > _SIMILAR + 1:
                 pairs = PairChoice("auto", _SIMILAR)
             if estimation.effort == "auto":  # corners are aligned at full resolution later
                 fast = replace(estimation, effort="fast")
+            up_to_scale = replace(up_to_scale, refine_centres=True)
         batch = run_batch(
             *(source, calibration, pairs, out / BATCH),
             matcher=matcher,
@@ -167,39 +168,28 @@ def estimate_rig(
             options=work,
             progress=progress,
         )
-        up_to_scale = replace(options, gps=False, scale=None, marker=None, refine_centres=not own)
-        up_to_scale = replace(up_to_scale, min_images=2) if own else up_to_scale
         try:
             models, *_ = reconstruct(batch, out, up_to_scale)
         except (MappingError, NoPairError):
-            if not own:
+            if walk is not None:
                 raise
             reason = "the cameras' own pictures make no model; photographs between them would"
             none = {name: Location("nowhere", reason, ()) for name in pictures}
             return Rig(none, warnings=left_out)
 
-    loaded, each = matcher.load(ImageCache()), list[dict[str, Location]]()
-    for number, of_model in enumerate(models):
-        locator = Locator(of_model, loaded, estimation, out / PICTURES)
-        each.append({})
-        for name, picture in pictures.items():
-            alone = [] if walk else [picture.name]  # in a model of the cameras themselves
-            camera = exact.get(name)
-            location = locator.locate(picture, camera, left_out=alone, whole=True)
-            each[-1][name] = _checked(location, name, picture, locator)
-            done = number * len(pictures) + len(each[-1])
-            progress("cameras", done, len(models) * len(pictures))
-    best, cameras = _most_placed(each)
-    model = models[best]
+    loaded = matcher.load(ImageCache())
+    locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
+    model, cameras = _located(locators, pictures, exact, progress, own=walk is None)
     if (count := len(model.poses)) < len(walked):
         left_out += (f"{count} of {len(walked)} photographs of the walk are in its model",)
-    if walk is None and batch is not None:
+    if walk is None:
         cameras = in_model_of_batch(cameras, files, model, batch)
     placed = {name: of for name, of in cameras.items() if of.success}
     if not placed:
         return Rig(cameras, warnings=left_out)
 
-    if walk is None and model.colmap is not None:
+    if walk is None:
+        assert model.colmap is not None  # of `reconstruct`
         whole = model.colmap
         by_name = {image.name: image.image_id for image in whole.images.values()}
         ids = {name: by_name[files[name]] for name in placed}
@@ -232,9 +222,24 @@ def _exact_cameras(
     return exact
 
 
-def _most_placed(each: Sequence[Mapping[str, Location]]) -> tuple[int, dict[str, Location]]:
-    """The number of the model in which most cameras are located, and the locations there; a camera
-    that is located in another one has this as its reason."""
+def _located(
+    locators: Sequence[Locator],
+    pictures: Mapping[str, Path],
+    exact: Mapping[str, Camera],
+    progress: Progress,
+    *,
+    own: bool,
+) -> tuple[Model, dict[str, Location]]:
+    """The model in which most cameras are located, and the locations there; a camera that is
+    located in another one has this as its reason. own: whether the models are of the pictures."""
+    each = list[dict[str, Location]]()
+    for locator in locators:
+        each.append({})
+        for name, picture in pictures.items():
+            itself = [picture.name] if own else []
+            location = locator.locate(picture, exact.get(name), left_out=itself, whole=True)
+            each[-1][name] = _checked(location, name, picture, locator)
+            progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
     best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
     cameras = dict(each[best])
     for located in each:
@@ -242,7 +247,7 @@ def _most_placed(each: Sequence[Mapping[str, Location]]) -> tuple[int, dict[str,
             if of.success and not cameras[name].success:
                 why = "its place is in another model of the walk: take pictures between both"
                 cameras[name] = replace(cameras[name], reason=why)
-    return best, cameras
+    return locators[best].model, cameras
 
 
 def _checked(location: Location, name: str, picture: Path, locator: Locator) -> Location:
@@ -265,24 +270,23 @@ def _checked(location: Location, name: str, picture: Path, locator: Locator) -> 
 def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
     """Whether the mirror image has more inliers than a camera's picture with the picture of the
     model that agrees best: a mirrored stream may have a pose where the scene is symmetric."""
-    camera, image, model = location.camera, load_image(picture), locator.model
-    assert camera is not None
+    assert location.camera is not None
+    image, options = load_image(picture), replace(locator.options, effort="fast")
     agreeing = [of for of in location.database_images if of.agrees]
     name = max(agreeing, key=lambda of: int(of.inliers.sum())).name
-    try:
-        views = (image, camera), (flipped(image, 1), camera.turned(exif_turn(2), image.size))
-    except InputError:  # a lens that is not turned
+
+    def solved(view: Image, camera: Camera) -> RelativePose:
+        """The pose of the picture `name` and this one."""
+        cameras = locator.model.cameras[name], camera
+        pose = solve_pair(locator.image(name), view, cameras, locator.matcher, options).pose
+        locator.matcher.cache.forget(view)
+        return pose
+
+    mirror = mirror_image(image, location.camera)
+    mirrored = None if mirror is None else solved(*mirror)
+    if mirrored is None or not mirrored.success:
         return False
-    options = replace(locator.options, effort="fast")
-    direct, mirrored = (
-        solve_pair(
-            locator.image(name), of, (model.cameras[name], of_view), locator.matcher, options
-        ).pose
-        for of, of_view in views
-    )
-    for of, _ in views:
-        locator.matcher.cache.forget(of)
-    return mirrored.success and mirrored.num_inliers > direct.num_inliers
+    return mirrored.num_inliers > solved(image, location.camera).num_inliers
 
 
 def _spread(whole: pycolmap.Reconstruction) -> float:
@@ -307,9 +311,8 @@ def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
     """A warning for each two cameras whose poses differ by less than their expected errors."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
-        pose1, pose2 = one.cam_from_world, two.cam_from_world
-        assert pose1 is not None and pose2 is not None and one.centre is not None
-        angle = rotation_angle_deg(pose1[:, :3] @ pose2[:, :3].T)
+        assert one.R is not None and two.R is not None and one.centre is not None
+        angle = rotation_angle_deg(one.R @ two.R.T)
         apart = float(np.linalg.norm(one.centre - two.centre))
         turn, shift = (
             sum(getattr(of, error) or 0.0 for of in (one, two))

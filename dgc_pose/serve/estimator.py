@@ -15,8 +15,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.geometry.epipolar import fundamental_from_essential
 from dgc_pose.images.image import Image, load_image, picture_url
 from dgc_pose.matching import CorrespondenceMap, Matcher
-from dgc_pose.pair_result import PairResult
-from dgc_pose.pose import solve_pair
+from dgc_pose.pose import PairResult, solve_pair
 from dgc_pose.viz.figure import warp_image
 from dgc_pose.viz.model_page import pose_scene
 

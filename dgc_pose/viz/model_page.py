@@ -17,7 +17,7 @@ from dgc_pose.geometry.rotation import aligning_rotation
 from dgc_pose.geometry.sampling import nearest
 from dgc_pose.images.image import Image, load_image, picture_url, resize_by
 from dgc_pose.model import Model
-from dgc_pose.pair_result import PairResult
+from dgc_pose.pose import PairResult
 from dgc_pose.system.parallel import in_threads
 
 _FILES = resources.files("dgc_pose")

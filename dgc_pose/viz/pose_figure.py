@@ -18,7 +18,7 @@ from dgc_pose.geometry.sampling import spread
 from dgc_pose.images.image import load_image
 from dgc_pose.localization.location import Location
 from dgc_pose.model import Model
-from dgc_pose.pair_result import PairResult
+from dgc_pose.pose import PairResult
 from dgc_pose.viz.figure import (
     WIDTH,
     draw_curves,

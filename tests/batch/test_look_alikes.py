@@ -58,19 +58,19 @@ def test_right_poses_agree_whatever_the_order_of_their_images():
             assert len({image for k in row for image in pairs[k].images}) == 3
 
 
-@pytest.mark.parametrize("moved", [(1.5, 0, 0), (0, 0, 2.0)])
-def test_one_pose_of_another_place_contradicts_two_right_ones(moved):
-    """Its rotation is right, and along the way its direction may be, too."""
-    pairs = [_placed(0, 1), _placed(1, 2), _placed(0, 2, moved=moved)]
+@pytest.mark.parametrize(
+    ("of_second", "of_third", "agrees"),
+    [
+        # The rotation is right, and along the way the direction may be, too.
+        ((0, 0, 0), (1.5, 0, 0), False),
+        ((0, 0, 0), (0, 0, 2.0), False),
+        ((1.5, 0, 0), (1.5, 0, 0), True),  # of one deception: image 2 is alike to both others
+    ],
+)
+def test_one_pose_of_another_place_contradicts_two_right_ones(of_second, of_third, agrees):
+    pairs = [_placed(0, 1), _placed(1, 2, moved=of_second), _placed(0, 2, moved=of_third)]
     found, agree = triples(pairs)
-    assert found.tolist() == [[0, 1, 2]] and not agree.any()
-
-
-def test_two_poses_of_one_deception_agree_with_a_right_one():
-    """Image 2 shows another place, alike, to both others."""
-    moved = (1.5, 0, 0)
-    pairs = [_placed(0, 1), _placed(1, 2, moved=moved), _placed(0, 2, moved=moved)]
-    assert triples(pairs)[1].tolist() == [True]
+    assert (found.tolist(), agree.tolist()) == ([[0, 1, 2]], [agrees])
 
 
 def test_a_rotation_alone_contradicts_by_its_rotation_and_never_agrees():
@@ -106,6 +106,8 @@ NUMBER = {pair: k for k, pair in enumerate(PAIRS)}
 TRIPLES = np.array(
     [[NUMBER[a, b], NUMBER[b, c], NUMBER[a, c]] for a, b, c in combinations(range(IMAGES), 3)]
 )
+EVERY = np.ones(len(PAIRS), bool)
+ROOMS = np.array([(a < 4) == (b < 4) for a, b in PAIRS])  # pairs within one
 
 
 def _agree(right: np.ndarray) -> np.ndarray:
@@ -113,55 +115,41 @@ def _agree(right: np.ndarray) -> np.ndarray:
     return right[TRIPLES].sum(1) != 2
 
 
-def _values(probability: np.ndarray, around: np.ndarray) -> np.ndarray:
-    """Those of `evidence_of_pairs`; around: of surroundings and unshared cells alike."""
+def _rights(probability, around, right=EVERY, *, known=True):
+    """Whether each pair is right in its folder, and its log-odds by itself.
+
+    around: of surroundings and unshared cells alike; known: whether surroundings are. right: with
+    which the triples agree.
+    """
+    probability = np.broadcast_to(probability, len(PAIRS))
+    around = np.broadcast_to(around, len(PAIRS))
     log_odds = np.log(probability / (1 - probability))
-    return np.column_stack([log_odds, around, around])
-
-
-def _in_folder(values: np.ndarray, found: np.ndarray, agree: np.ndarray) -> np.ndarray:
-    solved = solutions(values[:, 0], by_itself(values), found, agree)
-    return solved[shows_repeats(solved, values)]
+    values = np.column_stack([log_odds, around if known else np.nan * around, around])
+    solved = solutions(values[:, 0], by_itself(values), TRIPLES, _agree(right))
+    return solved[shows_repeats(solved, values)] > 0, by_itself(values)
 
 
 def test_two_rooms_that_look_alike_are_parted():
     """Images 0 to 3 and 4 to 7. Poses between them are as probable and agree with all others; less
-    surrounds them that is alike, but for some."""
-    right = np.array([(a < 4) == (b < 4) for a, b in PAIRS])
-    around = np.where(right, 0.0, -0.6) + np.random.default_rng(0).normal(0, 0.25, len(PAIRS))
-    values = _values(np.full(len(PAIRS), 0.98), around)
-    assert ((by_itself(values) > 0) != right).any() and _agree(right).all()
-    assert np.array_equal(_in_folder(values, TRIPLES, _agree(right)) > 0, right)
+    surrounds them that is alike, but for some. Surroundings that are not known tell nothing."""
+    noise = np.random.default_rng(0).normal(0, 0.25, len(PAIRS))
+    found, alone = _rights(0.98, np.where(ROOMS, 0.0, -0.6) + noise, ROOMS)
+    assert ((alone > 0) != ROOMS).any() and _agree(ROOMS).all()
+    assert np.array_equal(found, ROOMS)
+    assert _rights(0.98, np.where(ROOMS, 0.0, -6.0), ROOMS, known=False)[0].all()
 
 
 def test_an_ordinary_folder_keeps_its_pairs():
     """Of which a third has surroundings that are less alike, and nothing contradicts them."""
-    right = np.ones(len(PAIRS), bool)
     around = np.random.default_rng(1).normal(-0.1, 0.2, len(PAIRS))
-    values = _values(np.full(len(PAIRS), 0.97), around)
-    assert 5 < (by_itself(values) < 0).sum() < 20
-    assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
+    found, alone = _rights(0.97, around)
+    assert 5 < (alone < 0).sum() < 20 and found.all()
 
 
-def test_what_surrounds_no_match_tells_of_no_repeats():
-    """The same two rooms by matches whose surroundings are not known."""
-    right = np.array([(a < 4) == (b < 4) for a, b in PAIRS])
-    values = _values(np.full(len(PAIRS), 0.98), np.where(right, 0.0, -0.9))
-    values[:, 1] = np.nan
-    assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
-
-
-def test_a_wrong_pose_that_triples_contradict_is_turned_down():
+def test_triples_turn_a_wrong_pose_down_and_hold_an_unlikely_one():
     right = np.arange(len(PAIRS)) != 5
-    values = _values(np.full(len(PAIRS), 0.95), np.zeros(len(PAIRS)))
-    assert np.array_equal(_in_folder(values, TRIPLES, _agree(right)) > 0, right)
-
-
-def test_an_unlikely_pose_that_triples_agree_with_holds():
-    right = np.ones(len(PAIRS), bool)
-    probability = np.where(np.arange(len(PAIRS)) == 5, 0.3, 0.95)
-    values = _values(probability, np.zeros(len(PAIRS)))
-    assert (_in_folder(values, TRIPLES, _agree(right)) > 0).all()
+    assert np.array_equal(_rights(0.95, 0.0, right)[0], right)
+    assert _rights(np.where(right, 0.95, 0.3), 0.0)[0].all()
 
 
 def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():

@@ -1,5 +1,7 @@
 """Masks of the photographs of a batch, and of what is made of it."""
 
+from itertools import combinations
+
 import cv2
 import numpy as np
 import pytest
@@ -20,27 +22,18 @@ def photos(tmp_path):
     return tmp_path / "photos"
 
 
-@pytest.fixture
-def batch(photos, tmp_path):
-    """Of photographs of which the last has no mask."""
+def test_masked_pixels_are_not_matched(photos, tmp_path):
+    """The last photograph has no mask."""
     write_masks(tmp_path / "masks", NAMES[:2])
-    return run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
-
-
-def test_masked_pixels_are_not_matched(batch):
-    assert [(row.name1, row.name2) for row in batch.rows] == [
-        (NAMES[0], NAMES[1]),
-        (NAMES[0], NAMES[2]),
-        (NAMES[1], NAMES[2]),
-    ]
+    batch = run_sift(photos, tmp_path / "out", masks=tmp_path / "masks")
+    assert [row.names for row in batch.rows] == [*combinations(NAMES, 2)]
     least = []
     for pair in batch.pairs():
         assert pair.row.success and len(pair.matches) > 50
         points = pair.matches.points1, pair.matches.points2
         least += [(n, p[:, 0].min()) for n, p in zip(pair.row.names, points, strict=True)]
     assert all(x >= MIDDLE for name, x in least if name != NAMES[2])
-    unmasked = [x for name, x in least if name == NAMES[2]]
-    assert min(unmasked) < MIDDLE - 5
+    assert min(x for name, x in least if name == NAMES[2]) < MIDDLE - 5
 
 
 @pytest.mark.parametrize("inside", ["masks", "."])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.flow import FlowMatcher, agreement
+from dgc_pose.benchmarks.other_matchers import FlowMatcher, agreement
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
 from dgc_pose.matching import CorrespondenceMap, select_matches
@@ -30,7 +30,6 @@ def _plane(size: tuple[int, int], width: float, height: float) -> tuple[np.ndarr
 @pytest.mark.parametrize(
     ("sizes", "plane"),
     [
-        (((200, 160), (200, 160)), (200, 160)),
         (((100, 160), (200, 160)), (200, 160)),
         (((1280, 1024), (960, 768)), (640, 512)),
     ],

@@ -9,7 +9,6 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from dgc_pose.benchmarks.flow import scaled_map
 from dgc_pose.benchmarks.maps import (
     PCK_THRESHOLDS,
     VIEWPOINTS,
@@ -22,6 +21,7 @@ from dgc_pose.benchmarks.maps import (
     score_map,
     true_map,
 )
+from dgc_pose.benchmarks.other_matchers import scaled_map
 from dgc_pose.errors import InputError
 from dgc_pose.geometry.pixels import pixel_grid
 from dgc_pose.images.image import Image
@@ -33,7 +33,7 @@ CELLS = 60  # of 4 pixels
 SHIFT = np.array([3.0, -1.5])  # pixels
 
 
-def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse() -> None:
+def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse_up_to_the_horizon() -> None:
     found, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
     (w1, h1), (w2, h2) = scene.SIZE1, scene.SIZE2
     inverse = np.linalg.inv(scene.H)
@@ -50,9 +50,6 @@ def test_the_map_takes_a_pixel_through_both_resizes_and_the_inverse() -> None:
     other, same = true_map(-3 * scene.H, scene.SIZE1, scene.SIZE2)
     np.testing.assert_allclose(other, found)
     assert (same == valid).all()
-
-
-def test_nothing_beyond_the_horizon_is_valid() -> None:
     # The source's line x = 160 goes to infinity: what lies right of it is behind the plane.
     H = np.array([[1.0, 0, 0], [0, 1.0, 0], [-1 / 160, 0, 1.0]])
     found, valid = true_map(H, (240, 240), (240, 240))
@@ -130,7 +127,9 @@ def _pair(truth: np.ndarray) -> MapPairs:
     return MapPairs(0 * image, image, true, visible, torch.ones_like(visible))
 
 
-def test_a_shift_is_kept_to_the_border() -> None:
+def test_between_centres_of_cells_a_map_is_linear_and_beyond_them_moves_along() -> None:
+    """A shift is kept to the border; the outermost centres are at 1.5, whose displacement is wrong
+    by a tenth of 1.5 px at 0 where the scale is 1.1."""
     matcher = Stretching(1.0)
     ((errors, valid),), matchability = compare_matcher(matcher, _pair(pixel_grid((240, 240))))
     assert np.allclose(errors[1:], np.hypot(*SHIFT), atol=1e-4)
@@ -138,18 +137,13 @@ def test_a_shift_is_kept_to_the_border() -> None:
     assert (matchability == (np.arange(240) < 80)).all()
     black, white = matcher.seen[0]
     assert (black.pixels == 0).all() and (white.pixels == 255).all()
-
-
-def test_between_centres_of_cells_it_is_linear_and_beyond_them_moves_along() -> None:
-    scale = 1.1
-    truth = scale * pixel_grid((240, 240)) + SHIFT
-    ((errors, _),), _ = compare_matcher(Stretching(scale), _pair(truth))
+    truth = 1.1 * pixel_grid((240, 240)) + SHIFT
+    ((errors, _),), _ = compare_matcher(Stretching(1.1), _pair(truth))
     assert errors[2:-2, 2:-2].max() < 1e-3
-    # The outermost centres are at 1.5: their displacement is wrong by a tenth of 1.5 px at 0.
     assert np.isclose(errors[120, 0], 0.15, atol=1e-3)
 
 
-def comparison(seed: int = 0, *, masked: bool = True, blind: bool = False) -> Comparison:
+def comparison(seed: int, *, blind: bool = False) -> Comparison:
     """A pair whose errors spread over the PCK thresholds, on small grids."""
     rng = np.random.default_rng(seed)
     levels = []
@@ -157,7 +151,7 @@ def comparison(seed: int = 0, *, masked: bool = True, blind: bool = False) -> Co
         truth = rng.uniform(0, 240, (cells, cells, 2))
         valid = rng.random((cells, cells)) < (0.0 if blind else 0.7)
         levels.append(level_errors(truth + rng.normal(0, 4, truth.shape), truth, valid))
-    return levels, rng.random((12, 12)) if masked else None
+    return levels, rng.random((12, 12))
 
 
 def distances_of(pair: Comparison) -> dict[tuple[int, int], float]:
@@ -166,63 +160,41 @@ def distances_of(pair: Comparison) -> dict[tuple[int, int], float]:
     return {(y, x): float(errors[y, x]) for y, x in np.argwhere(valid).tolist()}
 
 
-def test_an_error_is_the_distance_from_a_truth_that_is_known() -> None:
+def test_a_pairs_figures_are_those_of_its_valid_pixels_and_of_both_meanings_of_the_mask() -> None:
     truth, points = np.zeros((1, 2, 2)), np.array([[[3.0, -4.0], [1.0, 1.0]]])
     errors, _ = level_errors(points, truth, np.array([[True, False]]))
     assert errors.tolist() == [[5.0, math.inf]]
-
-
-def test_a_pairs_errors_are_those_of_its_valid_pixels() -> None:
-    pair = comparison()
-    found = score_map("net", "I", "wall", pair)
-    distances = [*distances_of(pair).values()]
+    pair = comparison(0)
+    found, near, matchability = score_map("net", "I", "wall", pair), distances_of(pair), pair[1]
+    distances = [*near.values()]
     assert found.valid == len(distances) > 50
-    assert found.means["aepe"] == pytest.approx(sum(distances) / len(distances))
-    assert found.means["aepe240"] == found.means["aepe"]
+    assert found.means["aepe"] == found.means["aepe240"] == pytest.approx(np.mean(distances))
     limits = [*PCK_THRESHOLDS, 1, 3, 5]
     assert found.near.tolist() == [sum(d <= limit for d in distances) for limit in limits]
-
-
-def test_the_mask_is_scored_against_both_meanings() -> None:
-    pair = comparison()
-    found = score_map("net", "", "wall", pair)
-    near, matchability = distances_of(pair), pair[1]
     said = {(y, x) for y, x in np.ndindex(12, 12) if matchability[y, x] > 0.5}
-    visible = set(near)
-    good = {place for place, distance in near.items() if distance < 4}
+    visible, good = {*near}, {place for place, distance in near.items() if distance < 4}
     assert found.means["jaccard"] == pytest.approx(len(said & visible) / len(said | visible))
     assert found.means["jaccard_found"] == pytest.approx(len(said & good) / len(said | good))
     assert found.means["jaccard"] != found.means["jaccard_found"]
     # A match is right within 3 px, and wrong where there is nothing.
     assert found.reliability is not None and found.reliability[0].sum() == 144
-    assert found.reliability[1].sum() == sum(v <= 3 for v in near.values()) > 0
+    assert found.reliability[1].sum() == sum(d <= 3 for d in distances) > 0
 
 
 def test_a_group_has_means_over_pairs_and_curves_over_pixels() -> None:
-    pairs = [comparison(0), comparison(1)]
+    """A pair with nothing to find has no error and takes no part."""
+    pairs = [comparison(0), comparison(1), comparison(2, blind=True)]
     own = [score_map("net", "I", str(index), pair) for index, pair in enumerate(pairs)]
     found = pooled(own, "I")
-    assert (found.method, found.group, found.pairs) == ("net", "I", 2)
-    assert found.means["aepe"] == pytest.approx((own[0].means["aepe"] + own[1].means["aepe"]) / 2)
-    for cells in (15, 30, 60, 120, 240):
-        both = [scores.means[f"aepe{cells}"] for scores in own]
-        assert found.means[f"aepe{cells}"] == pytest.approx(np.nanmean(both))
+    assert (found.method, found.group, found.pairs) == ("net", "I", 3)
+    assert own[2].valid == 0 and math.isnan(own[2].means["aepe"])
+    for name in ("aepe", *(f"aepe{cells}" for cells in (15, 30, 60, 120, 240))):
+        assert found.means[name] == pytest.approx(np.nanmean([s.means[name] for s in own]))
     distances = [distance for pair in pairs for distance in distances_of(pair).values()]
     expected = [np.mean([d <= limit for d in distances]) for limit in PCK_THRESHOLDS]
     np.testing.assert_allclose(found.pck[:200], expected)
     assert found.data["pck3"] == pytest.approx(np.mean([d <= 3 for d in distances]))
-    assert found.means["jaccard"] == pytest.approx(
-        (own[0].means["jaccard"] + own[1].means["jaccard"]) / 2
-    )
-    assert found.reliability is not None and found.reliability[0].sum() == 2 * 144
-
-
-def test_a_pair_with_nothing_to_find_has_no_error() -> None:
-    blind = score_map("net", "I", "blind", comparison(2, blind=True))
-    assert blind.valid == 0 and math.isnan(blind.means["aepe"])
-    seen = score_map("net", "I", "seen", comparison(3))
-    both = pooled([blind, seen])
-    assert both.pairs == 2
-    assert both.means["aepe"] == seen.means["aepe"]
-    np.testing.assert_array_equal(both.pck, pooled([seen]).pck)
-    assert np.isnan(pooled([blind]).pck).all()
+    mean = np.mean([scores.means["jaccard"] for scores in own])
+    assert found.means["jaccard"] == pytest.approx(mean)
+    assert found.reliability is not None and found.reliability[0].sum() == 3 * 144
+    assert np.isnan(pooled([own[2]]).pck).all()

@@ -15,13 +15,23 @@ IMAGE = Image(np.zeros((240, 320, 3), np.uint8))
 CAMERA = Camera(dense_scene.K)
 
 
-def test_names_stand_for_methods() -> None:
-    methods = parse_methods(["sift", "a/b.pth/all", "raft"], stored=["raft", "other"])
-    assert [(method.name, method.matcher.weights, method.everywhere) for method in methods] == [
-        ("sift", "sift", False),
-        ("a/b.pth/all", "a/b.pth", True),
-        ("raft", "raft", False),
-        ("other", "other", False),
+def test_names_stand_for_methods_with_their_own_trials_of_the_cameras() -> None:
+    """Networks alone are refined, with the mask alone. A path may hold colons and equals signs."""
+    names = ["a:K=auto:shared", "C:/runs=2/b.pth/all:K=auto:two", "sift:K_scale=0.8", "dis", "raft"]
+    methods = parse_methods(names, cameras=CameraTrial(k="list"), stored=["raft", "other"])
+    assert [(m.matcher.weights, m.everywhere, m.matcher.matching.aligned) for m in methods] == [
+        ("a", False, "auto"),
+        ("C:/runs=2/b.pth", True, "none"),
+        ("sift", False, "none"),
+        ("dis", False, "none"),
+        ("raft", False, "none"),
+        ("other", False, "none"),
+    ]
+    assert [method.cameras for method in methods] == [
+        CameraTrial(k="auto:shared"),
+        CameraTrial(k="auto:two"),
+        CameraTrial(k="list", k_scale=0.8),
+        *(3 * [CameraTrial(k="list")]),
     ]
     # One that is asked for without its mask alone is not added with it.
     (method,) = parse_methods(["raft/all"], stored=["raft"])
@@ -42,26 +52,6 @@ def test_names_stand_for_methods() -> None:
 def test_names_that_stand_for_none(names, stored, reason) -> None:
     with pytest.raises(InputError, match=reason):
         parse_methods(names, stored=stored)
-
-
-def test_networks_alone_are_refined() -> None:
-    """A path may hold colons and equals signs."""
-    names = ["net", "C:/runs=2/net.pth/all:K=auto", "dis", "sift", "raft"]
-    methods = parse_methods(names, stored=["raft"])
-    sources = [method.matcher.matching.aligned for method in methods]
-    assert sources == ["auto", "none", "none", "none", "none"]
-    assert (methods[1].matcher.weights, methods[1].everywhere) == ("C:/runs=2/net.pth", True)
-
-
-def test_a_method_has_a_trial_of_the_cameras_of_its_own() -> None:
-    names = ["a:K=auto:shared", "C:/net:K=auto:two", "sift:K_scale=0.8", "dis"]
-    methods = parse_methods(names, cameras=CameraTrial(k="list"))
-    assert [(method.matcher.weights, method.cameras) for method in methods] == [
-        ("a", CameraTrial(k="auto:shared")),
-        ("C:/net", CameraTrial(k="auto:two")),
-        ("sift", CameraTrial(k="list", k_scale=0.8)),
-        ("dis", CameraTrial(k="list")),
-    ]
 
 
 @pytest.mark.parametrize(

@@ -100,17 +100,14 @@ def test_the_figures_of_cameras_and_probabilities():
     assert found.sure_median_focal_error_percent == pytest.approx(1.5)
     # 4 x 0.9 expected to be right where 3 are; one of 0.2 where none is.
     assert found.probability_error_percent == pytest.approx(100 * (0.6 + 0.2) / 5)
-
-
-def test_no_pose_has_no_figures_and_json_has_null_for_them():
-    found = summary(LOST)
+    found = summary(LOST)  # which has no figures, in JSON null
     assert (found.claimed, found.wrong, found.told_percent) == (0, 0, 100)
     data = json.loads(json.dumps(finite_data(vars(found)), allow_nan=False))
     assert data["median_rotation_deg"] is data["median_focal_error_percent"] is None
     assert data["pairs"] == data["failures"] == 1
 
 
-def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
+def test_every_bin_counts_its_own_matches_parts_add_up_and_empty_ones_say_nothing() -> None:
     rng = np.random.default_rng(5)
     confidence = rng.random((20, 30)).astype(np.float32)
     matches = confidence, rng.random((20, 30)) < confidence**2
@@ -130,18 +127,11 @@ def test_every_bin_counts_its_own_matches_and_parts_add_up() -> None:
     np.testing.assert_allclose(shares(found), expected)
     gaps = [abs(c / n - s / n) * n for c, n, s in zip(correct, counts, sums, strict=True)]
     assert calibration_error(found) == pytest.approx(sum(gaps) / sum(counts))
-
-
-def test_both_ends_belong_to_bins_and_empty_bins_say_nothing() -> None:
     found = reliability(np.array([0.0, 1.0, 1.0]), np.array([False, True, False]), bins=4)
-    assert found[0].tolist() == [1, 0, 0, 2]
+    assert found[0].tolist() == [1, 0, 0, 2]  # both ends belong to bins
     np.testing.assert_array_equal(shares(found)[0], [0, np.nan, np.nan, 0.5])
     assert calibration_error(found) == pytest.approx(2 / 3 * 0.5)
     assert np.isnan(calibration_error(reliability(np.zeros(0), np.zeros(0, bool))))
-
-
-def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
 def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
@@ -158,7 +148,8 @@ def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
     }
     figure = plot_errors(methods)
     rotation, _, everywhere, confident = figure.axes
-    assert legend(rotation)[:2] == ["$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°"]
+    first, second, _ = (text.get_text() for text in rotation.get_legend().get_texts())
+    assert (first, second) == ("$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°")
     # At each value the share of errors not above it.
     assert rotation.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
     assert rotation.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dgc_pose.benchmarks.stored_matches import FileMatcher, pair_files
+from dgc_pose.benchmarks.other_matchers import FileMatcher, pair_files
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError
@@ -89,12 +89,6 @@ def test_a_format_gives_the_points_of_its_flow(tmp_path, writer) -> None:
             expected = (np.array([x, y]) + flow[y, x] + 0.5) * scale - 0.5
             assert matchability == 1 and np.allclose(point, expected, atol=1e-4)
     assert unknown > 0
-
-
-def test_matchability_is_taken(tmp_path) -> None:
-    values = np.random.default_rng(0).random((60, 80)).astype(np.float32)
-    np.savez(tmp_path / f"{STEM}.npz", flow=_flow(), matchability=values)
-    assert np.array_equal(_map(tmp_path, STORED).matchability, values)
 
 
 def test_points_are_given_in_pixels_of_the_images_shown(tmp_path) -> None:

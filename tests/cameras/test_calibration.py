@@ -23,7 +23,6 @@ from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.images.image import Image, turned
 
 SIZE = (640, 480)
-K = [[500, 0, 320], [0, 510, 238], [0, 0, 1]]
 
 
 def _K(calibration: Calibration, name: str) -> list[float]:
@@ -93,41 +92,26 @@ def _images(*sizes: tuple[int, int]) -> list[Image]:
 
 
 def test_which_images_share_a_camera_without_K() -> None:
-    sizes = (SIZE, SIZE, (320, 200))
+    images = _images(SIZE, SIZE, (320, 200))
     for word, expected in (
         ("auto", [True, False]),
         ("auto:shared", [True, True]),
         ("auto:two", [False, False]),
     ):
         calibration = read_calibration(word)
-        first, *others = (
-            calibration.camera(Path("photos"), "a.jpg", Header("JPEG", size)) for size in sizes
-        )
+        first, *others = (calibration.camera(Path("photos"), "a.jpg", image) for image in images)
         assert first.focal_std > 0 and first.focal_source == "size"
-        same = [
-            camera.identity is not None and camera.identity == first.identity for camera in others
-        ]
+        same = [camera.identity == first.identity is not None for camera in others]
         assert same == expected
-        for size, equal in zip(sizes[1:], expected, strict=True):
-            camera1, camera2 = pair_cameras(word, word, *_images(SIZE, size))
-            assert (camera1.identity == camera2.identity) == equal
-    first, second = _images(SIZE, (320, 200))
+        pairs = [pair_cameras(word, word, images[0], image) for image in images[1:]]
+        assert [one.identity == other.identity for one, other in pairs] == expected
+    first, *_, second = images
     camera1, camera2 = pair_cameras(None, "500,500,160,100", first, second)
     assert (camera1.focal_std > 0, camera2.focal_std) == (True, 0)
     with pytest.raises(InputError, match="^K1 is auto:two, and K2 is auto$"):
         pair_cameras("auto:two", None, first, second)
     with pytest.raises(InputError, match="^K1: 'auto:both' is neither auto, auto:shared, auto:two"):
         pair_cameras("auto:both", None, first, second)
-
-
-def test_a_K_of_another_size_is_scaled() -> None:
-    (image,) = _images((320, 240))
-    expected = Camera(np.array(K), SIZE).resized((320, 240))
-    details = KDetails(size=SIZE)
-    for value in ("PINHOLE,640,480,500,510,320.5,238.5", np.array(K)):
-        camera, _ = pair_cameras(value, value, image, image, details=details)
-        np.testing.assert_allclose(camera.K, expected.K)
-        assert (camera.size, camera.warnings) == ((320, 240), ())
 
 
 @pytest.mark.parametrize(
@@ -162,20 +146,16 @@ def test_the_deviation_of_a_K() -> None:
         read_calibration("auto", details=details)
 
 
-@pytest.mark.parametrize(
-    ("text", "std"),
-    [
+def test_a_lens_that_is_not_known() -> None:
+    (image,) = _images((320, 200))
+    for text, std in (
         ("300,300,159.5,99.5,lens", LENS_STD),
         ("PINHOLE,320,200,300,300,160,100,lens", LENS_STD),
         ("300,300,159.5,99.5", 0.0),
         ("SIMPLE_RADIAL,320,200,300,160,100,0.1,lens", 0.0),  # its lens is known
-    ],
-)
-def test_a_lens_that_is_not_known(text: str, std: float) -> None:
-    image = Image(np.zeros((200, 320, 3), np.uint8))
-    cameras = pair_cameras(text, text, image, image, ("--K", "--K"))
-    assert [camera.lens_std for camera in cameras] == [std, std]
-    assert all(camera.exact == (std == 0) and camera.focal_std == 0 for camera in cameras)
+    ):
+        for camera in pair_cameras(text, text, image, image, ("--K", "--K")):
+            assert (camera.lens_std, camera.exact, camera.focal_std) == (std, std == 0, 0)
 
 
 LENS = Distortion("OPENCV", (0.1, 0.02, 0.01, -0.03))

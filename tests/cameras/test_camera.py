@@ -19,18 +19,14 @@ from dgc_pose.images.image import Image
 
 K = np.array([[810.0, 1.5, 321.25], [0, 790, 238.5], [0, 0, 1]])
 SIZE = (640, 480)
-
-
-def points(count: int = 200, size: tuple[int, int] = SIZE) -> np.ndarray:
-    return np.random.default_rng(5).uniform((-0.5, -0.5), np.array(size) - 0.5, (count, 2))
+PIXELS = np.random.default_rng(5).uniform(-0.5, np.array(SIZE) - 0.5, (200, 2))
 
 
 def test_normalise_inverts_K_with_its_skew() -> None:
-    pixels = points()
-    homogeneous = np.column_stack([pixels, np.ones(len(pixels))])
+    homogeneous = np.column_stack([PIXELS, np.ones(len(PIXELS))])
     expected = np.linalg.solve(K, homogeneous.T).T[:, :2]
-    np.testing.assert_allclose(Camera(K).normalise(pixels), expected, atol=1e-13)
-    np.testing.assert_allclose(Camera(K).project(expected), pixels, atol=1e-10)
+    np.testing.assert_allclose(Camera(K).normalise(PIXELS), expected, atol=1e-13)
+    np.testing.assert_allclose(Camera(K).project(expected), PIXELS, atol=1e-10)
     for camera in (Camera(K), Camera(K, SIZE, Distortion("OPENCV", (-0.2, 0.05, 0.002, -0.001)))):
         assert camera.normalise(np.empty((0, 2))).shape == (0, 2)
         normalised = camera.normalise(np.array([[np.nan, 3.0], [np.inf, 3.0], [300.0, 200.0]]))
@@ -60,14 +56,13 @@ def test_a_pair_takes_what_callers_have(value: object) -> None:
 
 
 def test_a_pair_takes_pycolmaps_cameras() -> None:
-    """Against a ray that pycolmap itself computes, half a pixel aside."""
     image = Image(np.zeros((480, 640, 3), np.uint8))
     parameters = [500, 510, 320, 240, -0.2, 0.05, 0.002, -0.001]
     theirs = pycolmap.Camera(model="OPENCV", width=640, height=480, params=parameters)
     camera, _ = pair_cameras(theirs, K, image, image)
     assert camera.size == (640, 480)
-    expected = theirs.cam_from_img(points() + 0.5)
-    np.testing.assert_allclose(camera.normalise(points()), expected, atol=1e-8)
+    expected = theirs.cam_from_img(PIXELS + 0.5)
+    np.testing.assert_allclose(camera.normalise(PIXELS), expected, atol=1e-8)
     for wrong, message in ((pycolmap.Camera(), "'INVALID' is not"), (theirs, "image 2 has 64")):
         with pytest.raises(InputError, match=f"^K2.*{message}"):
             pair_cameras(K, wrong, image, Image(np.zeros((48, 64, 3), np.uint8)))
@@ -92,20 +87,31 @@ def test_a_field_of_view_is_that_of_the_upright_image() -> None:
         pair_cameras(None, None, *images, fov="wide")  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
+def test_what_is_no_K_is_refused_in_one_line_that_names_the_argument() -> None:
+    for value, message in (
         (K[:2], "shape"),
         (np.block([[K, np.ones((3, 1))], [0, 0, 0, 1]]), "shape"),
         ([["a"] * 3] * 3, "not an array"),
         (np.where(K == 810, np.inf, K), "not finite"),
         (K.T, "last row"),
         (K + [[0, 0, 0], [5, 0, 0], [0, 0, 0]], "upper triangular"),
-    ],
-)
-def test_a_matrix_that_is_no_K_names_the_argument(value: object, message: str) -> None:
-    with pytest.raises(InputError, match=f"^K2 .*{message}"):
-        matrix_camera(value, "K2")
+    ):
+        with pytest.raises(InputError, match=f"^K2 .*{message}"):
+            matrix_camera(value, "K2")
+    for text in (
+        "",
+        "gone/K.txt",
+        "500,500,a,240",
+        "PINHOLE,0,480,700,720,330,250",
+        "OPENCV,640,480,700,720,330,250,nan,0,0,0",
+        "PINEHOLE,640,480,700,720,330,250",
+        "x" * 5000,
+        "a\0b",
+    ):
+        for files in (True, False):
+            with pytest.raises(InputError, match="^K1") as caught:
+                parse_camera(text, "K1", files=files)
+            assert "\n" not in str(caught.value)
 
 
 def test_resized_follows_a_spot_in_a_resized_image() -> None:
@@ -119,26 +125,6 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
     small = camera.resized((20, 16))
     np.testing.assert_allclose(small.K[:2, 2], moved, atol=1e-3)
     assert (small.K[0, 0], small.size) == (25, (20, 16))
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "gone/K.txt",
-        "500,500,a,240",
-        "PINHOLE,0,480,700,720,330,250",
-        "OPENCV,640,480,700,720,330,250,nan,0,0,0",
-        "PINEHOLE,640,480,700,720,330,250",
-        "x" * 5000,
-        "a\0b",
-    ],
-)
-def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) -> None:
-    for files in (True, False):
-        with pytest.raises(InputError, match="^K1") as caught:
-            parse_camera(text, "K1", files=files)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -163,6 +149,10 @@ def test_other_texts_are_refused_in_one_line_that_names_the_argument(text: str) 
         ("c.csv", b"name,fx,fy,cx,cy\na,1,-1,1,1\n", "c.csv line 2: K must be upper triangular"),
         ("c.csv", b"name,fx,fy,cx,cy\na,5,5,3,2,-0.3", "c.csv line 2: more cells than columns"),
         ("t.json", b"{", "t.json is not a file of cameras that can be read"),
+        ("rig.toml", b"[cam_0]\nsize 640\n", "not TOML that can be read"),
+        ("rig.toml", b".".join([b"a"] * 9999) + b" = 1", "a key of over 100 parts"),
+        ("rig.toml", b"a = " + b"[" * 9999, "not TOML that can be read"),
+        ("rig.toml", b"a = 1", "no K and no camera of"),
         ("c.yaml", b"a: &x [1]\nb: [*x, *x]\n", "is not YAML that can be read (an alias"),
     ],
 )
@@ -272,31 +262,23 @@ def test_a_cylinder_has_no_coefficients_and_the_angle_as_x() -> None:
     np.testing.assert_allclose(camera.project(normalised[:1]), pixels[:1])
 
 
-@pytest.mark.parametrize(
-    ("model", "coefficients"),
-    [
+def test_what_a_lens_does_not_have_is_refused() -> None:
+    """Another number of coefficients, and a deviation but of a lens of two coefficients."""
+    for model, coefficients in (
         ("RADIAL", (0.1,)),
         ("OPENCV", (0.1, np.inf, 0.0, 0.0)),
         ("CYLINDER", (0.1, 0.0)),
-    ],
-)
-def test_a_lens_of_other_coefficients_is_refused(
-    model: str, coefficients: tuple[float, ...]
-) -> None:
-    with pytest.raises(InputError, match=model):
-        Distortion(model, coefficients)
-
-
-def test_a_lens_deviation_is_for_lenses_of_two_coefficients() -> None:
-    for model, *coefficients in (("RADIAL", 0.1, 0), ("OPENCV_FISHEYE", 0.1, 0, 0, 0)):
-        lens = Distortion(model, tuple(coefficients))
+    ):
+        with pytest.raises(InputError, match=model):
+            Distortion(model, coefficients)
+    for model, *numbers in (("RADIAL", 0.1, 0), ("OPENCV_FISHEYE", 0.1, 0, 0, 0)):
+        lens = Distortion(model, tuple(numbers))
         assert Camera(MATRIX, distortion=lens).exact
         assert not Camera(MATRIX, distortion=lens, lens_std=0.1).exact
-    for model, *coefficients in (
+    for model, *numbers in (
         ("OPENCV_FISHEYE", 0.1, 0, 0.01, 0),
         ("OPENCV", 0.1, 0, 0, 0),
         ("CYLINDER",),
     ):
-        lens = Distortion(model, tuple(coefficients))
         with pytest.raises(InputError, match="^lens_std must be 0 with the lens "):
-            Camera(MATRIX, distortion=lens, lens_std=0.1)
+            Camera(MATRIX, distortion=Distortion(model, tuple(numbers)), lens_std=0.1)

@@ -124,13 +124,19 @@ def test_a_wrong_line_of_names_is_named(tmp_path, text, reason):
 
 @pytest.mark.parametrize("read", [read_pairs, read_pair_list])
 @pytest.mark.parametrize(
-    ("content", "reason"), [(b"\n# nothing\n", "no pairs"), (b"\xff\xfe\x00\x80", "is not text")]
+    ("content", "reason"),
+    [
+        (b"\n# nothing\n", "no pairs"),
+        (b"\xff", "is not text, and a list of pairs is"),
+        (b"\0\0\0\x18ftypmp42" + bytes(900), "is not text, and a list of pairs is"),
+    ],
 )
 def test_a_file_that_is_no_list_is_an_error(tmp_path, read, content, reason):
     path = tmp_path / "pairs.txt"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=reason):
+    with pytest.raises(InputError, match=reason) as caught:
         read(path)
+    assert reason == "no pairs" or caught.value.path == path
 
 
 @pytest.mark.parametrize("packed", [False, True])

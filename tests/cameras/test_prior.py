@@ -7,7 +7,6 @@ import pytest
 from boxes import box_picture
 
 from dgc_pose.cameras.calibration import camera_data, image_camera, pair_cameras, parse_camera_data
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.lines import log_likelihoods
 from dgc_pose.cameras.prior import (
     SIZE_FOCAL,
@@ -40,6 +39,9 @@ def test_without_exif_the_size_counts() -> None:
     assert (camera.size, camera.focal_source, camera.focal_std) == ((1000, 800), "size", SIZE_STD)
     assert (camera.centre_std, camera.warnings) == (5, ())
     assert camera.identity is not None
+    action = Exif("GoPro", "HERO9 Black", focal_35mm=26)  # of which the lens is known least
+    assert auto_camera(photo(action)).lens_std > auto_camera(photo(PHONE)).lens_std > 0
+    assert camera.lens_std > 0
 
 
 @pytest.mark.parametrize(("film", "focal"), [(13, 1502.2), (26, 3004.4), (300, 34666.1)])
@@ -209,20 +211,8 @@ def test_a_panorama_by_the_file_alone_has_its_projection() -> None:
         np.testing.assert_array_equal(camera.K, auto_camera(replace(header, projection="")).K)
 
 
-def test_the_lens_is_not_known_and_that_of_an_action_camera_less() -> None:
-    action = replace(EXIF, make="GoPro", model="HERO9 Black")
-    assert auto_camera(photo(action)).lens_std > auto_camera(photo(EXIF)).lens_std > 0
-    assert auto_camera(photo()).lens_std > 0
-
-
 BOX = Image(box_picture(1.2))  # 960 x 720: 1152 pixels
 BLANK = Image(np.full((720, 960, 3), 90, np.uint8))
-
-
-def _assert_same(camera: Camera, other: Camera) -> None:
-    np.testing.assert_array_equal(camera.K, other.K)
-    assert (camera.focal_std, camera.focal_source) == (other.focal_std, other.focal_source)
-    assert camera.warnings == other.warnings
 
 
 @pytest.mark.parametrize("image", [photo(), photo(size=SIZE[::-1]), photo(PHONE), WIDE])
@@ -250,10 +240,14 @@ def test_the_lines_of_an_image_are_its_focal_length() -> None:
     np.testing.assert_array_equal(camera.belief.lines, log_likelihoods(BOX))
     np.testing.assert_array_equal(camera.K[:2, 2], before.K[:2, 2])
     assert (camera.identity, camera.centre_std) == (before.identity, before.centre_std)
-    for other in with_lines(2 * [before], 2 * [BLANK]):
-        assert other is before
+
+
+def test_a_camera_stays_if_the_lines_tell_nothing() -> None:
     masked = replace(BOX, mask=np.zeros((720, 960), bool))
-    assert with_lines([before], [masked]) == [before]
+    for image in (BLANK, masked, replace(BOX, pixel_aspect=1.25), replace(BLANK, exif=PHONE)):
+        before = auto_camera(image)
+        for camera in with_lines(2 * [before], 2 * [image]):
+            assert camera is before and camera.focal_source != "lines"
 
 
 @pytest.mark.parametrize("film", [13, 135])
@@ -273,20 +267,13 @@ def test_exif_data_that_the_lines_contradict_have_a_warning(film: int) -> None:
         assert warning.endswith(f" %, and EXIF says {before.focal:.0f}")
 
 
-def test_exif_data_stay_if_the_lines_tell_nothing() -> None:
-    for image in (BLANK, Image(box_picture(1.2), pixel_aspect=1.25)):
-        image = replace(image, exif=PHONE)
-        before = auto_camera(image)
-        (camera,) = with_lines([before], [image])
-        assert camera is before and camera.focal_source == "exif"
-
-
 def test_images_of_one_camera_count_together() -> None:
     cameras = auto_cameras(BOX, BLANK)
     assert cameras[0].identity == cameras[1].identity
     first, second = with_lines(cameras, [BOX, BLANK])
-    _assert_same(first, second)
-    assert second.focal_source == "lines" and first.focal_std < 0.5 * SIZE_STD
+    np.testing.assert_array_equal(first.K, second.K)
+    assert first.focal_std == second.focal_std < 0.5 * SIZE_STD
+    assert (first.focal_source, second.focal_source) == ("lines", "lines")
     # Each has the lines of its own image, for two focal lengths.
     assert first.belief.lines.any() and not second.belief.lines.any()
     other = Image(box_picture(0.6))
@@ -296,13 +283,11 @@ def test_images_of_one_camera_count_together() -> None:
     assert together[0].focal == together[1].focal
 
 
-@pytest.mark.parametrize("alone", [True, False])
-def test_a_stated_camera_has_no_lines(alone: bool) -> None:
+def test_a_stated_camera_has_no_lines() -> None:
     K = "1700,1700,480,360"
-    cameras = pair_cameras(K, None if alone else K, BOX, BOX)
-    for camera in cameras[: 1 if alone else 2]:
+    stated, alone = pair_cameras(K, K, BOX, BOX), pair_cameras(K, None, BOX, BOX)
+    for camera in (*stated, alone[0]):
         assert (camera.focal, camera.focal_source, camera.belief) == (1700, "given", None)
         assert (camera.exact, camera.warnings) == (True, ())
-    if alone:
-        assert cameras[1].focal_source == "lines"
-        assert cameras[1].focal == pytest.approx(1152, rel=0.1)
+    assert alone[1].focal_source == "lines"
+    assert alone[1].focal == pytest.approx(1152, rel=0.1)

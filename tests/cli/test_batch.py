@@ -6,7 +6,6 @@ import shlex
 import shutil
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from batch_runs import view_folder
@@ -42,19 +41,6 @@ def test_too_few_images(
         (folder / f"{i}.png").write_bytes((photos / f"view{i}.png").read_bytes())
     options = ["--out", out, "--pairs", "exhaustive", "--K", K_text(), *SIFT]
     assert_refused(run(command, folder, *options), str(folder), reason)
-    assert not out.exists()
-
-
-def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
-    folder, out = tmp_path / "folder", tmp_path / "out"
-    folder.mkdir()
-    whole = cv2.imread(str(photos / "view0.png"))
-    cv2.imwrite(str(folder / "a.png"), whole)
-    cv2.imwrite(str(folder / "b.png"), whole[:150])
-    options = ["--out", out, "--pairs", "exhaustive", *SIFT]
-    assert_refused(run("batch", folder, *options), "no camera for a.png", "--K")
-    reason = "--K is one for images of several sizes (240x150 and 240x180)"
-    assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()
 
 

@@ -67,7 +67,6 @@ def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy)
     [
         (["estimte"], "error: No such command 'estimte'."),
         (["estimate", "a.png"], "IMG2"),
-        (["estimate", "a.png", "b.png", "--runs", "many"], "--runs"),
         (
             ["estimate", "a.png", "b.png", "--json", "no/x.json"],
             "--json: no/x.json: No such file",

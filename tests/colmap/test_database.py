@@ -10,15 +10,10 @@ import PIL.Image
 import pycolmap
 import pytest
 from results import camera, true_row
-from scenes import camera_scene, pinhole
 from scipy.spatial.transform import Rotation
 
-from dgc_pose.batch.pairs import MatchedPair, epipolar_error_px, row_of
-from dgc_pose.batch.result import Batch
-from dgc_pose.batch.store import Plan, open_store
-from dgc_pose.batch.workers import Job, Worker
+from dgc_pose.batch.pairs import MatchedPair, row_of
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.colmap.database import (
     pair_geometries,
     share,
@@ -28,11 +23,9 @@ from dgc_pose.colmap.database import (
 )
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import RelativePose
 from dgc_pose.geometry.epipolar import essential_from_pose
-from dgc_pose.matchers import MatcherOptions
 from dgc_pose.matches import Matches
-from dgc_pose.model import colmap_camera
 
 NAMES = ("b.png", "a.png")
 INDEX = np.array([[0, 1], [2, 0]], np.uint32)
@@ -113,56 +106,36 @@ def test_the_status_is_the_configuration(status: str, config: str) -> None:
     assert (geometry.E is None) == (status == "rotation_only")
 
 
-def test_cameras_go_there_and_back() -> None:
-    K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
-    lens = Distortion("RADIAL", (0.1, -0.01))
-    made = colmap_camera(Camera(K, (640, 480), lens), "a")
-    assert made.params.tolist() == [500, 320.5, 240.5, 0.1, -0.01]
-    wide = K * [[1.25], [1], [1]]
-    made = colmap_camera(Camera(wide, (640, 480), lens), "a")
-    assert made.model.name == "OPENCV"
-    assert made.params.tolist() == [625, 500, 400.5, 240.5, 0.1, -0.01, 0, 0]
-    with pytest.raises(InputError, match="a: K has a skew"):
-        colmap_camera(Camera(K + np.eye(3, k=1) * (0, 2, 0), (640, 480)), "a")
-
-
 def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     path = tmp_path / "database.db"
     _write(path)
     before = path.read_bytes()
     skewed = Camera(camera().K + np.eye(3, k=1) * (0, 1, 0), camera().size)
-    with pytest.raises(InputError, match="skew"):
+    with pytest.raises(InputError, match="a: K has a skew"):
         write_database(path, ["a"], {"a": skewed}, SharedMatches({}, {}), ())
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_matches_are_measured_by_the_cameras_that_their_pair_fitted(tmp_path: Path) -> None:
-    """Not by those of the folder, whose focal lengths and lenses are still unknown."""
-    names = ("a.png", "b.png")
-    scene = camera_scene(
-        pinhole(1000.0, (1200, 800)), pinhole(1500.0, (1200, 900), Distortion(RADIAL, (0.08, -0.1)))
+def test_matches_are_measured_by_the_cameras_that_their_pair_fitted() -> None:
+    """Not by those of the folder, whose focal lengths are still unknown; but by these where the
+    pair fitted none."""
+    prior = replace(camera(), focal_std=0.4)
+    fitted = tuple(prior.with_focal(factor * prior.focal) for factor in (1.2, 1.3))
+    t, matches = np.array([1.0, 0, 0]), Matches(np.zeros((9, 2)), np.zeros((9, 2)), np.ones(9), 1.0)
+    pose = RelativePose(
+        *("ok", "", np.arange(9) < 7, 9, np.eye(3), t),
+        camera1=fitted[0],
+        camera2=fitted[1],
+        camera_covariance=np.eye(12),
     )
-    first, second = scene.auto()
-    cameras = dict(zip(names, (first, second), strict=True))
-    count = len(scene.matches)
-    alone = RelativePose("ok", "", np.zeros(count, bool), count)
-    job = Job(tmp_path, cameras, {}, MatcherOptions("sift"), EstimationOptions(), 2**20)
-    matched = [MatchedPair(row_of(names, alone, 0.5), scene.matches)]
-    (fitted,) = Worker(job).estimate(matched, cameras, fit_cameras=True)
-    plan = Plan(tmp_path, cameras, {}, {}, names, np.array([[0, 1]]), {})
-    with open_store(tmp_path, create=True) as store:
-        store.begin(plan)
-        for table in ("matched", "result"):
-            store.add(table, [fitted])  # type: ignore[arg-type]
-    (pair,) = pair_geometries(Batch(tmp_path, plan, [fitted.row], {}))
-    focals = [camera.focal for camera in pair.cameras]
-    assert fitted.row.pose is not None
-    np.testing.assert_allclose(focals, [c.focal for c in fitted.row.fitted_cameras])
-    assert len(pair.matches) > 0.7 * count
-    points = pair.matches.points1, pair.matches.points2
-    assert epipolar_error_px(pair.row, pair.cameras, *points).max() < 3
-    assert np.median(epipolar_error_px(pair.row, (first, second), *points)) > 3
+    poses = pose, replace(pose, camera_covariance=None)
+    pairs = [MatchedPair(row_of(NAMES, pose, 0.5), matches) for pose in poses]
+    plan = SimpleNamespace(final_cameras=dict.fromkeys(NAMES, prior))
+    batch: Any = SimpleNamespace(plan=plan, pairs=lambda: iter(pairs))
+    by_pair, by_folder = pair_geometries(batch)
+    assert by_pair.cameras == fitted and by_folder.cameras == (prior, prior)
+    assert len(by_pair.matches) == 7
 
 
 @pytest.mark.parametrize("orientation", [1, 6])

@@ -45,16 +45,20 @@ def places(seed: int = 0) -> np.ndarray:
 TURN = Rotation.from_euler("xyz", [0.4, -0.3, 0.2])  # of the cameras of a model
 
 
-def model_of(centres: np.ndarray) -> pycolmap.Reconstruction:
+def model_of(
+    centres: np.ndarray,
+    rotation: Rotation = TURN,
+    params: tuple[float, ...] = (30.0, 30.0, 20.0, 15.0),
+) -> pycolmap.Reconstruction:
     """A model with a camera at each centre (N, 3), all of one rotation."""
     model = pycolmap.Reconstruction()
-    model.add_camera_with_trivial_rig(
-        pycolmap.Camera.create_from_model_name(1, "PINHOLE", 30, 40, 30)
-    )
-    rotation = pycolmap.Rotation3d(TURN.as_quat())
+    camera = pycolmap.Camera(model="PINHOLE", width=640, height=480, params=params, camera_id=1)
+    model.add_camera_with_trivial_rig(camera)
     for number, centre in enumerate(centres, start=1):
         image = pycolmap.Image(NAMES[number - 1], camera_id=1, image_id=number)
-        pose = pycolmap.Rigid3d(rotation, -rotation.matrix() @ centre)
+        pose = pycolmap.Rigid3d(
+            pycolmap.Rotation3d(rotation.as_quat()), -rotation.as_matrix() @ centre
+        )
         model.add_image_with_trivial_frame(image, pose)
         model.register_frame(model.images[number].frame_id)
     return model
@@ -138,19 +142,12 @@ def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
     """Of a model in another unit, by pictures of three of its cameras."""
     K, name = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), "APRILTAG_36h11:4"
     true = np.array([[-0.4, 0, 0], [0, 0.1, 0], [0.4, 0, 0]])  # metres
-    model = pycolmap.Reconstruction()
-    camera = pycolmap.Camera.create_from_model_name(1, "PINHOLE", 600, 640, 480)
-    camera.params = [600, 600, 320.5, 240.5]
-    model.add_camera_with_trivial_rig(camera)
+    model = model_of(0.3 * true, Rotation.identity(), (600, 600, 320.5, 240.5))
     for number, centre in enumerate(true, start=1):
-        image = pycolmap.Image(NAMES[number - 1], camera_id=1, image_id=number)
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(), -0.3 * centre)
-        model.add_image_with_trivial_frame(image, pose)
-        model.register_frame(model.images[number].frame_id)
         marker = {name: square(0.2, (0, 0, 2), (0.3, 0.1, 0))}
         of_marker = np.column_stack([np.eye(3), -centre])
         pixels = draw_markers(texture((640, 480), number), K, of_marker, marker, number)
-        PIL.Image.fromarray(pixels).save(tmp_path / image.name)
+        PIL.Image.fromarray(pixels).save(tmp_path / NAMES[number - 1])
     facts = to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
     assert (facts["unit"], facts["frame"]) == ("m", "the model's own")
     assert facts["marker_images"][name] == 3 and 0.001 < facts["scale_relative_std"] < 0.01
@@ -159,11 +156,6 @@ def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
         PIL.Image.fromarray(texture((640, 480))).save(tmp_path / image)
     with pytest.raises(InputError, match="two of the 3 images: there is none$"):
         to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
-
-
-def test_one_option_gives_metres() -> None:
-    with pytest.raises(InputError, match="^gps and marker both bring the model into"):
-        ReconstructionOptions(gps=True, marker=0.2)
 
 
 def test_the_command(tmp_path: Path) -> None:

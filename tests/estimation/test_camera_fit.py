@@ -10,11 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
-from dgc_pose.estimation.intrinsics_prior import ASPECTS, SIZE, pair_with_parameters
+from dgc_pose.estimation.camera_fit import JointFit, JointPose
+from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous
-from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 IMAGE = (1400, 1000)
 LENSES = [
@@ -34,9 +33,7 @@ def _joint(camera: Camera, seed: int = 0, **changes: float):
 
 @pytest.mark.parametrize("deviates", [False, True])
 @pytest.mark.parametrize("lens", LENSES)
-def test_errors_in_the_image_are_of_the_first_order_by_pixels(
-    lens: Distortion | None, deviates: bool
-) -> None:
+def test_errors_in_the_image_are_of_the_first_order_by_pixels(lens, deviates) -> None:
     """The algebraic error over the length of its gradient by the four coordinates of a match."""
     camera = pinhole(800, IMAGE, lens)
     scene, joint = _joint(camera, count=60, outliers=0.0, sigma_px=1.0)
@@ -46,23 +43,14 @@ def test_errors_in_the_image_are_of_the_first_order_by_pixels(
     E = essential_from_pose(pose.R, pose.t)
 
     def algebraic(shift: np.ndarray) -> np.ndarray:
-        rays = [
-            homogeneous(c.normalise(points + part))
-            for c, points, part in zip(
-                cameras,
-                (scene.matches.points1, scene.matches.points2),
-                (shift[:2], shift[2:]),
-                strict=True,
-            )
-        ]
-        return ((rays[0] @ E.T) * rays[1]).sum(1)
+        rays1 = homogeneous(cameras[0].normalise(scene.points1 + shift[:2]))
+        rays2 = homogeneous(cameras[1].normalise(scene.points2 + shift[2:]))
+        return ((rays1 @ E.T) * rays2).sum(1)
 
     slopes = [(algebraic(s) - algebraic(-s)) / (2 * STEP) for s in STEP * np.eye(4)]
     expected = np.abs(algebraic(np.zeros(4))) / np.linalg.norm(slopes, axis=0)
     errors = joint.errors_px(pose)
-    seen = np.isfinite(errors)
-    assert seen.all()
-    np.testing.assert_allclose(errors[seen], expected[joint.problem.index][seen], rtol=2e-3)
+    np.testing.assert_allclose(errors, expected[joint.problem.index], rtol=2e-3)
 
 
 def test_errors_do_not_tell_the_side_of_a_camera_and_the_cost_does() -> None:
@@ -75,18 +63,10 @@ def test_errors_do_not_tell_the_side_of_a_camera_and_the_cost_does() -> None:
     assert joint.cost(behind) > 5 * joint.cost(pose)
     # A fit turns the translation round.
     np.testing.assert_allclose(joint.fitted(behind).t, joint.fitted(pose).t, atol=1e-3)
-
-
-def test_the_cost_prefers_the_true_cameras() -> None:
-    """And each deviation costs half of its square, where nothing else changes."""
-    scene, joint = _joint(pinhole(800, IMAGE))
-    true = JointPose(scene.R, scene.t, np.zeros(len(joint.prior)))
-    for k in range(len(joint.prior)):
-        other = replace(true, z=np.eye(len(joint.prior))[k])
-        assert joint.cost(other) > joint.cost(true) + 0.5
+    # Without matches a deviation costs half of its square.
     empty = JointFit(joint.problem.subset(np.zeros(len(joint.problem), dtype=bool)))
     z = np.full(len(joint.prior), 0.5)
-    assert empty.cost(replace(true, z=z)) == pytest.approx(z @ z / 2)
+    assert empty.cost(replace(pose, z=z)) == pytest.approx(z @ z / 2)
 
 
 def test_the_slopes_are_those_of_the_losses() -> None:
@@ -113,25 +93,3 @@ def test_the_slopes_are_those_of_the_losses() -> None:
         slope = (losses[1] - losses[0]) / (2 * step)
         scale = np.sqrt(information[k, k])
         assert abs(gradient[k] - slope) < 0.02 * abs(slope) + 0.05 * scale, k
-
-
-@pytest.mark.parametrize(("factor", "aspect"), [(1.0, 1.0), (1.25, 1.0), (1.0, 0.75), (0.8, 1.3)])
-def test_a_start_at_the_deviations_of_the_cameras_is_fitted(factor: float, aspect: float) -> None:
-    """Of cameras whose focal lengths and their ratio were assumed otherwise."""
-    camera = pinhole(800, IMAGE)
-    scene = camera_scene(camera, camera, seed=2)
-    fx, fy = 800 / factor * np.sqrt(aspect), 800 / factor / np.sqrt(aspect)
-    assumed = replace(Camera(np.array([fx, fy, *camera.K[:2, 2]]), IMAGE), **LOOSE, identity="one")
-    joint = JointFit(TwoViewProblem.of(scene.matches, assumed, assumed))
-    at = of_focals(np.full(2, np.log(factor)))
-    at[ASPECTS] = np.log(aspect)
-    start = start_at(joint, at, seed=3)
-    np.testing.assert_allclose(joint.parameters(start), at, atol=1e-9)
-    pose = joint.fitted(start)
-    assert joint.cost(pose) <= joint.cost(start)
-    assert rotation_error_deg(pose.R, scene.R) < 0.5
-    assert translation_error_deg(pose.t, scene.t) < 1
-    np.testing.assert_allclose(joint.parameters(pose)[[0, 5]], at[[0, 5]], atol=0.04)
-    # A fit without a round is the start.
-    assert joint.fitted(start, ()) is start
-    assert len(at) == 2 * SIZE

@@ -13,29 +13,17 @@ from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_model import (
     OF_STATED,
     CameraModel,
-    camera_warnings,
-    is_contradicted,
     other_models,
 )
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.images.decoding import Exif
 
 SIZE = (1536, 1024)
+NETWORK = min(shipped_models().weights)  # of which a probability is known
 LENS = Distortion("RADIAL", (-0.03, 0.01))
 EQUIDISTANT, CYLINDER = Distortion("OPENCV_FISHEYE", (0.0,) * 4), Distortion("CYLINDER")
 OF_30_MM = Exif("Maker", "X1", focal_35mm=30)  # of 1536 x 1024 a focal length of 1280 pixels
 ASIDE = {"turn_deg": (5.0, 30.0, 3.0), "centre": (3.0, 0.5, 0.5)}
-
-
-def _fisheye(size: tuple[int, int] = (1440, 1080), degrees: float = 119) -> Camera:
-    """Whose width is so many degrees."""
-    return pinhole(size[0] / np.radians(degrees), size, EQUIDISTANT)
-
-
-def _squeezed(width: int, height: int) -> Camera:
-    """Of 1536 x 1024 pixels with a focal length of 1250."""
-    focal = 1250 * height / 1024
-    return pinhole(focal, (width, height), LENS, aspect=1250 * width / 1536 / focal)
 
 
 def _panorama(degrees: float = 100) -> Camera:
@@ -44,19 +32,18 @@ def _panorama(degrees: float = 100) -> Camera:
 
 USUAL = pinhole(1250, SIZE, LENS, centre=(3, -2))
 ZOOMED = pinhole(1.6 * 1280, SIZE, LENS)
-PARTS = [pinhole(1900, (1700, 1200), centre=centre) for centre in ((30, -20), (-25, 25))]
+SQUEEZED = pinhole(1250, (1152, 1024), LENS, aspect=0.75)
+PARTS = [pinhole(1900, (1700, 1200), centre=centre) for centre in ((60, -40), (-50, 50))]
+FISHEYE = pinhole(1440 / np.radians(119), (1440, 1080), EQUIDISTANT)
 # The true cameras, the model, and the changes of the scene.
 CASES = {
     "usual": ((USUAL, USUAL), "assumed", {}),
-    "usual aside": ((USUAL, USUAL), "assumed", ASIDE),
-    "0.75": ((_squeezed(1152, 1024),) * 2, "squeezed", {}),
-    "1 / 0.75": ((_squeezed(1536, 768),) * 2, "squeezed", {}),
-    "1 / 0.5": ((_squeezed(1536, 512),) * 2, "squeezed", {}),
-    "square": ((_squeezed(512, 512),) * 2, "squeezed", {}),
+    "squeezed": ((SQUEEZED, SQUEEZED), "squeezed", {}),
     "parts": (PARTS, "off_centre", ASIDE),
-    "fisheye": ((_fisheye(), _fisheye()), "fisheye", {}),
+    "fisheye": ((FISHEYE, FISHEYE), "fisheye", {}),
     "zoomed": ((ZOOMED, ZOOMED), "assumed", {}),
     "two": ((pinhole(1000, SIZE, LENS), pinhole(1500, SIZE, LENS)), "two", {}),
+    "one zoomed": ((pinhole(1280, SIZE), pinhole(1.6 * 1280, SIZE)), "two", {"weights": NETWORK}),
 }
 SAID = {
     "assumed": None,
@@ -72,10 +59,6 @@ def _scene(name: str, seed: int) -> TwoViewScene:
     return camera_scene(*cameras, seed=seed, **changes)
 
 
-def _estimated(scene: TwoViewScene, name: str, seed: int = 0) -> RelativePose:
-    return scene.estimate(*scene.auto(OF_30_MM if name == "zoomed" else NO_EXIF), seed=seed)
-
-
 def _assert_as_stated(pose: RelativePose, scene: TwoViewScene, times: float = 2.0) -> None:
     errors = scene.errors_deg(pose)
     stated = pose.rotation_error_90_deg, pose.translation_error_90_deg
@@ -85,18 +68,9 @@ def _assert_as_stated(pose: RelativePose, scene: TwoViewScene, times: float = 2.
 @pytest.mark.parametrize("name", CASES)
 def test_the_model_is_named_and_the_pose_as_near_as_is_stated(name: str) -> None:
     scene, model = _scene(name, 0), CASES[name][1]
-    pose = _estimated(scene, name)
-    assert pose.status == "ok"
-    if model == "squeezed" and pose.evidence.camera_model == "two":
-        # Either has two unknowns beside the pose, and a lens alone tells them apart.
-        if pose.evidence.camera_agreement > 0.9:
-            _assert_as_stated(pose, scene)
-        return
+    pose = scene.estimate(*scene.auto(OF_30_MM if "zoomed" in name else NO_EXIF))
+    assert (pose.status, pose.evidence.camera_model) == ("ok", model)
     _assert_as_stated(pose, scene, 3.0)
-    if (named := pose.evidence.camera_model) != model:
-        # Two views hardly tell some of these apart.
-        assert name == "parts" and named in ("assumed", "two")
-        return
     says = SAID[model]
     if name == "zoomed":
         says = f"the matches agree with f = {pose.camera1.focal:.0f} +- "
@@ -128,22 +102,17 @@ def test_images_on_a_cylinder_are_panoramas(degrees: float, seed: int) -> None:
     assert "matches agree on images on a cylinder" in pose.reason
 
 
-@pytest.mark.parametrize(
-    ("name", "exif", "seed"),
-    [("usual", NO_EXIF, 0), ("usual", OF_30_MM, 1), ("usual aside", OF_30_MM, 0)],
-)
-def test_a_usual_camera_costs_nothing(
-    name: str, exif: Exif, seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("exif", "seed"), [(NO_EXIF, 0), (OF_30_MM, 1)])
+def test_a_usual_camera_costs_nothing(exif, seed, monkeypatch) -> None:
     """The pose is that of the assumed cameras alone, and its error grows by no half with EXIF data.
     Without, a part of a larger picture is in the errors."""
-    scene = _scene(name, seed)
+    scene = _scene("usual", seed)
     pose = scene.estimate(*scene.auto(exif), seed=seed)
-    monkeypatch.setattr(
-        candidates,
-        "likeliest_model",
-        lambda problem, pose: CameraModel("assumed", problem.cameras, pose=pose),
-    )
+
+    def assumed(problem, pose):
+        return CameraModel("assumed", problem.cameras, pose=pose)
+
+    monkeypatch.setattr(candidates, "likeliest_model", assumed)
     alone = scene.estimate(*scene.auto(exif), seed=seed)
     assert (pose.status, pose.evidence.camera_model) == ("ok", "assumed")
     rotation, translation = replace(scene, R=alone.R, t=alone.t).errors_deg(pose)
@@ -164,7 +133,7 @@ def test_a_usual_camera_costs_nothing(
         {"focal_std": 0.45, "distortion": LENS, "focal_source": "size"},
     ],
 )
-@pytest.mark.parametrize("name", ["square", "fisheye"])
+@pytest.mark.parametrize("name", ["squeezed", "fisheye"])
 def test_a_camera_that_is_stated_is_of_no_other_kind(name: str, stated: dict[str, object]) -> None:
     """Although it is wrong: K, with deviations or none, and a lens. Another focal length, lens or
     principal point may be found."""
@@ -187,16 +156,14 @@ def test_a_camera_that_is_stated_is_of_no_other_kind(name: str, stated: dict[str
     ("other", "models"),
     [
         # A lens of two coefficients fits such an image of 119 degrees as well.
-        (_fisheye(), {"fisheye", "assumed", "squeezed", "off_centre"}),
+        (FISHEYE, {"fisheye", "assumed", "squeezed", "off_centre"}),
         (_panorama(), {"cylinder"}),
         (USUAL, {"assumed"}),
     ],
     ids=["fisheye", "cylinder", "usual"],
 )
 @pytest.mark.parametrize("first", [True, False])
-def test_beside_a_camera_that_is_stated_the_other_alone_changes(
-    other: Camera, models: set[str], first: bool
-) -> None:
+def test_beside_a_camera_that_is_stated_the_other_alone_changes(other, models, first) -> None:
     """first: whether the camera that is stated is that of image 1."""
     stated = pinhole(1100, (1400, 1000), LENS)
     scene = camera_scene(*((stated, other) if first else (other, stated)), seed=1)
@@ -220,11 +187,8 @@ def test_beside_a_camera_that_is_stated_the_other_alone_changes(
     assert len(said) == (model != "assumed") and (not said or said[0].startswith(SAID[model]))
 
 
-@pytest.mark.parametrize("number", [1, 2])
-@pytest.mark.parametrize("kind", ["equirectangular", "cylindrical"])
-def test_a_panorama_by_its_file_has_no_fit(
-    number: int, kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(("number", "kind"), [(1, "equirectangular"), (2, "cylindrical")])
+def test_a_panorama_by_its_file_has_no_fit(number, kind, monkeypatch) -> None:
     monkeypatch.setattr(relative_pose, "candidates", None)
     scene = _scene("usual", 0)
     cameras = list(scene.auto())
@@ -235,45 +199,18 @@ def test_a_panorama_by_its_file_has_no_fit(
     assert pose.inliers.shape == (len(scene.matches),) and not pose.inliers.any()
 
 
-@pytest.mark.parametrize(
-    ("exif", "factor", "seed"), [(NO_EXIF, 1.3, 0), (OF_30_MM, 1.6, 1), (NO_EXIF, 2.0, 1)]
-)
-def test_a_zoom_of_one_image_that_the_files_do_not_say_is_no_wrong_pose(
-    exif: Exif, factor: float, seed: int
-) -> None:
-    """The data of both are equal, or lost, so that one camera with one focal length is assumed."""
-    network = min(shipped_models().weights)
-    cameras = pinhole(1280, SIZE), pinhole(factor * 1280, SIZE)
-    scene = camera_scene(*cameras, seed=seed, weights=network)
-    pose = scene.estimate(*scene.auto(exif), seed=seed)
-    assert pose.success and pose.evidence.camera_model == "two"
-    _assert_as_stated(pose, scene, 3.0)
-    for camera, true in zip((pose.camera1, pose.camera2), cameras, strict=True):
-        assert abs(np.log(camera.focal / true.focal)) < 3 * camera.focal_std < 0.3
-        std = camera.focal * camera.focal_std
-        said = f"a focal length of each image, f = {camera.focal:.0f} +- {std:.0f} px"
-        assert f"the matches agree with {said}" in pose.warnings
-
-
 @pytest.mark.parametrize(("over_side", "seed"), [(2.4, 0), (5.2, 1)])
 def test_a_long_lens_on_an_orbit_is_in_the_expected_errors(over_side: float, seed: int) -> None:
     """As of a statue on a turntable, whose matches do not tell the focal length."""
     camera = pinhole(over_side * 1536, SIZE)
     away = 5.0 * over_side
     turn = np.radians(20.0)
-    scene = camera_scene(
-        camera,
-        camera,
-        seed=seed,
-        weights=min(shipped_models().weights),
-        turn_deg=(0.0, 20.0, 0.0),
-        centre=(away * np.sin(turn), 0.1, away * (1 - np.cos(turn))),
-        depths=(away - 1.0, away + 1.0),
-    )
+    orbit = {"centre": (away * np.sin(turn), 0.1, away * (1 - np.cos(turn)))}
+    orbit |= {"turn_deg": (0.0, 20.0, 0.0), "depths": (away - 1.0, away + 1.0)}
+    scene = camera_scene(camera, camera, seed=seed, weights=NETWORK, **orbit)
     pose = scene.estimate(seed=seed)
-    if pose.success and pose.probability >= 0.5:
-        _assert_as_stated(pose, scene, 3.0)
-        assert pose.probability < 0.9 or max(scene.errors_deg(pose)) < 10
+    assert pose.success and pose.probability < 0.95
+    _assert_as_stated(pose, scene, 3.0)
 
 
 def _models(*cameras: Camera) -> dict[str, list[CameraModel]]:
@@ -330,62 +267,3 @@ def test_lines_of_each_image_speak_for_two_cameras() -> None:
         return model.log_odds
 
     assert odds(0.7, 1.2) > odds(0.9, 0.9) + 1 and odds(0.9, 0.9) < odds(0.8, 1.0) < 0
-
-
-@pytest.mark.parametrize(
-    ("name", "stated", "fitted", "said"),
-    [
-        (
-            "assumed",
-            {"focal_std": 0.02},
-            {"focal_std": 0.01},
-            "f = 1300 +- 13 px, and K states 1000",
-        ),
-        ("focal", {}, {"focal_std": 0.02}, "f = 1300 +- 26 px, and K states 1000"),
-        (
-            "centre",
-            {},
-            {"centre_std": 7.0},
-            "a principal point of (800, 512) +- 7 px, and K states",
-        ),
-        (
-            "lens",
-            {},
-            {"distortion": Distortion("RADIAL", (-0.15, 0.0)), "lens_std": 0.01},
-            "a lens of k1 = -0.150 +- 0.010, and K states none",
-        ),
-        ("unlensed", {"distortion": LENS}, {}, "no lens, and K states RADIAL"),
-    ],
-)
-def test_what_is_told_of_a_camera_that_K_does_not_state(
-    name: str, stated: dict, fitted: dict, said: str
-) -> None:
-    """Once of a camera that both images have; and a wide deviation is told too."""
-    before = replace(pinhole(1000, SIZE), **stated)
-    after = replace(pinhole(1300, SIZE, centre=(32.5, 0.5)), focal_source="matches", **fitted)
-    (line,) = camera_warnings(name, (before, before), (after, after))
-    assert line.startswith("the matches agree with " + said)
-    loose = replace(after, focal_std=0.3)
-    told = camera_warnings("focal", (before, before), (loose, loose))
-    assert told == ("the focal length is hardly known: f = 1300 px within 30 %",)
-    other = replace(after, K=after.K * [[1.2], [1.2], [1.0]])
-    if name in ("focal", "centre"):
-        assert len(camera_warnings(name, (before, before), (after, other))) == 2
-
-
-@pytest.mark.parametrize(
-    ("ratio", "std", "contradicted"),
-    [
-        (1.05, 0.0, False),
-        (1.09, 0.0, True),
-        (1.0 / 1.09, 0.0, True),
-        (1.09, 0.05, False),
-        (1.2, 0.05, True),
-        (1.2, 0.07, False),
-    ],
-)
-def test_a_focal_length_is_contradicted_by_three_deviations(
-    ratio: float, std: float, contradicted: bool
-) -> None:
-    stated = replace(USUAL, focal_std=std)
-    assert is_contradicted(stated, stated.with_focal(ratio * stated.focal)) is contradicted

@@ -5,12 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, poster_scene, two_view_scene
+from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.camera_model import OF_STATED
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.metrics import rotation_error_deg
 
@@ -22,6 +21,7 @@ MOTIONS = {
     "far": {"turn_deg": (4.0, 22.0, 15.0), "centre": (2.5, 1.5, 0.5)},
     "near": {"turn_deg": (-6.0, 9.0, -10.0), "centre": (1.0, -1.0, 0.4)},
 }
+EACH_MOTION = pytest.mark.parametrize(("motion", "seed"), list(zip(MOTIONS, range(3), strict=True)))
 K1 = -0.15
 BARREL = Distortion("OPENCV", (K1, 0.0, 0.0, 0.0))
 
@@ -58,14 +58,6 @@ def _assert_found(pose: RelativePose, scene: TwoViewScene, name: str) -> None:
     assert pose.probability > 0.9
 
 
-def _is_honest(pose: RelativePose, scene: TwoViewScene) -> bool:
-    if not pose.success or pose.probability < 0.5:
-        return True
-    errors = np.array(scene.errors_deg(pose))
-    stated = np.array([pose.rotation_error_90_deg, pose.translation_error_90_deg])
-    return bool((errors < 3 * stated).all())
-
-
 @pytest.mark.parametrize(
     ("motion", "factor", "seed"), [("aside", 0.8, 0), ("far", 1.3, 1), ("near", 1.6, 0)]
 )
@@ -90,18 +82,14 @@ def test_a_K_that_is_that_of_one_image_alone(motion: str, seed: int, stated: Cam
     pose = scene.estimate(*named, seed=seed)
     _assert_found(pose, scene, "focals")
     (said,) = _agreed(pose)  # of the other image
-    other = 1 if stated is CAMERA else 0
-    for number, (fitted, true) in enumerate(
-        zip((pose.camera1, pose.camera2), (1300, 1950), strict=True)
-    ):
-        std = fitted.focal_std * fitted.focal
-        assert abs(fitted.focal - true) < 3 * std < 150
-        if number == other:
-            expected = fitted.focal, std, stated.focal
-            np.testing.assert_allclose(_numbers(said), expected, atol=0.51)
+    stds = [camera.focal_std * camera.focal for camera in (pose.camera1, pose.camera2)]
+    assert abs(pose.camera1.focal - 1300) < 3 * stds[0] < 150
+    assert abs(pose.camera2.focal - 1950) < 3 * stds[1] < 150
+    other, std = (pose.camera2, stds[1]) if stated is CAMERA else (pose.camera1, stds[0])
+    np.testing.assert_allclose(_numbers(said), (other.focal, std, stated.focal), atol=0.51)
 
 
-@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
+@EACH_MOTION
 def test_K1_and_K2_that_are_swapped(motion: str, seed: int) -> None:
     scene = _scene(CAMERA, ZOOMED, motion, seed)
     named = (replace(camera, identity=f"K{n}") for n, camera in enumerate((ZOOMED, CAMERA)))
@@ -112,14 +100,6 @@ def test_K1_and_K2_that_are_swapped(motion: str, seed: int) -> None:
     assert _agreed(pose) == said
 
 
-@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
-def test_cameras_that_are_not_found_are_no_wrong_pose(motion: str, seed: int) -> None:
-    scene = _scene(CAMERA, ZOOMED, motion, seed)
-    for cameras in ((ZOOMED, CAMERA), (CAMERA, CAMERA), (ZOOMED, ZOOMED)):
-        pose = scene.estimate(*cameras, seed=seed)
-        assert _is_honest(pose, scene), (scene.errors_deg(pose), pose, pose.warnings)
-
-
 @pytest.mark.parametrize(
     ("motion", "seed", "one"), [("aside", 0, True), ("far", 1, False), ("near", 2, True)]
 )
@@ -127,18 +107,16 @@ def test_a_lens_that_is_left_out(motion: str, seed: int, one: bool) -> None:
     scene = _scene(LENS, LENS, motion, seed)
     pose = scene.estimate(*(_one(CAMERA) if one else (CAMERA, CAMERA)), seed=seed)
     _assert_found(pose, scene, "lens")
-    said = _agreed(pose)
-    assert len(said) == 1 == len(pose.warnings)
-    for text in said:
-        assert re.fullmatch(r"a lens of k1 = \S+ \+- \S+, and K states none", text)
-        k1, std = _numbers(text.split("=")[1].replace("+-", ""))
-        assert abs(k1 - K1) < 3 * std < 0.05
+    (said,) = pose.warnings
+    lens = r"the matches agree with a lens of k1 = (\S+) \+- (\S+), and K states none"
+    k1, std = map(float, re.fullmatch(lens, said).groups())
+    assert abs(k1 - K1) < 3 * std < 0.05
     for camera in (pose.camera1, pose.camera2):
         assert abs(camera.distortion.radial[0] - K1) < 3 * camera.lens_std < 0.05
         np.testing.assert_array_equal(camera.K, CAMERA.K)
 
 
-@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
+@EACH_MOTION
 def test_a_lens_that_the_images_do_not_have(motion: str, seed: int) -> None:
     """As of images that are undistorted already."""
     scene = _scene(CAMERA, CAMERA, motion, seed)
@@ -148,7 +126,7 @@ def test_a_lens_that_the_images_do_not_have(motion: str, seed: int) -> None:
     assert pose.camera1.distortion is None is pose.camera2.distortion
 
 
-@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
+@EACH_MOTION
 def test_a_principal_point_far_off(motion: str, seed: int) -> None:
     """K of a photograph for a part of it, whose own is in its middle."""
     scene = _scene(CAMERA, CAMERA, motion, seed)
@@ -161,18 +139,6 @@ def test_a_principal_point_far_off(motion: str, seed: int) -> None:
     assert re.fullmatch(r"a principal point of \(.*\) \+- \d+ px, and K states \(.*\)", said)
     assert np.abs(np.subtract((x, y), CAMERA.K[:2, 2])).max() < 3 * std < 200
     np.testing.assert_allclose(states, moved.K[:2, 2], atol=0.51)
-
-
-@pytest.mark.parametrize(("motion", "seed"), zip(MOTIONS, range(3), strict=True))
-def test_images_whose_principal_point_is_off_and_K_that_has_it_in_the_middle(
-    motion: str, seed: int
-) -> None:
-    """Two views hardly tell it from two focal lengths."""
-    part = pinhole(1300, SIZE, centre=(60, -50))
-    scene = _scene(part, part, motion, seed)
-    pose = scene.estimate(*_one(CAMERA), seed=seed)
-    assert pose.success and _is_honest(pose, scene)
-    assert pose.evidence.camera_model in ("centre", "focal", "focals", "assumed")
 
 
 @pytest.mark.parametrize("kind", ["general", "skew", "orbit", "planar", "forward"])
@@ -200,9 +166,7 @@ def test_a_right_K_of_any_camera_is_kept(camera: Camera, motion: str) -> None:
 
 
 @pytest.mark.parametrize("centre", [(0.0, 0.0, 0.0), (1.5, 1.2, 0.3), (0.6, 0.1, 0.1)])
-def test_a_right_principal_point_far_from_the_middle_is_kept(
-    centre: tuple[float, float, float],
-) -> None:
+def test_a_right_principal_point_far_from_the_middle_is_kept(centre) -> None:
     """As of a part of a photograph; also where the camera only turned."""
     part = pinhole(1300, SIZE, centre=(110, -70))
     for seed in range(2):
@@ -213,51 +177,12 @@ def test_a_right_principal_point_far_from_the_middle_is_kept(
         assert (pose.status == "rotation_only") is (not any(centre))
 
 
-@pytest.mark.parametrize("factor", [1.0, 0.8, 1.3])
-def test_a_plane_contradicts_no_K(factor: float) -> None:
-    """It has two unknown cameras that explain it for each focal length."""
-    for seed in range(2):
-        for scene in (poster_scene(seed=seed), two_view_scene("planar", seed=seed, count=400)):
-            cameras = [camera.with_focal(factor * camera.focal) for camera in scene.cameras]
-            pose = scene.estimate(*cameras, seed=seed)
-            if factor == 1:
-                assert not _agreed(pose), pose.warnings
-            elif _agreed(pose):
-                assert _is_honest(pose, scene), (scene.errors_deg(pose), pose.warnings)
-
-
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.4])
 @pytest.mark.parametrize("kind", ["orbit", "forward"])
-def test_a_focal_length_that_the_matches_hardly_tell_contradicts_nothing(
-    kind: SceneKind, factor: float
-) -> None:
+def test_a_focal_length_that_the_matches_hardly_tell_contradicts_nothing(kind, factor) -> None:
     """Few matches of a motion with axes that meet, or along the axis."""
     for seed in range(2):
         scene = two_view_scene(kind, seed=seed, count=60, sigma_px=1.5, same_camera=True)
         cameras = _one(scene.cameras[0].with_focal(factor * scene.cameras[0].focal))
         pose = scene.estimate(*cameras, seed=seed)
-        for text in _agreed(pose):
-            assert text.startswith("f = "), text
-            focal, std, states = _numbers(text)
-            assert abs(focal - states) > 4 * std and std < 0.15 * focal
-            assert abs(focal - scene.cameras[0].focal) < 4 * std
-        if factor == 1.0:
-            assert not _agreed(pose)
-
-
-@pytest.mark.parametrize("stated", [{"focal_std": 0.3}, {"lens_std": 0.2, "focal_std": 0.3}])
-def test_a_K_with_a_wide_deviation_is_fitted_and_not_contradicted(stated: dict) -> None:
-    scene = _scene(CAMERA, CAMERA, "aside", 0)
-    (wide, _) = _one(replace(CAMERA.with_focal(1690), **stated))
-    pose = scene.estimate(wide, wide)
-    assert pose.success and pose.evidence.camera_model == "assumed" and not _agreed(pose)
-    assert abs(np.log(pose.camera1.focal / 1300)) < max(3 * pose.camera1.focal_std, 0.01)
-
-
-def test_other_models_of_stated_cameras_are_those_that_K_states() -> None:
-    """No pixels that are not square, no fisheye."""
-    names = set()
-    for camera in (CAMERA, LENS, pinhole(1300, SIZE, centre=(90, 0))):
-        scene = _scene(CAMERA, CAMERA, "near", 1)
-        names.add(scene.estimate(*_one(camera)).evidence.camera_model)
-    assert names <= {"assumed", *OF_STATED}
+        assert not _agreed(pose), pose.warnings

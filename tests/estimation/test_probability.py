@@ -65,9 +65,7 @@ def test_the_probability_is_the_logistic_function_of_the_weighted_features() -> 
 
 @pytest.mark.parametrize("part", ["rotation", "translation"])
 @pytest.mark.parametrize("error_deg", [15.0, 90.0])
-def test_the_probability_is_no_more_than_the_expected_errors_leave(
-    part: str, error_deg: float
-) -> None:
+def test_the_probability_is_no_more_than_the_expected_errors_leave(part, error_deg) -> None:
     """Of a normal error that is below r nine times in ten, against SciPy."""
     model = parse_models(_text(intercept=30.0)).by_kind["network"]
     evidence = _worse(**{f"raw_{part}_90_deg": error_deg})

@@ -29,7 +29,6 @@ def of_scene(kind: SceneKind = "general", **deviations: float) -> RelativePose:
 
 def test_the_forms_of_a_pose() -> None:
     pose = of_scene()
-    assert pose.R is not None and pose.t is not None and pose.centre is not None
     point = np.array([0.3, -0.2, 4.0])
     by_matrix = pose.matrix() @ np.append(point, 1)
     np.testing.assert_allclose(by_matrix, [*(pose.R @ point + pose.t), 1])
@@ -53,8 +52,6 @@ def inverted(R: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def test_the_inverse_has_the_covariance_of_inverted_poses() -> None:
     pose = of_scene()
     inverse = pose.inverse()
-    assert pose.R is not None and pose.t is not None and pose.covariance is not None
-    assert inverse.R is not None and inverse.t is not None and inverse.covariance is not None
     R, t = inverted(pose.R, pose.t)
     np.testing.assert_allclose(inverse.R, R, atol=1e-12)
     np.testing.assert_allclose(inverse.t, t, atol=1e-12)
@@ -68,7 +65,6 @@ def test_the_inverse_has_the_covariance_of_inverted_poses() -> None:
         w = Rotation.from_matrix(R @ inverse.R.T).as_rotvec()
         of_inverse.append([*w, *(t - inverse.t)])
     expected = replace(pose, covariance=covariance).inverse().covariance
-    assert expected is not None
     error = np.cov(np.array(of_inverse).T) - expected
     assert np.abs(error).max() < 0.03 * np.abs(expected).max()
     # t of the inverse is perpendicular to its errors likewise.
@@ -93,7 +89,6 @@ def test_the_inverse_of_the_inverse_is_the_pose_but_for_its_evidence() -> None:
             np.testing.assert_allclose(second.R @ first.t + second.t, 0, atol=1e-12)
     fitted = of_scene(focal_std=0.1)
     inverse = fitted.inverse()
-    assert fitted.camera_covariance is not None and inverse.camera_covariance is not None
     assert inverse.camera1 is fitted.camera2 and inverse.camera2 is fitted.camera1
     blocks, swapped = (
         c.reshape(2, 6, 2, 6) for c in (fitted.camera_covariance, inverse.camera_covariance)

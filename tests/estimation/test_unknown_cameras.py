@@ -4,33 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import two_view_scene
+from scenes import pinhole, two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import EstimationOptions, estimate_pose
-from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 
 def _unknown(camera: Camera, identity: str | None = None, factor: float = 1.3) -> Camera:
     """A camera whose focal length is off, as that of an image without a K is."""
-    width, height = camera.size
-    f = factor * camera.focal
-    K = np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1]])
-    size = camera.size
-    return Camera(K, size, focal_std=0.4, centre_std=0.01 * max(size), identity=identity)
-
-
-def _scaled(camera: Camera, factor: float) -> Camera:
-    return replace(camera, K=camera.K * np.array([[factor, factor, 1.0]]))
-
-
-def _stds(camera: Camera) -> tuple[float, ...]:
-    return camera.focal_std, camera.centre_std, camera.lens_std, camera.aspect_std
+    assumed, centre_std = pinhole(factor * camera.focal, camera.size), 0.01 * max(camera.size)
+    return replace(assumed, focal_std=0.4, centre_std=centre_std, identity=identity)
 
 
 def _error(pose, scene) -> float:
-    return max(rotation_error_deg(pose.R, scene.R), translation_error_deg(pose.t, scene.t))
+    return max(scene.errors_deg(pose))
 
 
 @pytest.mark.parametrize(("seed", "factor"), [(0, 0.6), (1, 1.0), (2, 1.7)])
@@ -98,10 +86,11 @@ def test_the_deviations_of_a_fitted_camera_are_the_roots_of_the_covariance(focal
     pose = estimate_pose(scene.matches, *stated)
     roots = np.sqrt(np.diag(pose.camera_covariance)).reshape(2, 6)
     for root, camera, before in zip(roots, (pose.camera1, pose.camera2), stated, strict=True):
-        stds = _stds(camera)
-        expected = root[0], np.sqrt((root[1:3] ** 2).mean()), root[3], root[5]
-        np.testing.assert_allclose(stds, expected, rtol=1e-9)
-        assert (np.array(stds) <= _stds(before)).all()
+        centre = np.sqrt((root[1:3] ** 2).mean())
+        expected = {"focal": root[0], "centre": centre, "lens": root[3], "aspect": root[5]}
+        for name, std in expected.items():
+            assert getattr(camera, f"{name}_std") == pytest.approx(std, rel=1e-9)
+            assert getattr(camera, f"{name}_std") <= getattr(before, f"{name}_std")
         assert 0 < camera.lens_std <= before.lens_std and camera.centre_std > 0
 
 
@@ -133,7 +122,9 @@ def test_where_the_axes_meet_the_focal_length_is_uncertain():
 
 def test_a_wrong_K_with_a_deviation_has_a_warning():
     scene = two_view_scene("skew", same_camera=True, count=1500)
-    cameras = (replace(_scaled(c, 1.3), focal_std=0.02, identity="a") for c in scene.cameras)
+    cameras = (
+        replace(c.with_focal(1.3 * c.focal), focal_std=0.02, identity="a") for c in scene.cameras
+    )
     pose = estimate_pose(scene.matches, *cameras)
     (warning,) = pose.warnings
     assert warning.startswith("the matches agree with ") and ", and K states " in warning
@@ -146,7 +137,7 @@ def test_exif_data_that_the_matches_contradict_have_a_warning(factor, contradict
     scene = two_view_scene("skew", same_camera=True, count=1500)
     of_exif = {"focal_std": 0.06, "centre_std": 8.0, "focal_source": "exif", "identity": "a"}
     pose = estimate_pose(
-        scene.matches, *(replace(_scaled(c, factor), **of_exif) for c in scene.cameras)
+        scene.matches, *(replace(c.with_focal(factor * c.focal), **of_exif) for c in scene.cameras)
     )
     says = f"EXIF states {factor * scene.cameras[0].focal:.0f}"
     assert any(says in warning for warning in pose.warnings) == contradicted

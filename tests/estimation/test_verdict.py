@@ -177,9 +177,7 @@ def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behin
 
 @pytest.mark.parametrize("rotates", [ROTATES, {"still_ratio": 0.95}])
 @pytest.mark.parametrize("probability", [None, 0.01, 0.99])
-def test_a_rotation_that_another_motion_contradicts_is_ambiguous(
-    rotates: dict[str, float], probability: float | None
-) -> None:
+def test_a_rotation_that_another_motion_contradicts_is_ambiguous(rotates, probability) -> None:
     status, reason, _ = judge(_changed(**rotates, **SECOND), LEAST, probability)
     assert status == "ambiguous"
     assert "30 of the other matches agree on a motion" in reason and "17.2 deg" in reason

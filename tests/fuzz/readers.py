@@ -15,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 from worlds import world_scene, write_colmap
 
 from dgc_pose.batch.result import read_batch
-from dgc_pose.benchmarks.stored_matches import FileMatcher
+from dgc_pose.benchmarks.other_matchers import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
 from dgc_pose.cameras.formats.colmap import read_database
 from dgc_pose.cameras.pair_list import read_pair_list, read_pairs

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.geometry.rotation import (
     aligning_rotation,
     is_rotation,
-    quaternion_wxyz,
     rotation_angle_deg,
 )
 
@@ -28,15 +27,6 @@ def test_a_rotation_is_told_from_other_matrices(seed):
     for other in (-R, R[:, ::-1], 1.01 * R, 1e200 * R, np.full((3, 3), np.nan), R * np.inf):
         with np.errstate(all="raise"):
             assert not is_rotation(other)
-
-
-@given(seeds)
-@settings(max_examples=50, deadline=None)
-def test_a_quaternion_is_the_rotation_of_its_matrix(seed):
-    R = Rotation.random(random_state=seed).as_matrix()
-    w, x, y, z = quaternion_wxyz(R)
-    assert w >= 0
-    np.testing.assert_allclose(Rotation.from_quat([x, y, z, w]).as_matrix(), R, atol=1e-12)
 
 
 @given(seeds)

@@ -138,6 +138,13 @@ def test_grey_alpha_and_palette_files_become_rgb(
     np.testing.assert_array_equal(load_image(tmp_path / "a.png").pixels, expected)
 
 
+def raw_file(order: str, tag: int, value: int) -> bytes:
+    """A TIFF whose tags, one of them of a thumbnail or of a DNG, are at the end."""
+    start, at = b"II*\0" if order == "<" else b"MM\0*", 200_000
+    tags = struct.pack(order + "HHHIIHHIII", 2, 256, 4, 1, 9, tag, 4, 1, value, 0)
+    return start + struct.pack(order + "I", at) + bytes(at - 8) + tags
+
+
 @pytest.mark.parametrize(
     ("content", "error"),
     [
@@ -148,6 +155,8 @@ def test_grey_alpha_and_palette_files_become_rgb(
         (b"\xff\xd8\xff", "is corrupt: Pillow does not read it"),
         (b"II*\0\x08" + bytes(12), "is corrupt: "),
         (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
+        (raw_file("<", 254, 1), "is a camera's raw file, or begins with a thumbnail"),
+        (raw_file(">", 50706, 0x0401), "is a camera's raw file, or begins with a thumbnail"),
         (b"P6\n60000 50000\n255\n" + bytes(100), "is too large: "),
     ],
 )
@@ -178,19 +187,6 @@ def test_a_missing_file_a_folder_a_pipe_and_a_large_file(tmp_path: Path) -> None
         with pytest.raises(ImageError, match=words):
             load_image(source)
     assert image_size(tmp_path / "phone.ppm") == (16384, 12288)
-
-
-@pytest.mark.parametrize("tag", [(254, 1), (50706, 0x0401)], ids=["thumbnail", "DNG"])
-@pytest.mark.parametrize("order", "<>")
-def test_a_raw_file_is_no_photograph_of_the_size_of_its_thumbnail(
-    tmp_path: Path, tag: tuple[int, int], order: str
-) -> None:
-    at, start = 200_000, b"II*\0" if order == "<" else b"MM\0*"  # tags at the end
-    tags = struct.pack(order + "HHHIIHHIII", 2, 256, 4, 1, 9, tag[0], 4, 1, tag[1], 0)
-    (tmp_path / "raw.nef").write_bytes(start + struct.pack(order + "I", at) + bytes(at - 8) + tags)
-    for read in (load_image, image_size):
-        with pytest.raises(ImageError, match="raw file, or begins with a thumbnail"):
-            read(tmp_path / "raw.nef")
 
 
 def test_heic_has_its_rotation_decoded_and_becomes_rgb(tmp_path: Path, rgb: np.ndarray) -> None:
@@ -267,44 +263,32 @@ def test_what_is_no_positive_number_is_not_known(
         assert exif.pixels_per_mm == pytest.approx(per_mm)
 
 
-@pytest.mark.parametrize(
-    ("letters", "position"),
-    [
-        ({1: "S", 3: "E"}, (-33.5, 70.25, 12.0)),
-        ({1: "S"}, None),
-        ({1: "W", 3: "S"}, None),
-    ],
-)
-def test_a_position_has_the_letters_of_its_hemispheres(
-    tmp_path: Path, letters: dict[int, str], position: tuple[float, float, float] | None
-) -> None:
-    exif = PIL.Image.Exif()
-    exif[271] = "Maker"  # Pillow writes no block of GPS alone
-    exif.get_ifd(34853).update({2: (33.0, 30.0, 0.0), 4: (70.0, 15.0, 0.0), 6: 12.0, **letters})
-    assert exif_of(tmp_path, exif.tobytes()).position == position
+def test_a_position_has_the_letters_of_its_hemispheres(tmp_path: Path) -> None:
+    south_east = (-33.5, 70.25, 12.0)
+    for letters, position in (("SE", south_east), ("S", None), ("WS", None)):
+        exif = PIL.Image.Exif()
+        exif[271] = "Maker"  # Pillow writes no block of GPS alone
+        tags = {2: (33.0, 30.0, 0.0), 4: (70.0, 15.0, 0.0), 6: 12.0}
+        exif.get_ifd(34853).update(tags | dict(zip((1, 3), letters, strict=False)))
+        assert exif_of(tmp_path, exif.tobytes()).position == position
 
 
-def jfif(path: Path, unit: int, along_x: int, along_y: int) -> None:
-    data = bytearray(save(path, NOISE).read_bytes())
-    assert data[6:11] == b"JFIF\0"
-    data[13:18] = struct.pack(">BHH", unit, along_x, along_y)
-    path.write_bytes(data)
-
-
-def phys(path: Path, unit: int, along_x: int, along_y: int) -> None:
-    content = struct.pack(">IIB", along_x, along_y, unit)
-    path.write_bytes(with_chunk(save(path, NOISE).read_bytes(), b"pHYs", content))
-
-
-def resolutions(path: Path, unit: int, along_x: int, along_y: int) -> None:
-    """Of EXIF, and of a TIFF as its tags; of all but a TIFF turned by 90 degrees."""
-    exif = PIL.Image.Exif()
-    exif[274] = 1 if path.suffix == ".tiff" else 6
-    exif[282], exif[283], exif[296] = along_x, along_y, unit
-    PIL.Image.fromarray(NOISE).save(path, exif=exif)
-
-
-WRITERS = {"jpg": jfif, "png": phys, "tiff": resolutions, "webp": resolutions, "jpeg": resolutions}
+def with_density(path: Path, unit: int, along_x: int, along_y: int) -> None:
+    """By JFIF, by a chunk of PNG, by the tags of a TIFF, or by EXIF data of an image turned by 90
+    degrees."""
+    if path.suffix == ".jpg":
+        data = bytearray(save(path, NOISE).read_bytes())
+        assert data[6:11] == b"JFIF\0"
+        data[13:18] = struct.pack(">BHH", unit, along_x, along_y)
+        path.write_bytes(data)
+    elif path.suffix == ".png":
+        content = struct.pack(">IIB", along_x, along_y, unit)
+        path.write_bytes(with_chunk(save(path, NOISE).read_bytes(), b"pHYs", content))
+    else:
+        exif = PIL.Image.Exif()
+        exif[274] = 1 if path.suffix == ".tiff" else 6
+        exif[282], exif[283], exif[296] = along_x, along_y, unit
+        PIL.Image.fromarray(NOISE).save(path, exif=exif)
 
 
 @pytest.mark.parametrize(
@@ -323,7 +307,7 @@ def test_the_shape_of_a_pixel(
     tmp_path: Path, suffix: str, unit: int, along_x: int, along_y: int, aspect: float
 ) -> None:
     path = tmp_path / f"a.{suffix}"
-    WRITERS[suffix](path, unit, along_x, along_y)
+    with_density(path, unit, along_x, along_y)
     for stated in (image_header(path), load_image(path)):
         assert stated.pixel_aspect == pytest.approx(aspect, rel=1e-6)
 

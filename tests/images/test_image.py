@@ -94,7 +94,7 @@ def test_channels_may_come_first(rgb: np.ndarray) -> None:
         (np.zeros((5, 20, 30), np.uint8), "must have shape"),
         (np.zeros((20, 0), np.float32), "must have shape"),
         (np.array([[0, np.inf], [1, 2]]), "has values that are not finite"),
-        (np.zeros((4, 4), complex), "is not an array of real numbers"),
+        (np.zeros((4, 4), complex), "is not an array of real numbers but ndarray of dtype "),
     ],
 )
 def test_what_is_no_image_names_the_argument(source: Any, words: str) -> None:

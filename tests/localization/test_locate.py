@@ -3,11 +3,10 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from boxes import box_picture
-from worlds import SIZE, render_views, write_views
 from worlds import K as DATABASE_K
+from worlds import known_model, render_views
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions
@@ -20,11 +19,7 @@ from dgc_pose.model import Model
 def test_features_go_with_their_images(tmp_path: Path) -> None:
     """Neither the query's nor those of images that left the memory are kept."""
     photo, *views = render_views(4, step=0.5)
-    poses = {
-        name: np.column_stack([view.R, view.t])
-        for name, view in zip(write_views(tmp_path, views), views, strict=True)
-    }
-    model = Model(tmp_path, dict.fromkeys(poses, Camera(DATABASE_K, SIZE)), poses)
+    model = known_model(tmp_path, views)
     cache = ImageCache()
     options = EstimationOptions(effort="fast", runs=2, iterations=200)
     locator = locate.Locator(model, load_matcher(cache=cache), options)
@@ -36,16 +31,9 @@ def test_features_go_with_their_images(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("K", "source"), [("auto", "lines"), ("900,900,480,360", "given")])
-def test_the_lines_of_a_query_tell_its_focal_length(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, K: str, source: str
-) -> None:
+def test_the_lines_of_a_query_tell_its_focal_length(tmp_path, monkeypatch, K, source) -> None:
     """Which no K states."""
-    views = render_views(2, step=0.5)
-    poses = {
-        name: np.column_stack([view.R, view.t])
-        for name, view in zip(write_views(tmp_path, views), views, strict=True)
-    }
-    model = Model(tmp_path, dict.fromkeys(poses, Camera(DATABASE_K, SIZE)), poses)
+    model = known_model(tmp_path, render_views(2, step=0.5))
     searched: list[Camera] = []
 
     class Search(locate.LocationSearch):

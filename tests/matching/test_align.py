@@ -132,25 +132,17 @@ def test_wrong_matches_go_and_the_others_have_the_surface_s_affinity() -> None:
     assert np.array_equal(found.points2, matches.points2[found.index])
 
 
-def test_a_mirror_image_is_no_surface() -> None:
-    matches, _ = _matches(300, wrong=0)
-    mirrored = Matches(matches.points2 * (-1, 1), matches.points2, np.ones(300), 0.5)
-    assert len(consistent(mirrored, 12).index) == 0
-
-
-def test_few_matches_and_matches_that_are_not_finite() -> None:
+def test_what_is_no_surface_has_no_matches_and_nothing_is_nan() -> None:
+    """A mirror image, too few, one that is not finite among good ones, a line, one place."""
     matches, _ = _matches(200, wrong=0)
-    points1 = matches.points1.copy()
+    points1, ones = matches.points1.copy(), np.ones(200)
     points1[7] = np.nan
-    found = consistent(Matches(points1, matches.points2, np.ones(200), 0.5), 12)
+    mirrored = Matches(matches.points2 * (-1, 1), matches.points2, ones, 0.5)
+    few = Matches(points1[:12], matches.points2[:12], ones[:12], 0.5)
+    for none in (mirrored, few):
+        assert len(consistent(none, 12).index) == 0
+    found = consistent(Matches(points1, matches.points2, ones, 0.5), 12)
     assert 7 not in found.index and len(found.index) > 180
-    few = Matches(points1[:12], matches.points2[:12], np.ones(12), 0.5)
-    assert len(consistent(few, 12).index) == 0
-
-
-def test_matches_on_a_line_or_in_one_place_do_not_break_it() -> None:
-    line = np.stack([np.arange(50.0), np.full(50, 3.0)], -1)
-    heap = np.full((50, 2), 8.0)
-    for points in (line, heap):
+    for points in (np.stack([np.arange(50.0), np.full(50, 3.0)], -1), np.full((50, 2), 8.0)):
         found = consistent(Matches(points + 5, points, np.ones(50), 0.5), 12)
         assert np.isfinite(found.affinity).all() and np.isfinite(found.points1).all()

@@ -1,7 +1,6 @@
 """Correlations, consensus and peaks of NumPy's arrays and torch's tensors, against loops."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,11 +19,10 @@ from dgc_pose.network.net import l2_normalise, local_correlation
 from dgc_pose.runtime import onnx_engine
 
 # To an array of the library, with torch's batch, and back.
-LIBRARIES: dict[str, tuple[Callable[[np.ndarray], Any], Callable[[Any], np.ndarray]]] = {
+LIBRARIES = {
     "numpy": (lambda values: values, lambda values: values),
     "torch": (lambda values: torch.from_numpy(values)[None], lambda values: values[0].numpy()),
 }
-Library = tuple[Callable[[np.ndarray], Any], Callable[[Any], np.ndarray]]
 
 
 @pytest.fixture(params=LIBRARIES)

@@ -52,7 +52,6 @@ def opencv_pixels(table: dict[str, Any], points: np.ndarray) -> np.ndarray:
 
 
 def pixels(location: Location, points: np.ndarray) -> np.ndarray:
-    assert location.camera is not None and location.R is not None and location.t is not None
     seen = points @ location.R.T + location.t
     return location.camera.project(seen[:, :2] / seen[:, 2:])
 
@@ -64,7 +63,6 @@ def assert_read(path: Path, cameras: dict[str, Location]) -> None:
     points = np.random.default_rng(1).uniform(-0.4, 0.4, (20, 2))
     for name, location in cameras.items():
         camera, stated = calibration.parts[name], location.camera
-        assert stated is not None and location.cam_from_world is not None
         np.testing.assert_allclose(camera.K, stated.K, atol=1e-9)
         np.testing.assert_allclose(camera.project(points), stated.project(points), atol=1e-7)
         np.testing.assert_allclose(calibration.poses[name], location.cam_from_world, atol=1e-9)
@@ -81,7 +79,6 @@ def test_the_tables_are_opencvs_and_read_again(tmp_path: Path, name: str) -> Non
         cameras.items(), data.get("cameras", data).values(), strict=False
     ):
         assert table["name"] == key and table["size"] == [640, 480]
-        assert location.R is not None and location.t is not None
         away = np.random.default_rng(2).uniform((-1, -1, 3), (1, 1, 5), (20, 3))
         points = (away - location.t) @ location.R
         ours = pixels(location, points)
@@ -105,7 +102,6 @@ def test_opencvs_stereo_file(tmp_path: Path) -> None:
     read = {key: storage.getNode(key).mat() for key in ("M1", "D1", "M2", "D2", "R", "T", "E", "F")}
     first, second = cameras.values()
     point = np.array([0.3, -0.2, 6.0])
-    assert first.R is not None and second.R is not None
     in_both = [location.R @ point + location.t for location in (first, second)]
     np.testing.assert_allclose(read["R"] @ in_both[0] + read["T"][:, 0], in_both[1], atol=1e-12)
     rays = [x / x[2] for x in in_both]
@@ -129,7 +125,6 @@ def test_colmaps_rig(tmp_path: Path) -> None:
     away = np.random.default_rng(2).uniform((-1, -1, 3), (1, 1, 5), (20, 3))
     for row, location in zip(theirs.cameras, cameras.values(), strict=True):
         pose = pycolmap.Rigid3d() if row.ref_sensor else row.cam_from_rig
-        assert location.R is not None and location.t is not None
         points = (away - location.t) @ location.R
         seen = row.camera.img_from_cam(pose * points)
         np.testing.assert_allclose(seen - 0.5, pixels(location, points), atol=1e-6)
@@ -139,7 +134,6 @@ def test_colmaps_rig(tmp_path: Path) -> None:
     write_rig(tmp_path, cameras, {"unit": "m"})
     poses = read_calibration(str(tmp_path / "rig_config.json")).poses
     second = cameras["cam b"]
-    assert second.R is not None
     np.testing.assert_allclose(poses["cam b"][:, :3], second.R @ turned.T, atol=1e-12)
 
 

@@ -7,11 +7,18 @@ import numpy as np
 import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
-from worlds import SIZE, K_text, draw_textures, look_at, render, render_views, write_views
-from worlds import K as WALK_K
+from worlds import (
+    SIZE,
+    K_text,
+    draw_textures,
+    known_model,
+    look_at,
+    render,
+    render_views,
+    write_views,
+)
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cameras.camera import Camera
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
@@ -39,11 +46,11 @@ def write_cameras(folder: Path, *names: str) -> Path:
 
 def walk_model(folder: Path, second: str = "view1.png") -> Model:
     """Three photographs with their true poses."""
-    views = render_views(3, step=0.8)
-    names = write_views(folder, views)
-    names[1] = (folder / names[1]).rename(folder / second).name
-    poses = {n: np.column_stack([view.R, view.t]) for n, view in zip(names, views, strict=True)}
-    return Model(folder, dict.fromkeys(poses, Camera(WALK_K, SIZE)), poses)
+    model = known_model(folder, render_views(3, step=0.8))
+    (folder / "view1.png").rename(folder / second)
+    for of_images in (model.poses, model.cameras):
+        of_images[second] = of_images.pop("view1.png")
+    return model
 
 
 def assert_true(rig: Rig, names: str, frame: pycolmap.Sim3d) -> None:

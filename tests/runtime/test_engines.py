@@ -23,8 +23,6 @@ from dgc_pose.runtime.onnx_engine import OnnxEngine, session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, for_inference
 from dgc_pose.training.run import save_weights
 
-Engines = tuple[OnnxEngine, TorchEngine]
-
 
 @pytest.fixture(scope="module")
 def engines():
@@ -38,20 +36,12 @@ def pictures():
     return [load_image(str(folder / f"image{number}.jpg")).pixels for number in (1, 2)]
 
 
-def _crops(pictures: list[np.ndarray], shape: str) -> list[np.ndarray]:
-    """The pair, or parts of it of other shapes."""
-    if shape == "as they are":
-        return pictures
-    if shape == "small":
-        return [resize(picture, (90, 70)) for picture in pictures]
+@pytest.mark.parametrize("small", [False, True])
+def test_the_map_is_torch_s(engines, pictures, small):
+    """Of a wide image and an upright one, and of small ones."""
     height, width = pictures[0].shape[:2]
     crops = [pictures[0][height // 4 : -height // 4], pictures[1][:, width // 5 : -width // 5]]
-    return [np.ascontiguousarray(crop) for crop in crops]
-
-
-@pytest.mark.parametrize("shape", ["as they are", "wide and upright", "small"])
-def test_the_map_is_torch_s(engines, pictures, shape):
-    crops = _crops(pictures, shape)
+    crops = [resize(part, (90, 70)) if small else np.ascontiguousarray(part) for part in crops]
     onnx, by_torch = ([engine.encode(crop) for crop in crops] for engine in engines)
     for finest in (240, 60, 240):  # the last goes on from that before
         found, matchability = engines[0].decode(*onnx, finest)

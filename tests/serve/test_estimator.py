@@ -43,18 +43,6 @@ def test_a_pair_gives_its_pose_and_what_the_page_draws(result):
     assert decoded(result["map"]["matchability"]).size == (320, 240)
 
 
-def test_the_points_lie_on_the_scenes_surface(result):
-    points, colours = (np.array(result["scene"]["points"][name]) for name in ("xyz", "rgb"))
-    assert len(points) == len(colours) > 100
-    in_camera2 = points @ np.array(result["pose"]["R"]).T + result["pose"]["t"]
-    pixels2 = in_camera2[:, :2] / in_camera2[:, 2:] * 300.0 + dense_scene.K[:2, 2]
-    pixels1 = points[:, :2] / points[:, 2:] * 300.0 + dense_scene.K[:2, 2]
-    error = np.linalg.norm(dense_scene.points_in_image1(pixels2) - pixels1, axis=1)
-    assert np.quantile(error, 0.9) < 1.5
-    x, y = np.clip(np.rint(pixels1).astype(int), 0, np.array(dense_scene.SIZE) - 1).T
-    assert np.abs(dense_scene.pictures()[0][y, x].astype(int) - colours).mean() < 3
-
-
 def test_the_map_is_sent_at_a_grid(result):
     sent = result["correspondences"]
     columns, rows = sent["columns"], sent["rows"]

@@ -5,6 +5,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from textures import write_photos
 
 from dgc_pose.errors import ImageError
 from dgc_pose.training.draw import Draw
@@ -29,7 +30,7 @@ def test_samples_between_pixels_are_bilinear_ones_of_the_right_image():
         assert np.abs(255 * found.numpy() - expected.reshape(-1, 3)).mean() < 1.5
 
 
-def test_an_image_goes_on_as_its_mirror_image():
+def test_an_image_goes_on_as_its_mirror_image_and_wide_spacing_takes_means():
     bank, first = ImageBank.of(_images()[:1]), torch.tensor(0)
     inside = torch.tensor([[2.0, 3.0], [5.5, 1.0]])
     for outside in (
@@ -38,33 +39,37 @@ def test_an_image_goes_on_as_its_mirror_image():
     ):
         samples = [bank.sample(first, p, torch.ones(2)) for p in (inside, outside)]
         torch.testing.assert_close(*samples, atol=1e-4, rtol=0)
-
-
-def test_wide_spacing_takes_the_mean_of_the_pixels():
     image = _images()[0][:, :32]
     y, x = torch.meshgrid(torch.arange(5.0), torch.arange(8.0), indexing="ij")
-    points = 4 * torch.stack([x, y], -1) + 1.5
-    found = ImageBank.of([image]).sample(torch.tensor(0), points, torch.tensor(4.0))
+    found = ImageBank.of([image]).sample(
+        first, 4 * torch.stack([x, y], -1) + 1.5, torch.tensor(4.0)
+    )
     np.testing.assert_allclose(255 * found, image.reshape(5, 4, 8, 4, 3).mean((1, 3)), atol=1.5)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    rng, folder = np.random.default_rng(0), tmp_path / "photos"
-    folder.mkdir()
-    for index in range(60):
-        pixels = rng.integers(0, 255, (20, 30, 3), dtype=np.uint8)
-        cv2.imwrite(str(folder / f"p{index:03d}.png"), pixels)
-    return folder
+    write_photos(tmp_path / "photos", 60)
+    return tmp_path / "photos"
 
 
-def test_the_name_alone_decides_who_validates(folder):
+def test_the_name_alone_decides_who_validates_and_of_few_it_is_one(folder):
     (folder / "broken.jpg").write_bytes(b"no photograph")
     training, held_back = load_photos(folder)
     assert training.single + held_back.single == 60 and 1 <= held_back.single < 12
     assert torch.equal(training.bank.texels, load_photos(folder)[0].bank.texels)
     assert torch.equal(load_held_back(folder).bank.texels, held_back.bank.texels)
-    assert load_held_back(folder, side=10).bank.size(torch.tensor(0)).tolist() == [15, 10]
+    assert load_held_back(folder, side=10).bank.size(torch.tensor(0)).tolist() == [12, 10]
+    paths = sorted(folder.glob("*.png"))
+    for count in (11, 6, 3, 2):
+        for path in paths[count:]:
+            path.unlink(missing_ok=True)
+        training, held_back = load_photos(folder)
+        assert training.single + held_back.single == count
+        assert training.single and held_back.single
+    paths[1].unlink()
+    with pytest.raises(ImageError, match="one trains and one is held back, and it holds 1"):
+        load_held_back(folder)
 
 
 def test_places_give_two_of_their_photographs(folder, tmp_path):
@@ -82,16 +87,3 @@ def test_places_give_two_of_their_photographs(folder, tmp_path):
     cv2.imwrite(str(tmp_path / "light/0/other.png"), np.zeros((8, 8, 3), np.uint8))
     with pytest.raises(ImageError, match="light/0: must hold two photographs of one size"):
         load_photos(folder, tmp_path / "light")
-
-
-def test_one_of_few_photographs_is_held_back_whatever_their_names(folder):
-    paths = sorted(folder.glob("*.png"))
-    for count in (11, 6, 3, 2):
-        for path in paths[count:]:
-            path.unlink(missing_ok=True)
-        training, held_back = load_photos(folder)
-        assert training.single + held_back.single == count
-        assert training.single and held_back.single
-    paths[1].unlink()
-    with pytest.raises(ImageError, match="one trains and one is held back, and it holds 1"):
-        load_held_back(folder)

@@ -16,14 +16,12 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import COUNTER, folded, load_network, read_safetensors
 from dgc_pose.training import run
-from dgc_pose.training.losses import EncoderStage
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.run import (
     Trainer,
     initialise_encoder,
     move_average,
-    optimiser,
     save_weights,
     vgg_layers,
 )
@@ -163,23 +161,10 @@ def test_a_value_beyond_half_precision_is_kept(tmp_path):
     assert max(abs(value).max() for value in folded(arrays).values()) <= 1e5
 
 
-def test_a_backbone_learns_at_a_third_of_the_rate():
-    net = DGCNet(preset("dgcm-lite0"))
-    rest, backbone = optimiser(EncoderStage(net)).param_groups
-    assert rest["share"] == 1 and backbone["share"] == 0.35
-    body = [p for part in ("stem", "blocks") for p in net.pyramid.get_submodule(part).parameters()]
-    assert [p.shape for p in backbone["params"]] == [p.shape for p in body]
-    # Levels 0 and 1 and the decoders stay in this stage; the temperatures are the stage's own.
-    heads = [m for n, m in net.pyramid.named_children() if n.startswith(("head", "lift", "merge"))]
-    own = sum(p.numel() for part in heads for p in part.parameters())
-    assert sum(p.numel() for p in rest["params"]) == own + 4
-
-
-@pytest.mark.parametrize("decay", [0.3, 0.998])
-def test_the_average_is_the_sum_of_all_values_by_their_decays(decay):
+def test_the_average_is_the_sum_of_all_values_by_their_decays():
     """Of the weights, which lie between the values, and of the statistics; counters are copied."""
     norm = nn.BatchNorm1d(1)
-    average = copy.deepcopy(norm)
+    average, decay = copy.deepcopy(norm), 0.3
     expected, statistic = 1.0, 0.0  # as a norm begins
     for n, value in enumerate((0.5, 2.0, -1.0, 4.0, 1.5)):
         nn.init.constant_(norm.weight, value)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from results import ambiguous_pose
+from scipy.spatial import cKDTree
 from worlds import CAMERA, IMAGE, world_scene
 
 from dgc_pose.cameras.camera import Camera
@@ -115,8 +116,13 @@ def test_a_pair_is_shown_in_camera_1s_axes():
     matcher, options = dense_scene.MapMatcher(dense_scene.true_map()), EstimationOptions(runs=1)
     images = map(load_image, dense_scene.pictures())
     result = solve_pair(*images, (camera, camera), matcher, options)
-    cameras = content_of(pose_page(result))["cameras"]
-    first, second = (np.array(camera["corners"]) for camera in cameras)
+    content = content_of(pose_page(result))
+    first, second = (np.array(camera["corners"]) for camera in content["cameras"])
+    points = np.array(content["points"]["xyz"])
+    away, nearest = cKDTree(result.points3d).query(points)
+    assert len(points) > 100 and away.max() < 1e-2
+    rows = np.array(content["points"]["rgb"]).reshape(-1, 3)
+    np.testing.assert_array_equal(rows, result.colours[nearest])
     assert (first[0] == 0).all()
     width, height = dense_scene.SIZE
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5

@@ -27,14 +27,18 @@ def result_of(correspondence_map):
     return solve_pair(*images, (camera, camera), matcher, options)
 
 
+@pytest.fixture(scope="module")
+def true():
+    return result_of(dense_scene.true_map())
+
+
 def title(axes):
     return axes.get_title(loc="left")
 
 
-def test_all_panels_are_there():
-    result = result_of(dense_scene.true_map())
-    figure, pose = plot_pose(result), result.pose
-    assert pose.success and len(plot_pose(replace(result, correspondence_map=None)).axes) == 3
+def test_all_panels_are_there(true):
+    figure, pose = plot_pose(true), true.pose
+    assert pose.success and len(plot_pose(replace(true, correspondence_map=None)).axes) == 3
     matches, points, lines, matchability, warp = figure.axes
     segments = matches.collections[0].get_segments()
     assert 75 < len(segments) <= 150
@@ -47,15 +51,14 @@ def test_all_panels_are_there():
     assert headline.startswith("rotation ")
 
 
-def test_panels_have_the_names_of_the_files():
+def test_panels_have_the_names_of_the_files(true):
     """As they are: no formula, with the folder if both are alike, shortened if they are long."""
-    result = result_of(dense_scene.true_map())
     for paths, names in (
         (("a/1.jpg", "b/1.jpg"), ("a/1.jpg", "b/1.jpg")),
         (("$a$.jpg", "long" * 20), ("$a$.jpg", "longlonglonglo ... glonglong")),
     ):
-        images = (replace(result.image1, name=paths[0]), replace(result.image2, name=paths[1]))
-        figure = plot_pose(replace(result, image1=images[0], image2=images[1]))
+        images = (replace(true.image1, name=paths[0]), replace(true.image2, name=paths[1]))
+        figure = plot_pose(replace(true, image1=images[0], image2=images[1]))
         _, points, lines, *_ = figure.axes
         assert title(points) == f"{names[0]}: points"
         assert " ".join(title(lines).split()) == f"{names[1]}: the same, and their epipolar lines"
@@ -70,16 +73,15 @@ def test_panels_have_the_names_of_the_files():
         Distortion("OPENCV_FISHEYE", (0.1,) * 4),
     ],
 )
-def test_each_match_lies_on_its_epipolar_line_or_curve(lens):
-    result = result_of(dense_scene.true_map())
-    camera = replace(result.camera1, distortion=lens)
+def test_each_match_lies_on_its_epipolar_line_or_curve(true, lens):
+    camera = replace(true.camera1, distortion=lens)
     points = [
-        camera.project(result.camera1.normalise(points))
-        for points in (result.matches.points1, result.matches.points2)
+        camera.project(true.camera1.normalise(points))
+        for points in (true.matches.points1, true.matches.points2)
     ]
-    moved = replace(result.matches, points1=points[0], points2=points[1])
-    bent = replace(result.pose, camera1=camera, camera2=camera)
-    figure = plot_pose(replace(result, pose=bent, matches=moved))
+    moved = replace(true.matches, points1=points[0], points2=points[1])
+    bent = replace(true.pose, camera1=camera, camera2=camera)
+    figure = plot_pose(replace(true, pose=bent, matches=moved))
     axes = figure.axes[2]
     drawn = axes.collections[0].get_offsets()
     assert 6 < len(drawn) == len(axes.lines) <= 12
@@ -94,11 +96,10 @@ def test_each_match_lies_on_its_epipolar_line_or_curve(lens):
     assert max(bends) < 1e-6 if lens is None else max(bends) > 10
 
 
-def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
+def test_no_pose_and_no_matches_can_be_drawn(true, tmp_path):
     """Of an ambiguous pair neither pose is drawn."""
-    result = result_of(dense_scene.true_map())
-    pose = ambiguous_pose(len(result.matches))
-    figure = plot_pose(replace(result, pose=pose))
+    pose = ambiguous_pose(len(true.matches))
+    figure = plot_pose(replace(true, pose=pose))
     assert " ".join(figure.texts[0].get_text().split()) == f"no pose: {pose.reason}"
     matches, _, lines, *_ = figure.axes
     assert not lines.lines and title(lines).endswith("no epipolar lines without a pose")
@@ -106,7 +107,10 @@ def test_no_pose_and_no_matches_can_be_drawn(tmp_path):
     nowhere, none = np.full((4, 4, 2), -9.0, np.float32), np.zeros((4, 4, 2), np.float32)
     result = result_of(dense_scene.make_map(nowhere, none))
     assert result.pose.num_matches == 0
-    save_figure(plot_pose(result), tmp_path / "p.png")
+    figure = plot_pose(result)
+    (warped,) = figure.axes[4].images  # white outside image 1
+    assert (warped.get_array() == 255).all()
+    save_figure(figure, tmp_path / "p.png")
     assert cv2.imread(str(tmp_path / "p.png")) is not None
 
 

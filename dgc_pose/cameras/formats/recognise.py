@@ -99,7 +99,7 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
 def _kitti_cameras(text: str, path: Path) -> Calibration | None:
     """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
     calib_cam_to_cam.txt of raw drives."""
-    others = dict.fromkeys(keyed.unread(dict(_OTHERS.findall(text))), True)
+    others = dict.fromkeys(keyed.unread(dict(_OTHERS.findall(text))), "unread")
     sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
     tables = {}
     for key, values in _PROJECTION.findall(text):

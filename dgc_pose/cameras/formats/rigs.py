@@ -124,7 +124,7 @@ def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         table["matrix"], table["size"] = table.pop("intrinsics"), table.pop("resolution", None)
     if not tables or "intrinsics" in data:
         return tables
-    others = dict.fromkeys(unread(data, *tables), True)
+    others = dict.fromkeys(unread(data, *tables), "unread")
     return {name: others | table for name, table in tables.items()}
 
 
@@ -139,7 +139,7 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     lenses = [{"distortions"}, {"matrix", "coefficients"}]
     if not any(lens <= table.keys() for table in tables.values() for lens in lenses):
         return {}
-    others = dict.fromkeys(unread(data, "cameras", *tables), True)
+    others = dict.fromkeys(unread(data, "cameras", *tables), "unread")
     return {name: others | table for name, table in tables.items()}
 
 

@@ -119,7 +119,10 @@ def test_a_map_is_evidence():
     assert found.evidence.map_agreement > 0.9 > 0.5 > found.evidence.map_chance
 
 
-def test_the_command_refuses_what_it_cannot_fit(tmp_path):
+def test_what_cannot_be_fitted_is_refused(tmp_path):
+    data = [one for one in _records(300, 0, "fit") if one.any_right]
+    with pytest.raises(InputError, match="0 wrong poses of 5 scenes to fit on"):
+        fit_model(data, "network")
     words = ("fit-probability", "--data", tmp_path, "--out", tmp_path)
     assert_refused(run(*words, "--collected"), "records.jsonl")
     assert_refused(run(*words, "--methods", "sift"), "no such image; it is named in the pair list")
@@ -178,12 +181,6 @@ def test_the_fit_finds_a_known_probability_and_a_known_error():
     mean = np.mean([one.probability for one in claimed])
     assert np.mean([one.right for one in claimed]) == pytest.approx(mean, abs=0.08)
     assert "calibration error" in report_text(fresh)
-
-
-def test_too_few_wrong_poses_cannot_be_fitted_on():
-    data = [one for one in _records(300, 0, "fit") if one.any_right]
-    with pytest.raises(InputError, match="0 wrong poses of 5 scenes to fit on"):
-        fit_model(data, "network")
 
 
 def test_the_place_is_logistic_in_its_surroundings_and_certain_of_too_few():

@@ -88,6 +88,13 @@ def test_the_project_s_plan_fits_on_no_scene_that_it_reports_on():
             assert not source.path.match("strecha")
 
 
+def _write_list(path: Path, pairs: list[str]) -> None:
+    """A packed list of pairs of images a.png, b.png and so on, by one camera that moves aside."""
+    K, pose = "100 0 60 0 100 45 0 0 1", "1 0 0 0.1 0 1 0 0 0 0 1 0 0 0 0 1"
+    lines = [f"{a}.png {b}.png 0 0 {K} {K} {pose}\n" for a, b in pairs]
+    path.write_bytes(gzip.compress("".join(lines).encode()))
+
+
 SCENE = two_view_scene("skew", count=5, outliers=0.0, sigma_px=0.0)
 
 
@@ -126,10 +133,7 @@ def test_a_pasted_pair_keeps_a_part_of_image_2_and_has_no_pose(tmp_path):
     for name in "abcd":
         pixels = cv2.resize(rng.integers(0, 255, (30, 40, 3), np.uint8), size)
         cv2.imwrite(str(tmp_path / f"{name}.png"), pixels)
-    K, pose = "100 0 60 0 100 45 0 0 1", "1 0 0 0.1 0 1 0 0 0 0 1 0 0 0 0 1"
-    lines = [f"{a}.png {b}.png 0 0 {K} {K} {pose}\n" for a, b in ("ab", "cd")]
-    with gzip.open(tmp_path / "p.txt.gz", "wt", encoding="utf-8") as file:
-        file.writelines(lines)
+    _write_list(tmp_path / "p.txt.gz", ["ab", "cd"])
     entry = PlanEntry("p", "fit", "pasted", seed=3)
     for number, pair in enumerate(planned(entry, tmp_path, tmp_path)):
         made, again = pair.make(), pair.make()
@@ -145,14 +149,11 @@ def test_a_pasted_pair_keeps_a_part_of_image_2_and_has_no_pose(tmp_path):
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_zoomed_pair_has_the_cameras_of_its_images(tmp_path, number):
     """Both are of a longer lens; of every fourth pair image 2 alone is zoomed."""
-    size, K = (120, 90), np.array([[100.0, 0, 60], [0, 100, 45], [0, 0, 1]])
+    size = (120, 90)
     spots = np.array([[66.0, 50.0], [54.0, 41.0]])
     for name, spot in zip("ab", spots, strict=True):
         cv2.imwrite(str(tmp_path / f"{name}.png"), _spot(spot, size).pixels)
-    numbers = " ".join(map(str, K.ravel()))
-    line = f"a.png b.png 0 0 {numbers} {numbers} 1 0 0 0.1 0 1 0 0 0 0 1 0 0 0 0 1\n"
-    with gzip.open(tmp_path / "z.txt.gz", "wt", encoding="utf-8") as file:
-        file.writelines(4 * [line])
+    _write_list(tmp_path / "z.txt.gz", 4 * ["ab"])
     pair = planned(PlanEntry("z", "fit", "zoomed", seed=5), tmp_path, tmp_path)[number]
     made, again = pair.make(), pair.make()
     np.testing.assert_array_equal(made.image2.pixels, again.image2.pixels)
@@ -164,7 +165,7 @@ def test_a_zoomed_pair_has_the_cameras_of_its_images(tmp_path, number):
         assert image.size == camera.size == size
         factors.append(camera.K[0, 0] / 100)
         y, x = np.nonzero(image.pixels[..., 0] > 128)
-        ray = (spot - K[:2, 2]) / 100
+        ray = (spot - (60, 45)) / 100
         seen = camera.normalise(np.array([[x.mean(), y.mean()]]))[0]
         np.testing.assert_allclose(seen, ray, atol=0.6 / camera.K[0, 0])
     if number == 0:

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from cameras.formats.opencv_files import assert_lens, write_storage
 
-from dgc_pose.cameras.calibration import pair_cameras, parse_camera, read_calibration
+from dgc_pose.cameras.calibration import parse_camera, read_calibration
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.images.decoding import Header
-from dgc_pose.images.image import Image
 
 K = np.array([[500.0, 0, 321.25], [0, 510, 238.5], [0, 0, 1]])
 SIZE = (640, 480)
@@ -114,6 +114,7 @@ EUROC = (  # The sensor.yaml of EuRoC's sequences, which begins as OpenCV's YAML
         (KALIBR, "radtan", PLUMB_BOB[:4]),
         (KALIBR, "equidistant", FISHEYE),
         (KALIBR, "none", []),
+        (KALIBR, "fov", [0.8]),
         (EUROC, "radtan", PLUMB_BOB[:4]),
     ],
 )
@@ -126,35 +127,23 @@ def test_ros_kalibr_and_euroc(
     camera = parse_camera(f"{path}:cam0" if "cam1" in text else path)
     np.testing.assert_array_equal(camera.K, K)
     assert camera.size == SIZE
-    assert_lens(camera, coefficients or [0.0] * 4, model == "equidistant")
+    if model == "fov":  # COLMAP's, as Kalibr's by Devernay and Faugeras
+        assert camera.distortion == Distortion("FOV", (0.8,))
+    else:
+        assert_lens(camera, coefficients or [0.0] * 4, model == "equidistant")
 
 
-def test_kalibr_fov(tmp_path: Path) -> None:
-    """Devernay and Faugeras: r_distorted = atan(2 r tan(w / 2)) / w."""
-    text = KALIBR.format(model="fov", coefficients=[0.8])
-    camera = parse_camera(f"{_write(tmp_path / 'camchain.yaml', text)}:cam0")
-    ideal = np.array([[0.3, -0.2], [0.5, 0.4]])
-    radius = np.linalg.norm(ideal, axis=1, keepdims=True)
-    distorted = ideal * np.arctan(2 * radius * np.tan(0.4)) / 0.8 / radius
-    np.testing.assert_allclose(camera.normalise(distorted @ K[:2, :2] + K[:2, 2]), ideal, atol=1e-9)
-
-
-def test_which_camera_of_a_rig(tmp_path: Path) -> None:
-    """By the image's folder, by FILE:PART, or of a pair by their order, with a warning."""
+def test_an_images_folder_names_its_camera_of_a_rig(tmp_path: Path) -> None:
+    """Before a list of pairs does."""
     path = _write(tmp_path / "camchain.yaml", KALIBR.format(model="none", coefficients=[]))
     calibration, header = read_calibration(path), Header("PNG", SIZE)
     for image, focal in (("mav0/cam0/data/1.png", 500), ("mav0/cam1/data/1.png", 400)):
         camera = calibration.camera(tmp_path, image, header)
         assert (camera.K[0, 0], camera.warnings) == (focal, ())
+        assert not calibration.lacks(tmp_path, image)
+    assert calibration.lacks(tmp_path, "cam2/1.png")
     with pytest.raises(InputError, match=r"no camera for cam2/1\.png: state one of cam0, cam1, as"):
         calibration.camera(tmp_path, "cam2/1.png", header)
-    image = Image(np.zeros((480, 640, 3), np.uint8))
-    first, second = pair_cameras(path, path, image, image)
-    assert (first.K[0, 0], second.K[0, 0]) == (500, 400)
-    assert "by their order cam0 is that of image 1" in first.warnings[0]
-    assert pair_cameras(path, f"{path}:cam1", image, image)[1].warnings == ()
-    with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
-        parse_camera(f"{path}:cam2")
 
 
 @pytest.mark.parametrize(
@@ -232,34 +221,27 @@ def _with_keys(folder: Path, format: str, **keys: Any) -> str:
     return str(folder / name)
 
 
-def _lens(path: str) -> Distortion | None:
-    camera = read_calibration(path).camera(Path(), "a.png", Header("PNG", SIZE), "K1")
+def _camera(path: str) -> Camera:
+    camera = read_calibration(path).camera(Path("cam0/image_0"), "a.png", Header("PNG", SIZE), "K1")
     assert camera.K.tolist() == MATRIX
-    return camera.distortion
+    return camera
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_a_key_of_a_lens_that_is_not_read_is_refused(tmp_path: Path, format: str) -> None:
-    for key in ("k5", "dist_something", "lensDistortion", "xi", "skew", "fisheye_params"):
+def test_a_key_that_is_not_read(tmp_path: Path, format: str) -> None:
+    """Of a lens it is refused, of another camera told; zeros and what is of neither pass."""
+    for key in ("k5", "dist_x", "lensDistortion", "xi", "skew", "fisheye_params", "orthographic"):
         for value in (0.1, [0.0, 0.1], "text"):
             with pytest.raises(InputError, match=f" {key} may be of the lens, and is not read$"):
-                _lens(_with_keys(tmp_path, format, **{key: value}))
-
-
-@pytest.mark.parametrize("format", ["YAML", "JSON, deeper", "ROS", "Kalibr", "NeRF, frame", "CSV"])
-def test_a_key_of_another_camera_has_a_warning(tmp_path: Path, format: str) -> None:
-    path = _with_keys(tmp_path, format, K_right=[[9.0]], binning_x=2)
-    camera = read_calibration(path).camera(Path(), "a.png", Header("PNG", SIZE), "K1")
-    assert camera.K.tolist() == MATRIX
-    assert camera.warnings == ("keys that may change K are not read: K_right, binning_x",)
-
-
-@pytest.mark.parametrize("format", FORMATS)
-def test_zeros_and_what_is_no_lens_pass(tmp_path: Path, format: str) -> None:
+                _camera(_with_keys(tmp_path, format, **{key: value}))
+    others = {"K_right": 7, "new_camera_matrix": 7, "new_K": 3, "x_fov": 60, "binning_x": 2}
+    camera = _camera(_with_keys(tmp_path, format, **others))
+    assert camera.warnings == (f"keys that may change K are not read: {', '.join(others)}",)
     harmless = {"k5": 0, "dist_x": [0, 0.0], "xi": "", "avg_reprojection_error": 0.3, "flags": 4}
     harmless |= {"board_distance": 2, "timeshift_cam_imu": 0.1, "per_view_errors": [0.2, 0.1]}
-    expected = _lens(_with_keys(tmp_path, format))
-    assert _lens(_with_keys(tmp_path, format, **harmless)) == expected
+    camera = _camera(_with_keys(tmp_path, format, **harmless, binning_x=1, binning_y=0))
+    assert camera.distortion == _camera(_with_keys(tmp_path, format)).distortion
+    assert camera.warnings == ()
 
 
 @pytest.mark.parametrize("name", ["dist", "dist_coeff", "distCoeffs", "D", "k1 k2 p1 p2"])
@@ -268,7 +250,7 @@ def test_a_lens_by_any_of_its_names(tmp_path: Path, format: str, name: str) -> N
     lens = ONE_BY_ONE if name[0] == "k" else {name: [*RADTAN_LENS.coefficients]}
     if format == "EuRoC":
         lens = {"distortion_coeffs": None, **lens}
-    assert _lens(_with_keys(tmp_path, format, **lens)) == RADTAN_LENS
+    assert _camera(_with_keys(tmp_path, format, **lens)).distortion == RADTAN_LENS
 
 
 @pytest.mark.parametrize("model", [{"fisheye_model": 1}, {"distortion_model": "equidistant"}])
@@ -276,46 +258,19 @@ def test_a_lens_by_any_of_its_names(tmp_path: Path, format: str, name: str) -> N
 def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, Any]) -> None:
     lens = {"k1": 0.1, "k2": 0.02, "k3": 0.003, "k4": 0.0004}
     expected = Distortion("OPENCV_FISHEYE", tuple(lens.values()))
-    assert _lens(_with_keys(tmp_path, format, **lens, **model)) == expected
+    assert _camera(_with_keys(tmp_path, format, **lens, **model)).distortion == expected
     with pytest.raises(InputError, match="p1 may be of the lens"):
-        _lens(_with_keys(tmp_path, format, **lens, **model, p1=0.1))
-
-
-TOLD = "keys that may change K are not read: "
-CAMCHAIN = KALIBR.format(model="none", coefficients="[]")
-OF_NERF = {"fl_x": 500, "fl_y": 510, "cx": 321.75, "cy": 239, "w": 640, "h": 480}
+        _camera(_with_keys(tmp_path, format, **lens, **model, p1=0.1))
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "told"),
+    "data",
     [
-        ("cam.yaml", f"new_camera_matrix: 7\n{CAMCHAIN}", ["new_camera_matrix"]),
-        ("calib.txt", "P0: 500 0 321.25 0 0 510 238.5 0 0 0 1 0\nK_other: 1 2\n", ["K_other"]),
-        ("pair.json", json.dumps({"K1": K.tolist(), "new_K": 3}), ["new_K"]),
-        ("ros.yaml", MESSAGE.removesuffix("---\n") + "binning_x: 1\nbinning_y: 0\n", []),
-        ("ros.yaml", MESSAGE.removesuffix("---\n") + "binning_x: 2\n", ["binning_x"]),
-        ("a.json", json.dumps({"K": K.tolist(), "width": 640, "height": 480, "resolution": 5}), []),
-        ("a.json", json.dumps({**OF_NERF, "width": 1280, "height": 960, "image_size": 3}), []),
-        ("a.json", json.dumps({**OF_NERF, "mask": {"k1": 3}, "x_fov": 60}), ["x_fov"]),
+        {"K": MATRIX, "width": 640, "height": 480, "resolution": 5},
+        {**NERF, "w": 640, "h": 480, "width": 1280, "height": 960, "image_size": 3},
+        {**NERF, "w": 640, "h": 480, "mask": {"k1": 3}},
     ],
 )
-def test_what_else_a_file_holds(tmp_path: Path, name: str, text: str, told: list[str]) -> None:
-    """It changes neither K nor the size, and is told in a warning if it might."""
-    (tmp_path / name).write_text(text)
-    header = Header("PNG", SIZE)
-    calibration = read_calibration(str(tmp_path / name))
-    camera = calibration.camera(tmp_path, "cam0/image_0/a.png", header, "K1")
-    assert camera.K.tolist() == K.tolist() and camera.size == SIZE
-    assert camera.warnings == tuple(TOLD + key for key in told)
-
-
-def test_an_orthographic_camera_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "t.json").write_text(json.dumps({**OF_NERF, "orthographic": 1}))
-    with pytest.raises(InputError, match="orthographic may be of the lens"):
-        read_calibration(str(tmp_path / "t.json"))
-
-
-def test_a_rig_has_its_cameras_before_a_list(tmp_path: Path) -> None:
-    (tmp_path / "cam.yaml").write_text(CAMCHAIN)
-    calibration = read_calibration(str(tmp_path / "cam.yaml"))
-    assert not calibration.lacks(tmp_path, "cam1/a.png") and calibration.lacks(tmp_path, "a.png")
+def test_what_else_a_file_holds_is_no_size_and_no_lens(tmp_path: Path, data: object) -> None:
+    camera = _camera(_write(tmp_path / "a.json", json.dumps(data)))
+    assert (camera.size, camera.distortion, camera.warnings) == (SIZE, None, ())

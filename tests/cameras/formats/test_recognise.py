@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cameras.formats.opencv_files import assert_lens
 
 from dgc_pose.cameras.calibration import camera_data, pair_cameras, parse_camera, read_calibration
 from dgc_pose.cameras.camera import Camera
@@ -22,7 +21,14 @@ K = np.array([[500.0, 0, 320.25], [0, 510, 240], [0, 0, 1]])
 FOUR = ("500.", "510.", "320.25", "240.")
 NINE = ("500.", "0.", "320.25", "0.", "510.", "240.", "0.", "0.", "1.")
 ALL = {"fl_x": 500, "fl_y": 510, "cx": 320.5, "cy": 240.5, "w": 640, "h": 480}
+BY_COLUMNS = K.T.ravel().tolist()
 NERF_K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
+
+
+def _read(folder: Path, data: dict[str, object], name: str = "a.jpg") -> Camera:
+    path = folder / "transforms.json"
+    path.write_text(json.dumps(data))
+    return read_calibration(str(path)).camera(folder, name, Header("JPEG", SIZE))
 
 
 @pytest.mark.parametrize("name", ["K.txt", "K.csv", "k.mat"])
@@ -63,12 +69,13 @@ def test_a_table(tmp_path: Path) -> None:
         {"K": [500, 510, 320.25, 240], "size": SIZE},
         {"fx": 500, "fy": 510, "cx": 320.25, "cy": 240, "width": 640, "height": 480},
         camera_data(Camera(K, SIZE)),
+        {"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMNS},  # Open3D
+        {"w": 640, "h": 480, "K": BY_COLUMNS, "fps": 60, "dw": 192, "poses": [[0, 0]]},  # Record3D
+        {"size": SIZE, "K": [*K[0], 0, *K[1], 0, *K[2], 0, 0, 0, 0, 1]},
     ],
 )
 def test_a_camera_in_json(tmp_path: Path, data: dict[str, object]) -> None:
-    path = tmp_path / "K.json"
-    path.write_text(json.dumps(data))
-    camera = parse_camera(str(path))
+    camera = _read(tmp_path, data)
     np.testing.assert_array_equal(camera.K, K)
     assert (camera.size, camera.distortion) == (SIZE, None)
 
@@ -123,12 +130,6 @@ def test_kittis_raw_drives(tmp_path: Path) -> None:
     assert (camera.size, camera.K[0, 0]) == (SIZE, 500)
 
 
-def _read(folder: Path, data: dict[str, object], name: str = "a.jpg") -> Camera:
-    path = folder / "transforms.json"
-    path.write_text(json.dumps(data))
-    return read_calibration(str(path)).camera(folder, name, Header("JPEG", SIZE))
-
-
 def test_intrinsics_of_all_frames_or_of_each(tmp_path: Path) -> None:
     for frame in ({"file_path": "./images/a.jpg"}, {"file_path": "images/a"}):
         for data in ({"frames": [{**frame, **ALL}]}, {**ALL, "frames": [frame]}):
@@ -157,11 +158,8 @@ def test_focal_lengths_of_a_frame(
     np.testing.assert_allclose(camera.K.diagonal()[:2], focals)
 
 
-def test_nerfs_lenses(tmp_path: Path) -> None:
-    """Of OpenCV; of a frame whose model is another. Lenses by other keys are in test_keyed.py."""
-    lens = {"k1": -0.2, "k2": 0.05, "p1": 0.002, "p2": -0.001, "k3": 0.01}
-    camera = _read(tmp_path, {**ALL, **lens, "k4": 0, "frames": [{"file_path": "a.jpg"}]})
-    assert_lens(camera, [*lens.values()])
+def test_the_lens_of_a_frame_whose_model_is_another(tmp_path: Path) -> None:
+    """Lenses by their keys are in test_keyed.py."""
     for of_frame, model in (
         ({}, "OPENCV_FISHEYE"),
         ({"is_fisheye": False}, "OPENCV"),
@@ -194,24 +192,6 @@ def test_json_that_has_no_camera(tmp_path: Path, data: object, error: str) -> No
     path.write_text(json.dumps(data))
     with pytest.raises(InputError, match=f"K.json.*{error}"):
         parse_camera(str(path))
-
-
-BY_COLUMNS = K.T.ravel().tolist()
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        {"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMNS},
-        {"w": 640, "h": 480, "K": BY_COLUMNS, "fps": 60, "dw": 192, "dh": 256, "poses": [[0, 0]]},
-        {"size": SIZE, "K": [*K[0], 0, *K[1], 0, *K[2], 0, 0, 0, 0, 1]},
-    ],
-    ids=["Open3D", "Record3D", "4x4"],
-)
-def test_matrices_of_scanners(tmp_path: Path, data: dict[str, object]) -> None:
-    camera = _read(tmp_path, data)
-    np.testing.assert_array_equal(camera.K, K)
-    assert camera.size == SIZE
 
 
 def test_each_frame_of_record3d_has_its_camera(tmp_path: Path) -> None:

@@ -18,9 +18,11 @@ FILES = ["pairs.csv", "pck.png", "summary.json"]
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """`true` says the plane's map, `still` that nothing moved, without a mask."""
+def planes(tmp_path, monkeypatch):
+    """A sequence of HPatches. `true` says the plane's map, `still` that nothing moved, without a
+    mask."""
     monkeypatch.chdir(tmp_path)
+    scene.write_sequence(tmp_path / "planes" / "v_adam")
     truth, valid = true_map(scene.H, scene.SIZE1, scene.SIZE2)
     still = torch.from_numpy(pixel_grid((240, 240)))
     sure = torch.from_numpy(np.where(valid, 0.99, 0.01))
@@ -28,7 +30,6 @@ def folder(tmp_path, monkeypatch):
         "true": MapNet(torch.from_numpy(truth), sure),
         "still": MapNet(still),
         "half": MapNet(still, torch.where(torch.arange(240) < 120, 0.9, 0.1).expand(240, 240)),
-        "off": MapNet(still + torch.tensor([300, 0])),
     }
 
     def load_network(weights, device):
@@ -38,20 +39,6 @@ def folder(tmp_path, monkeypatch):
 
     monkeypatch.setattr("dgc_pose.benchmarks.maps.load_network", load_network)
     return tmp_path
-
-
-@pytest.fixture
-def planes(folder):
-    """A sequence of HPatches."""
-    scene.write_sequence(folder / "planes" / "v_adam")
-    return folder
-
-
-def bench(*arguments):
-    result = run("bench-maps", *arguments)
-    assert result.exit_code == 0, result.output
-    assert result.stderr == ""
-    return result
 
 
 def lines(result, *start):
@@ -69,7 +56,8 @@ def still_aepe():
 
 def test_planes_have_a_line_a_viewpoint_and_method_and_out_has_every_figure(planes):
     words = ("--homographies", "planes", "--methods", "true,still,half,dis", "--out", "run/new")
-    result = bench(*words)
+    result = run("bench-maps", *words)
+    assert (result.exit_code, result.stderr) == (0, "")
     assert "1 of HPatches' 59 sequences" in result.stdout
     (true,), (still,) = lines(result, "III", "true"), lines(result, "III", "still")
     assert true[2:4] == ["1", "0.00"] and true[-2] == "1.000"

@@ -1,6 +1,7 @@
 import csv
 import json
 import os
+from dataclasses import replace
 
 import cv2
 import dense_scene
@@ -16,10 +17,13 @@ FAST = ("--runs", "1", "--iterations", "200", "--refine", "none")
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A list of three pairs, pairs.txt; `true`, `noise` and the default stand for networks."""
+    """A list of three pairs, pairs.txt; `true`, `off`, `noise` and the default stand for
+    networks."""
     monkeypatch.chdir(tmp_path)
     dense_scene.write_pair_list(tmp_path, pairs=3)
     maps = {"true": dense_scene.true_map(), "noise": dense_scene.noise_map()}
+    off = dense_scene.true_map(error_px=0.2)
+    maps["off"] = replace(off, matchability=np.full_like(off.matchability, 0.1))
     maps[DEFAULT_WEIGHTS] = maps["true"]
 
     def load(weights):
@@ -98,6 +102,19 @@ def test_methods_are_told_other_cameras_and_scored_with_the_true_ones(folder):
     # The wrong K is found by the matches.
     assert wrong["doubts_camera"] == "True" and 0 < float(wrong["focal2_std"]) < 0.05
     assert abs(float(wrong["focal2_error"])) < 0.01 and float(wrong["rotation_error_deg"]) < 0.5
+
+
+def test_all_is_every_cell_that_leads_into_image_1_trusted_or_not(folder):
+    words = ("--methods", "off/all", "--limit", "1", "--max-matches", 10**6, "--out", "run")
+    result = bench("pairs.txt", *words)
+    assert result.exit_code == 0, result.stderr
+    (row,), places = rows_of("run"), dense_scene.true_map(error_px=0.2).map
+    inside = (places >= -0.5).all(-1) & (places <= np.array(dense_scene.SIZE) - 0.5).all(-1)
+    assert int(row["num_matches"]) == inside.sum()
+    # Noise of sigma in image 1 is a distance to the line with a median of 0.67 sigma there; that
+    # in image 2 is about the same, the views being alike.
+    assert float(row["epipolar_all_px"]) == pytest.approx(0.67 * 0.2, rel=0.1)
+    assert float(row["epipolar_all_mean_px"]) == pytest.approx(0.8 * 0.2, rel=0.1)
 
 
 @pytest.mark.parametrize("protocol", ["paper", "native"])

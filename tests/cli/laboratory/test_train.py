@@ -1,11 +1,10 @@
 """`dgc-pose train`: a run from a folder of photographs, its progress line, and its refusals."""
 
 import pytest
-from click.testing import CliRunner
+from command_line import assert_refused, run
 from rendered import rendered, write_rgbd
 from textures import write_photos
 
-from dgc_pose.cli.main import main
 from dgc_pose.network.weights import load_network
 
 pytestmark = pytest.mark.slow
@@ -23,21 +22,18 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkey
     out = tmp_path / "run"
     for seed, scene in ((3, "hall"), (4, "yard")):
         write_rgbd(tmp_path / "posed" / scene, rendered(seed, (96, 72)))
-    words = ["train", "--photos", str(photos), "--posed", str(tmp_path / "posed")]
-    words += ["--held", "yard"]
-    words += ["--out", str(out), "--seconds", "1", "--batch", "1"]
-    done = CliRunner().invoke(main, words)
+    data = ("--posed", tmp_path / "posed", "--held", "yard", "--out", out)
+    words = (*data, "--seconds", 1, "--batch", 1)
+    done = run("train", "--photos", photos, *words)
     assert done.exit_code == 0, done.stderr
     assert load_network(out / "dgcm-lite0.safetensors").config.name == "dgcm-lite0"
     card = (out / "dgcm-lite0.md").read_text()
     assert "2 of 1 scenes (hall), 2 pairs train" in card and "| shares | 20,8,20,52 |" in card
     assert all(word in done.stderr for word in ("pairs_per_second", "loss", "validation"))
     # Refused before any data are read.
-    words[2] = str(tmp_path / "nowhere")
-    refused = CliRunner().invoke(main, words)
-    assert refused.exit_code == 2 and "--resume" in refused.stderr
-    refused = CliRunner().invoke(main, [*words, "--resume", "--seed", "5"])
-    assert refused.exit_code == 2 and "--seed is 5, and 0 in the run of " in refused.stderr
+    words = ("train", "--photos", tmp_path / "nowhere", *words)
+    assert_refused(run(*words), "--resume")
+    assert_refused(run(*words, "--resume", "--seed", 5), "--seed is 5, and 0 in the run of ")
 
 
 @pytest.mark.parametrize(
@@ -51,8 +47,5 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkey
 )
 def test_wrong_words_are_refused_in_one_line(photos, tmp_path, words, named):
     out = tmp_path / "run"
-    base = ["train", "--photos", str(photos), "--out", str(out), "--steps", "1"]
-    refused = CliRunner().invoke(main, [*base, *words])
-    assert refused.exit_code == 2
-    assert named in refused.stderr
+    assert_refused(run("train", "--photos", photos, "--out", out, "--steps", 1, *words), named)
     assert not out.exists() or "no data" in named

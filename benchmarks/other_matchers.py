@@ -1,24 +1,97 @@
-"""Dense maps, flows and matches that another program computed: a file for each pair.
+"""Matchers that the network is compared with: dense optical flow, and maps, flows and matches that
+another program computed, a file for each pair.
 
-A flow or map is defined on the pixels of image 2 and points into image 1. A map of any size W x H
-is one over both images resized to W x H. docs/paper.md describes the formats.
+A stored flow or map is defined on the pixels of image 2 and points into image 1. A map of any size
+W x H is one over both images resized to W x H. docs/paper.md describes the formats.
 """
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from dgc_pose.benchmarks.flow import scaled_map
 from dgc_pose.cameras.pair_list import Pair
 from dgc_pose.errors import InputError, reason
 from dgc_pose.geometry.pixels import pixel_grid, rescale
-from dgc_pose.images.image import Image
+from dgc_pose.geometry.sampling import bilinear
+from dgc_pose.images.image import Image, resize
 from dgc_pose.matches import Matches
 from dgc_pose.matching.correspondence_map import CorrespondenceMap, MatchingOptions, select_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.system.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.system.files import read_as, read_bytes
+
+FLOW = "dis"  # in lists of methods
+LONGEST_SIDE = 640  # pixels; larger images are shrunk to it before the flow is computed
+_LEAST_SIDE = 16  # pixels
+
+
+class FlowMatcher(Matcher):
+    """Dense inverse search (Kroeger et al., ECCV 2016; OpenCV's DIS) from image 2 to image 1."""
+
+    name = FLOW
+
+    def __init__(self, options: MatchingOptions | None = None) -> None:
+        self.options = options or MatchingOptions()
+
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        """The map over the pixels of image 2, or of its shrunk copy, and the matches selected.
+
+        Both images are brought to one size. Matchability is 1 if the forward and the backward flow
+        agree (see `agreement`), and 0 otherwise.
+        """
+        share = min(1.0, LONGEST_SIDE / max(image2.size))
+        width, height = (max(round(share * side), _LEAST_SIDE) for side in image2.size)
+        grey1, grey2 = (
+            cv2.cvtColor(resize(image.pixels, (width, height)), cv2.COLOR_RGB2GRAY)
+            for image in (image1, image2)
+        )
+        dis = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        forward, backward = (
+            dis.calc(*greys, np.zeros((height, width, 2), np.float32))
+            for greys in ((grey2, grey1), (grey1, grey2))
+        )
+        correspondence_map = scaled_map(
+            pixel_grid((width, height)) + forward,
+            agreement(forward, backward),
+            image1.size,
+            image2.size,
+        ).masked(image1, image2)
+        return MatchResult(select_matches(correspondence_map, self.options), correspondence_map)
+
+
+def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
+    """Whether a flow (H, W, 2) and the backward flow at its end points cancel: (H, W) float32.
+
+    1 if |f + b|^2 < 0.01 (|f|^2 + |b|^2) + 0.5, in pixels (Sundaram et al. 2010, equation 5); 0
+    otherwise, and 0 if the flow leaves the image.
+    """
+    height, width = forward.shape[:2]
+    ends = (pixel_grid((width, height)) + forward).astype(np.float32)
+    returned = bilinear(backward.astype(np.float32), ends)
+    error = ((forward + returned) ** 2).sum(-1)
+    agrees = error < 0.01 * ((forward**2).sum(-1) + (returned**2).sum(-1)) + 0.5
+    inside = ((ends >= -0.5) & (ends <= np.array([width, height]) - 0.5)).all(-1)
+    return (agrees & inside).astype(np.float32)
+
+
+def scaled_map(
+    points1: np.ndarray, matchability: np.ndarray, size1: tuple[int, int], size2: tuple[int, int]
+) -> CorrespondenceMap:
+    """A map over both images resized to W x H, as a map over images of sizes 1 and 2.
+
+    points1: (H, W, 2) pixels of image 1 at W x H, one for each pixel of image 2 at W x H.
+    """
+    size = (points1.shape[1], points1.shape[0])
+    return CorrespondenceMap(
+        map=rescale(points1, size, size1).astype(np.float32),
+        grid=rescale(pixel_grid(size), size, size2).astype(np.float32),
+        matchability=np.asarray(matchability, dtype=np.float32),
+        size1=size1,
+        size2=size2,
+    )
+
 
 Names = tuple[str, str]  # `Image.name`s of a pair
 
@@ -59,7 +132,10 @@ class FileMatcher(Matcher):
         """
         path = self.files[image1.name, image2.name]
         with read_as("a map, a flow or matches", path):
-            arrays = _read(path)
+            if path.suffix == ".npz":
+                arrays = read_arrays(path)
+            else:
+                arrays = {"flow": read_array(path) if path.suffix == ".npy" else _read_flo(path)}
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
                 if "flow" in arrays or "map" in arrays:
@@ -68,15 +144,6 @@ class FileMatcher(Matcher):
                 return MatchResult(_points(arrays, image1, image2), None)
         except (InputError, TypeError, ValueError, OverflowError) as error:
             raise InputError(f"{path}: {reason(error)}") from None
-
-
-def _read(path: Path) -> Mapping[str, np.ndarray]:
-    """The arrays of a file by name."""
-    if path.suffix == ".npz":
-        return read_arrays(path)
-    if path.suffix == ".npy":
-        return {"flow": read_array(path)}
-    return {"flow": _read_flo(path)}
 
 
 def _read_flo(path: Path) -> np.ndarray:
@@ -98,7 +165,13 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
         points1 = _planes(arrays["map"])
     known = np.isfinite(points1).all(-1)
     points1 = np.where(known[..., None], points1, -np.inf)
-    matchability = np.where(known, _matchability(arrays, known.shape), np.float32(0))
+    matchability = np.asarray(
+        arrays.get("matchability", np.ones(known.shape)), np.float32
+    ).squeeze()
+    sound = ((matchability >= 0) & (matchability <= 1)).all()
+    if matchability.shape != known.shape or not sound:
+        raise ValueError(f"matchability must have shape {known.shape} and lie in 0 to 1")
+    matchability = np.where(known, matchability, np.float32(0))
     if "map" in arrays and "grid" in arrays:
         grid = _planes(arrays["grid"])
         if grid.shape != points1.shape:
@@ -115,15 +188,6 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
     # No finer than the pixels of image 2.
     shares = np.divide(known.shape[::-1], image2.size)
     return stored.thinned(max(1, *(round(share) for share in shares.tolist())))
-
-
-def _matchability(arrays: Mapping[str, np.ndarray], shape: tuple[int, ...]) -> np.ndarray:
-    """The matchability (H, W) float32 of a map of that shape; 1 if none is stored."""
-    stored = arrays.get("matchability", np.ones(shape))
-    matchability = np.asarray(stored, dtype=np.float32).squeeze()
-    if matchability.shape != shape or not ((matchability >= 0) & (matchability <= 1)).all():
-        raise ValueError(f"matchability must have shape {shape} and lie in 0 to 1")
-    return matchability
 
 
 def _points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Matches:
