@@ -110,13 +110,15 @@ class GuardedCommand(click.Command):
             raise InputError(f"{flag}: {error.filename}: {error.strerror}") from error
 
     def _option_of(self, path: Any, ctx: click.Context) -> str | None:
-        """The option whose value is this path; None if there is none."""
+        """The option that alone was given this path; None if there is none."""
+        given = []
         for parameter in self.params:
             value = ctx.params.get(parameter.name or "")
-            values = value if isinstance(value, tuple) else (value,)
-            if isinstance(parameter, click.Option) and str(path) in map(str, values) and path:
-                return parameter.opts[0]
-        return None
+            for one in value if isinstance(value, tuple) else (value,):
+                is_path = isinstance(one, str | Path) and one not in (STDOUT, parameter.default)
+                if is_path and path is not None and Path(one) == Path(path):
+                    given.append(parameter)
+        return given[0].opts[0] if len(given) == 1 and isinstance(given[0], click.Option) else None
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         options = [p for p in self.get_params(ctx) if isinstance(p, click.Option)]

@@ -21,7 +21,7 @@ from dgc_pose.estimation.status import probability_text
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.decoding import image_header
 from dgc_pose.matchers import MatcherOptions
-from dgc_pose.system.files import require_no_input, save_text, staged
+from dgc_pose.system.files import save_text, staged
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import json_text
 
@@ -90,7 +90,8 @@ def locate(
         image_header(Path(query))
     model = load_model(place.model, place.images)
     if place.add is not None:
-        require_no_input([place.add], [model_path(place.model)])
+        if place.add.exists() and place.add.samefile(model_path(place.model)):
+            raise InputError(ArgumentName("add"), f"{place.add} is the model itself, an input")
         model.require_addable(place.add, dict.fromkeys(queries))
     for warning in model.warnings:
         say(f"warning: {warning}")
@@ -118,7 +119,8 @@ def locate(
             for query, location in locations.items()
             if location.camera is not None and location.cam_from_world is not None
         }
-        model.write(place.add, added)
+        if added:
+            model.write(place.add, added)
     return 0 if all(location.success for location in locations.values()) else NO_POSE
 
 

@@ -59,7 +59,11 @@ SECTIONS = {
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
-FILES = {"demo": "estimate", "export-colmap": "export"}  # of the others the file has the name
+FILES = {
+    "demo": "estimate",
+    "export-colmap": "export",
+    "fit-folders": "fit_probability",
+}  # of the others the file has the name
 
 
 class LazyGroup(click.Group):

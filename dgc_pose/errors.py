@@ -86,7 +86,7 @@ def _missing(what: str, extra: str) -> str | None:
 def reason(failure: BaseException) -> str:
     """The first line of a library's message, shortened; the name of its class if it says little."""
     text = str(failure).strip().partition("\n")[0].strip()
-    if isinstance(failure, KeyError):
+    if isinstance(failure, KeyError) and failure.args and " " not in text:
         text = f"no {text}"
     if not any(character.isalpha() for character in text):
         text = f"{type(failure).__name__} {text}".strip()

@@ -73,8 +73,8 @@ class MatcherOptions:
             if name in PRESETS or Path(name).suffix or Path(name).exists():
                 raise
             names = ", ".join([*shipped(), *NAMES])
-            missing = f"{name}: no such file, and no such matcher: there are {names}"
-            raise InputError(ArgumentName("weights"), missing) from None
+            missing = f"is no file and no matcher: there are {names}"
+            raise InputError(Path(name), missing) from None
         return NetworkMatcher(engine, self.matching, cache)
 
 
@@ -117,7 +117,7 @@ def load_engine(
         runtime = default_runtime(weights, device)
     if runtime == "onnx":
         if device not in ("auto", "cpu"):
-            raise InputError(f"ONNX Runtime runs on the CPU, not on {device}: choose torch")
+            raise InputError(ArgumentName("device"), f"must be cpu for ONNX Runtime, not {device}")
         from dgc_pose.runtime.onnx_engine import OnnxEngine
 
         return OnnxEngine(path)

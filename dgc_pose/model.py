@@ -252,7 +252,7 @@ def require_model_folder(folder: Path, *, several: bool = False) -> None:
     models = {folder / str(number) for number in range(1, several * len(inside))}
     own = (path in models if path.is_dir() else path.stem in _MODEL_FILES for path in inside)
     if not all(own) or (folder.exists() and not folder.is_dir()):
-        raise InputError(f"{folder}: holds other files than those of a model, and is kept")
+        raise InputError(folder, "holds other files than those of a model, and is kept")
 
 
 def write_points(file: Path, points: np.ndarray, colours: np.ndarray) -> None:

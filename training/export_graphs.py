@@ -4,7 +4,7 @@ Graphs for the pyramid, for what needs no weights, and for each decoder. They na
 which stay in the safetensors file: a graph is made once for a preset, and serves all weights of it.
 
 Needs torch, onnx and onnxscript. The graphs are to be made anew if the network of a preset changes;
-tests/runtime/test_onnx_engine.py fails until they are.
+tests/runtime/test_engines.py fails until they are.
 """
 
 import json

@@ -1,4 +1,5 @@
-"""`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it."""
+"""`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it;
+`fit-folders`: what a folder believes of its pairs before it compares them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,3 +98,28 @@ def _collected(
             if (pair.entry.name, pair.number) not in done:
                 add(collect(pair, matchers, EstimationOptions()))
     return settings, pieces
+
+
+@dataclass(frozen=True)
+class FolderFitChoice:
+    """What is matched and fitted."""
+
+    data: Path = option(help="Folder with the folders photos, of textures, and posed, of scenes.")
+    out: Path = option(help="Folder of images and batches.", type=OutputFolder(path_type=Path))
+    folders: int = option(4, "Seeds of each kind of folder.", metavar="N", min=1, max=1000)
+
+
+@click.command()
+@dataclass_options(FolderFitChoice, "choice")
+def fit_folders(choice: FolderFitChoice) -> None:
+    """Fit the weights of `batch/look_alikes.py`: match, label, fit.
+
+    Folders with repeats are rendered. Their pairs, and those of as many posed scenes, are matched
+    in --out, and the same command goes on after any kill. Needs scikit-learn (the extra "fit").
+    """
+    require({"fit-folders": "fit"})  # before the work
+    from dgc_pose.benchmarks.folders import collected, fit, folder_names
+
+    names = folder_names(choice.data, choice.folders)
+    bar = tqdm(names, unit="folder", disable=None)
+    click.echo(fit({name: collected(name, choice.data, choice.out) for name in bar}))

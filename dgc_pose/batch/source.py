@@ -63,7 +63,7 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
             raise InputError(_ROOT, f"is for a list or a database, and {path} is a folder")
         source = _of_folder(path, masks)
     elif not path.is_file():
-        raise InputError(f"{path}: no such folder, video, list or database")
+        raise InputError(path, "is no folder, video, list or database")
     else:
         is_database = path.suffix.lower() in _DATABASES
         listed = read_database(path) if is_database else read_pair_list(path)

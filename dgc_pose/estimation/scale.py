@@ -83,6 +83,8 @@ class ScaleSource:
             if value is not None and not is_length:
                 form = f"must be {_FORMS[name]}, METRES and STD above 0"
                 raise InputError(ArgumentName(name), f"{form}, not {value!r}")
+            if name == "distance" and value is not None and values[:2] == values[2:4]:
+                raise InputError(ArgumentName(name), "is of one point twice")
 
     def maps(self, images: Sequence[Image]) -> list[np.ndarray | None]:
         """By `read_depth`, of two images."""

@@ -45,7 +45,7 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
         raise WeightsError(f"no weights are shipped for {name} (there are: {known}); give a file")
     path = Path(weights)
     if "\0" in name or not path.exists():
-        raise WeightsError(f"{path}: no such weights file, and none shipped of that name")
+        raise WeightsError(path, "is no file, and no weights of that name are shipped")
     return path
 
 
@@ -54,7 +54,7 @@ def read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
     metadata, state = read_tensors(path)
     name = metadata.get("preset", "")
     if name not in PRESETS:
-        raise WeightsError(f"{path}: its header names no preset of ours ({name or 'nothing'})")
+        raise WeightsError(path, f"has a header that names no preset of ours ({name or 'nothing'})")
     return name, state
 
 
@@ -73,7 +73,7 @@ def reading(what: str, path: Path) -> Iterator[None]:
         with read_as(what, path, WeightsError):
             yield
     except OSError as error:
-        raise WeightsError(f"{path} cannot be read: {error.strerror}") from error
+        raise WeightsError(path, f"cannot be read: {error.strerror}") from error
 
 
 def check_state(
@@ -94,7 +94,7 @@ def check_state(
             fault = f"has {key} with values that are not finite"
         else:
             continue
-        raise WeightsError(f"{path}: not weights of {name}: it {fault}")
+        raise WeightsError(path, f"has no weights of {name}: it {fault}")
 
 
 def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:
@@ -180,13 +180,13 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
             with zipfile.ZipFile(path) as archive:
                 # A packed one could need any amount of memory; torch packs none.
                 if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                    raise WeightsError(f"{path}: not a checkpoint of torch: its archive is packed")
+                    raise WeightsError(path, "is no checkpoint of torch: its archive is packed")
         try:
             return torch.load(path, map_location=device, weights_only=True)
         except pickle.UnpicklingError as error:
             # torch's own message advises to load the file as code: unsafe.
-            what = "not a checkpoint of tensors and plain values"
-            raise WeightsError(f"{path}: {what}") from error
+            what = "is no checkpoint of tensors and plain values"
+            raise WeightsError(path, what) from error
 
 
 def read_state(path: Path) -> dict[str, np.ndarray]:

@@ -154,7 +154,7 @@ def estimate_rig(
             source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
             by_file = {files[name]: camera for name, camera in exact.items()}
             calibration = Calibration("K", by_file, auto="two")
-            up_to_scale = replace(up_to_scale, min_images=2)
+            up_to_scale = replace(up_to_scale, min_images=2, refine_centres=False)
         else:
             if len(source.names) > _SIMILAR + 1:
                 pairs = PairChoice("auto", _SIMILAR)

@@ -23,6 +23,8 @@ def test_a_row_comes_back(row):
     again = parse_row(text, row.index, "rows")
     assert again.to_json() == text and (again.index, again.names) == (row.index, row.names)
     assert not again.success and again.turned_down == (row is JUDGED)
+    for name in ("status", "reason", "bad_images", "folder_probability", "folder_triples"):
+        assert getattr(again, name) == getattr(row, name)
 
 
 @pytest.mark.parametrize(

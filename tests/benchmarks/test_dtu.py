@@ -107,6 +107,7 @@ def test_a_projection_matrix_of_any_scale_gives_its_camera(tmp_path, scale):
     [
         ("1 2 3 4\n5 6 7 8\n", "8 into shape"),
         ("P = 1 2\n" * 3, "not convert string"),
+        ("1 0 0 0\n0 1 0 0\n0 0 inf 1\n", "finite numbers and an inverse"),
         ("1 0 0 0\n0 1 0 0\n1 1 0 1\n", "finite numbers and an inverse"),
     ],
 )

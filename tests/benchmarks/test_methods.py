@@ -72,5 +72,5 @@ def test_a_network_is_read_once_for_all_methods() -> None:
     network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": {}})
     assert other.engine is network.engine is not None and other is not network
     assert (stored.name, dis.name) == ("mine", "dis")
-    with pytest.raises(InputError, match="nowhere: no such file, and no such matcher.* sift, "):
+    with pytest.raises(InputError, match="nowhere is no file and no matcher.* sift, "):
         load_matchers(parse_methods(["nowhere"]), device="cpu")

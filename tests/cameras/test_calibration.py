@@ -22,6 +22,8 @@ from dgc_pose.errors import InputError
 from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.images.image import Image, turned
 
+K = [[500, 0, 320], [0, 510, 238], [0, 0, 1]]
+
 SIZE = (640, 480)
 
 
@@ -207,3 +209,13 @@ def test_a_point_projects_to_the_pixel_that_is_turned(orientation: int) -> None:
     turned_rays = upright.normalise(in_upright.astype(np.float64))
     np.testing.assert_allclose(np.abs(turned_rays).sum(1), np.abs(rays).sum(1), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(turned_rays, axis=1), np.linalg.norm(rays, axis=1))
+
+
+def test_a_K_of_another_size_is_scaled() -> None:
+    (image,) = _images((320, 240))
+    expected = Camera(np.array(K), SIZE).resized((320, 240))
+    details = KDetails(size=SIZE)
+    for value in ("PINHOLE,640,480,500,510,320.5,238.5", np.array(K)):
+        camera, _ = pair_cameras(value, value, image, image, details=details)
+        np.testing.assert_allclose(camera.K, expected.K)
+        assert (camera.size, camera.warnings) == ((320, 240), ())

@@ -6,6 +6,7 @@ import shlex
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from batch_runs import view_folder
@@ -104,3 +105,16 @@ def test_results_may_lie_among_the_photographs(photos: Path, tmp_path: Path) -> 
         assert done.exit_code == 0 and "3 of 3 images" in done.stdout, done.output
     assert run("batch", *words, tmp_path / "other").exit_code == 0
     assert read_batch(tmp_path / "other").summary["images"] == 3
+
+
+def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
+    folder, out = tmp_path / "folder", tmp_path / "out"
+    folder.mkdir()
+    whole = cv2.imread(str(photos / "view0.png"))
+    cv2.imwrite(str(folder / "a.png"), whole)
+    cv2.imwrite(str(folder / "b.png"), whole[:150])
+    options = ["--out", out, "--pairs", "exhaustive", *SIFT]
+    assert_refused(run("batch", folder, *options), "no camera for a.png", "--K")
+    reason = "--K is one for images of several sizes (240x150 and 240x180)"
+    assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
+    assert not out.exists()

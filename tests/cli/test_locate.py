@@ -61,7 +61,7 @@ def test_a_photograph_is_placed(scene: tuple[Path, list[View]], tmp_path: Path) 
     assert added is not None
     np.testing.assert_allclose(added.cam_from_world().matrix()[:, 3], data["t"], atol=1e-9)
     itself = ("--model", out / "model", "--add", out / "model", "--overwrite")
-    assert_refused(locate(folder, *itself), "model: this output is an input")
+    assert_refused(locate(folder, *itself), "--add", "model is the model itself")
 
 
 def test_an_image_of_the_model_is_not_matched_and_another_place_is_nowhere(

@@ -75,6 +75,9 @@ def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy)
             ["rig", ".", "--out", "no", "--start", os.devnull],
             "error: --start: /dev/null is no regular file",
         ),
+        (["estimate", "auto", "b.png"], "error: auto cannot be read"),
+        (["estimate", "no.png", "b.png", "--mask1", "no.png"], "error: no.png cannot be read"),
+        (["moved", "a.png", "b.png", "--json", "./no/x"], "--json: ./no/x: No such file"),
         (["rig", "none", "--out", "no"], "error: FRAMES none: no such folder"),
     ],
 )

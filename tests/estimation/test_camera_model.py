@@ -13,6 +13,7 @@ from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_model import (
     OF_STATED,
     CameraModel,
+    is_contradicted,
     other_models,
 )
 from dgc_pose.estimation.probability import shipped_models
@@ -267,3 +268,21 @@ def test_lines_of_each_image_speak_for_two_cameras() -> None:
         return model.log_odds
 
     assert odds(0.7, 1.2) > odds(0.9, 0.9) + 1 and odds(0.9, 0.9) < odds(0.8, 1.0) < 0
+
+
+@pytest.mark.parametrize(
+    ("ratio", "std", "contradicted"),
+    [
+        (1.05, 0.0, False),
+        (1.09, 0.0, True),
+        (1.0 / 1.09, 0.0, True),
+        (1.09, 0.05, False),
+        (1.2, 0.05, True),
+        (1.2, 0.07, False),
+    ],
+)
+def test_a_focal_length_is_contradicted_by_three_deviations(
+    ratio: float, std: float, contradicted: bool
+) -> None:
+    stated = replace(USUAL, focal_std=std)
+    assert is_contradicted(stated, stated.with_focal(ratio * stated.focal)) is contradicted

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, two_view_scene
+from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, poster_scene, two_view_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -56,6 +56,14 @@ def _assert_found(pose: RelativePose, scene: TwoViewScene, name: str) -> None:
     assert rotation < min(1.0, pose.rotation_error_90_deg)
     assert translation < min(1.0, pose.translation_error_90_deg)
     assert pose.probability > 0.9
+
+
+def _is_honest(pose: RelativePose, scene: TwoViewScene) -> bool:
+    if not pose.success or pose.probability < 0.5:
+        return True
+    errors = np.array(scene.errors_deg(pose))
+    stated = np.array([pose.rotation_error_90_deg, pose.translation_error_90_deg])
+    return bool((errors < 3 * stated).all())
 
 
 @pytest.mark.parametrize(
@@ -186,3 +194,45 @@ def test_a_focal_length_that_the_matches_hardly_tell_contradicts_nothing(kind, f
         cameras = _one(scene.cameras[0].with_focal(factor * scene.cameras[0].focal))
         pose = scene.estimate(*cameras, seed=seed)
         assert not _agreed(pose), pose.warnings
+
+
+@EACH_MOTION
+def test_cameras_that_are_not_found_are_no_wrong_pose(motion: str, seed: int) -> None:
+    scene = _scene(CAMERA, ZOOMED, motion, seed)
+    for cameras in ((ZOOMED, CAMERA), (CAMERA, CAMERA), (ZOOMED, ZOOMED)):
+        pose = scene.estimate(*cameras, seed=seed)
+        assert _is_honest(pose, scene), (scene.errors_deg(pose), pose, pose.warnings)
+
+
+@EACH_MOTION
+def test_images_whose_principal_point_is_off_and_K_that_has_it_in_the_middle(
+    motion: str, seed: int
+) -> None:
+    """Two views hardly tell it from two focal lengths."""
+    part = pinhole(1300, SIZE, centre=(60, -50))
+    scene = _scene(part, part, motion, seed)
+    pose = scene.estimate(*_one(CAMERA), seed=seed)
+    assert pose.success and _is_honest(pose, scene)
+    assert pose.evidence.camera_model in ("centre", "focal", "focals", "assumed")
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.8, 1.3])
+def test_a_plane_contradicts_no_K(factor: float) -> None:
+    """It has two unknown cameras that explain it for each focal length."""
+    for seed in range(2):
+        for scene in (poster_scene(seed=seed), two_view_scene("planar", seed=seed, count=400)):
+            cameras = [camera.with_focal(factor * camera.focal) for camera in scene.cameras]
+            pose = scene.estimate(*cameras, seed=seed)
+            if factor == 1:
+                assert not _agreed(pose), pose.warnings
+            elif _agreed(pose):
+                assert _is_honest(pose, scene), (scene.errors_deg(pose), pose.warnings)
+
+
+@pytest.mark.parametrize("stated", [{"focal_std": 0.3}, {"lens_std": 0.2, "focal_std": 0.3}])
+def test_a_K_with_a_wide_deviation_is_fitted_and_not_contradicted(stated: dict) -> None:
+    scene = _scene(CAMERA, CAMERA, "aside", 0)
+    (wide, _) = _one(replace(CAMERA.with_focal(1690), **stated))
+    pose = scene.estimate(wide, wide)
+    assert pose.success and pose.evidence.camera_model == "assumed" and not _agreed(pose)
+    assert abs(np.log(pose.camera1.focal / 1300)) < max(3 * pose.camera1.focal_std, 0.01)

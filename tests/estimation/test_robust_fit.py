@@ -157,3 +157,10 @@ def test_a_camera_that_did_not_move_has_no_pose(H, R, identity) -> None:
     pose = estimate_pose(matches, prior, prior)
     assert pose.status == "rotation_only" and pose.t is None and pose.probability == 0
     assert rotation_error_deg(pose.R, R) < 2
+
+
+def test_five_matches_are_enough_and_four_are_not():
+    problem = two_view_scene(seed=3, count=5, sigma_px=0.0, outliers=0.0).problem()
+    E = essential_matrix(problem, 1)
+    assert sampson_distance(problem.points1, problem.points2, E).max() < 1e-6
+    assert sample(problem.subset(np.arange(5) < 4)) == []

@@ -105,7 +105,7 @@ def test_a_full_disk_is_one_line(tmp_path):
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000)),
     )
     assert (ended.returncode, ended.stdout) == (2, "")
-    assert ended.stderr == "error: x.db: File too large\n"
+    assert ended.stderr == "error: --database: x.db: File too large\n"
     assert set(os.listdir(tmp_path)) == before
 
 

@@ -127,5 +127,5 @@ def test_other_layouts_are_refused_with_what_they_are(tmp_path) -> None:
     path.write_bytes(b"no model")
     with pytest.raises(WeightsError, match="m.onnx"):
         load_matcher(path)
-    with pytest.raises(WeightsError, match="gone.onnx: no such weights"):
+    with pytest.raises(WeightsError, match="gone.onnx is no file, and no weights"):
         load_matcher(tmp_path / "gone.onnx")

@@ -18,6 +18,7 @@ from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.matching.texture import (
     LONG_SIDE,
     Texture,
+    noise_level,
     structured,
     surroundings,
     texture,
@@ -164,3 +165,12 @@ def test_what_a_turned_view_pads_an_image_with_does_not_count():
     matches = Matches(points, points, np.ones(len(points)), error_px=1.0)
     texture = Texture(np.ones(inner[::-1], bool), inner)
     assert surroundings([(view, _features(middle))] * 2, [texture] * 2, matches) is None
+
+
+def test_the_noise_level_is_that_of_the_noise() -> None:
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[:200, :300]
+    for sigma in (1.0, 4.0, 15.0):
+        ramp = 100 + 0.3 * x - 0.2 * y + sigma * rng.standard_normal((200, 300))
+        grey = np.rint(ramp).astype(np.float32)
+        assert noise_level(grey) == pytest.approx(sigma, rel=0.05)

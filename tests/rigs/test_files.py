@@ -27,7 +27,6 @@ LENSES = [
     Distortion("RADIAL_FISHEYE", (0.02, -0.01)),
     Distortion("FISHEYE", ()),
 ]
-FISHEYES = {"RADIAL_FISHEYE", "FISHEYE"}
 TOMLS = ("calibration.toml", "camera_array.toml", "rig.json")
 
 

@@ -1,12 +1,14 @@
 """Rooms: maps and visibility by the other view's depth, in float64."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
 from textures import drawn_photos
 
 from dgc_pose.training.draw import Draw
-from dgc_pose.training.room_pairs import RoomOptions, room_pairs
+from dgc_pose.training.room_pairs import RoomOptions, first_hits, random_rooms, room_pairs
 
 SHAPE = (48, 64)
 
@@ -14,6 +16,17 @@ SHAPE = (48, 64)
 @pytest.fixture(scope="module")
 def photos():
     return drawn_photos(9, 96)
+
+
+def _cube_parameters(start: np.ndarray, step: np.ndarray) -> list[float]:
+    """Where a line meets the surface of the unit cube, by its six planes."""
+    found = []
+    for axis in range(3):
+        for side in (-1.0, 1.0):
+            t = (side - start[axis]) / step[axis]
+            if (np.abs(np.delete(start + t * step, axis)) <= 1).all():
+                found.append(t)
+    return sorted(found)
 
 
 def test_the_map_is_the_projection_of_the_surface_point_and_visible_means_seen(photos):
@@ -54,3 +67,32 @@ def test_cameras_are_as_far_apart_as_asked_and_share_enough(photos):
     angles = torch.rad2deg(torch.acos((R.diagonal(dim1=1, dim2=2).sum(1) - 1) / 2))
     assert angles.min() > 3 and 10 < angles.median() < 40
     assert pairs.maps.valid.float().mean((1, 2)).min() > 0.2
+
+
+def test_rays_meet_what_a_loop_finds(photos):
+    rooms, look = random_rooms(3, photos, Draw("cpu", 1), RoomOptions(boxes=6, ellipsoids=5))
+    rng = np.random.default_rng(0)
+    origins = look.numpy() + rng.uniform(-0.5, 0.5, (3, 3)).astype(np.float32)
+    rays = rng.standard_normal((3, 150, 3)).astype(np.float32)
+    found, which = first_hits(rooms, torch.from_numpy(origins), torch.from_numpy(rays))
+
+    def first_hit(room: int, ray: np.ndarray) -> tuple[float, int]:
+        nearest = math.inf, 0
+        for k, (axes, half, centre) in enumerate(
+            zip(*(part[room].double().numpy() for part in rooms[:3]), strict=True)
+        ):
+            start, step = (origins[room] - centre) @ axes / half, ray @ axes / half
+            if k >= 7:
+                roots = np.roots((step @ step, 2 * start @ step, start @ start - 1))
+                hits = [] if np.iscomplex(roots).any() else sorted(roots.real)
+            else:
+                hits = _cube_parameters(start, step)
+            if hits and hits[-1 if k == 0 else 0] > 0.05:
+                nearest = min(nearest, (hits[-1 if k == 0 else 0], k))
+        return nearest
+
+    expected = [[first_hit(k, ray.astype(float)) for ray in rays[k]] for k in range(3)]
+    depth, primitive = (np.array(part) for part in np.moveaxis(np.array(expected), 2, 0))
+    same = which.numpy() == primitive
+    assert same.mean() > 0.99 and len(np.unique(primitive)) > 8  # a ray may graze an edge
+    np.testing.assert_allclose(found.numpy()[same], depth[same], rtol=1e-4)

@@ -16,12 +16,14 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet
 from dgc_pose.network.weights import COUNTER, folded, load_network, read_safetensors
 from dgc_pose.training import run
+from dgc_pose.training.losses import EncoderStage
 from dgc_pose.training.options import Shares, TrainingOptions
 from dgc_pose.training.pairs import TRAINING, PairSource
 from dgc_pose.training.run import (
     Trainer,
     initialise_encoder,
     move_average,
+    optimiser,
     save_weights,
     vgg_layers,
 )
@@ -209,7 +211,19 @@ def test_an_encoder_of_torchvision_has_its_features_and_other_weights_are_refuse
             torch.testing.assert_close(features, layers[:end](image))
     torch.save({**state, "features.2.weight": torch.zeros(64, 32, 3, 3)}, path)
     other = (
-        r"not weights of VGG-16 in torchvision's layout: it has features.2.weight .64, 32, 3, 3."
+        r"has no weights of VGG-16 in torchvision's layout: it has features.2.weight .64, 32, 3, 3."
     )
-    with pytest.raises(WeightsError, match=r"encoder\.pth: " + other):
+    with pytest.raises(WeightsError, match=r"encoder\.pth .*" + other):
         initialise_encoder(path, net)
+
+
+def test_a_backbone_learns_at_a_third_of_the_rate():
+    net = DGCNet(preset("dgcm-lite0"))
+    rest, backbone = optimiser(EncoderStage(net)).param_groups
+    assert rest["share"] == 1 and backbone["share"] == 0.35
+    body = [p for part in ("stem", "blocks") for p in net.pyramid.get_submodule(part).parameters()]
+    assert [p.shape for p in backbone["params"]] == [p.shape for p in body]
+    # Levels 0 and 1 and the decoders stay in this stage; the temperatures are the stage's own.
+    heads = [m for n, m in net.pyramid.named_children() if n.startswith(("head", "lift", "merge"))]
+    own = sum(p.numel() for part in heads for p in part.parameters())
+    assert sum(p.numel() for p in rest["params"]) == own + 4

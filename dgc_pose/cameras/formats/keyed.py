@@ -83,6 +83,8 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
             camera = replace(camera, warnings=(*camera.warnings, *told))
             parts[_CAMERAS_OF_A_PAIR[key]] = camera
         return Calibration(parts=parts)
+    if "camera1" in data:
+        raise InputError("has no cameras, as a pair without a pose")
     data = dict(data)
     frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
     common, parts = keyed_camera(data), {}

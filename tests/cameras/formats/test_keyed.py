@@ -144,6 +144,8 @@ def test_an_images_folder_names_its_camera_of_a_rig(tmp_path: Path) -> None:
     assert calibration.lacks(tmp_path, "cam2/1.png")
     with pytest.raises(InputError, match=r"no camera for cam2/1\.png: state one of cam0, cam1, as"):
         calibration.camera(tmp_path, "cam2/1.png", header)
+    with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
+        parse_camera(f"{path}:cam2")
 
 
 @pytest.mark.parametrize(
