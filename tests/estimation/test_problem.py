@@ -116,7 +116,7 @@ def test_a_pose_has_the_warnings_of_both_images():
     assert [w.split(" span ")[0] for w in pose.warnings if w.startswith("points")] == ["points2"]
     for name in ("points1", "points2"):
         matches = replace(scene.matches, **{name: 2 * getattr(scene, name)})
-        with pytest.raises(InputError, match=f"^{name} have "):
+        with pytest.raises(InputError, match=f"^{name} span "):
             estimate_pose(matches, *scene.cameras)
 
 

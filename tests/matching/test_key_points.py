@@ -124,7 +124,7 @@ def test_other_layouts_are_refused_with_what_they_are(tmp_path) -> None:
     path = tiny_onnx.write_model(
         tmp_path / "m.onnx", [("Relu", ["image"], "out", {})], {}, flat, {"out": (1, 1, "h")}
     )
-    with pytest.raises(InputError, match=r"an image \(1, 3, H, W\).*not image \(1, 1, h\)"):
+    with pytest.raises(InputError, match=r"inputs image \(1, 1, h\) and outputs"):
         load_matcher(path)
     path.write_bytes(b"no model")
     with pytest.raises(WeightsError, match="m.onnx"):
