@@ -140,8 +140,8 @@ def parse_deviations(text: str) -> tuple[float, float]:
         if 0 <= focal <= 1 and 0 <= centre < 1e6:
             return focal, centre
     raise InputError(
-        f"must be F or F,C, the relative deviation of the focal length, at most 1, and the "
-        f"pixels of the principal point, not {text!r}"
+        f"must be F or F,C (relative deviation of f, at most 1; pixels of the principal point), "
+        f"not {text!r}"
     )
 
 

@@ -176,7 +176,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     for stated, name in names.items():
         pose = file.poses[stated]
         if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
-            raise InputError(ArgumentName("model"), f"{path}: {stated} has a pose that is none")
+            raise InputError(ArgumentName("model"), f"{path}: the pose of {stated} is not rigid")
         if name is not None:
             header = image_header(root / name)
             stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
@@ -252,7 +252,7 @@ def require_model_folder(folder: Path, *, several: bool = False) -> None:
     models = {folder / str(number) for number in range(1, several * len(inside))}
     own = (path in models if path.is_dir() else path.stem in _MODEL_FILES for path in inside)
     if not all(own) or (folder.exists() and not folder.is_dir()):
-        raise InputError(folder, "holds other files than those of a model, and is kept")
+        raise InputError(folder, "contains files that are not part of a model; not overwritten")
 
 
 def write_points(file: Path, points: np.ndarray, colours: np.ndarray) -> None:

@@ -256,8 +256,8 @@ def _mirrored(
     if probability < max(_LIKELY, pose.any_probability):
         return None
     reason = (
-        f"the mirror image of image 2 has a pose, {percent_text(probability)} probable, "
-        "and image 2 has none that is as likely"
+        f"the mirror image of image 2 has a pose with probability {percent_text(probability)}, "
+        "image 2 has none as likely"
     )
     inliers = np.zeros_like(pose.inliers)
     return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)

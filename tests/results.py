@@ -50,7 +50,7 @@ def ambiguous_pose(count: int = 300) -> RelativePose:
     every = np.ones(count, dtype=bool)
     return RelativePose(
         status="ambiguous",
-        reason="two poses explain the matches, with probabilities of 52 % and 45 %",
+        reason="two poses explain the matches: probabilities 52 % and 45 %",
         inliers=inliers[0],
         num_matches=count,
         evidence=replace(GOOD_EVIDENCE, num_inliers=INLIERS[0], inlier_ratio=INLIERS[0] / count),

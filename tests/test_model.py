@@ -107,7 +107,7 @@ def test_what_is_no_model_is_refused_and_missing_images_are_told(
     for source, words in (
         (tmp_path / "two", "model .*two has the models 0, 1"),
         (cameras, "model .* has no poses of images"),
-        (odd, "has a pose that is none"),
+        (odd, "is not rigid"),
         (images, "holds no model of COLMAP"),
         (single, "model .*single.csv has the pose of one image, two are needed"),
     ):

@@ -133,8 +133,8 @@ class Calibration:
         first, second = self.rig
         taken = self.parts.get(second if part == "K2" else first)
         warning = (
-            f"{self.where} has two cameras, and no name is stated: by their order {first} is that "
-            f"of image 1, and {second} that of image 2"
+            f"{self.where} has two cameras and no image names: {first} is taken for image 1, "
+            f"{second} for image 2"
         )
         return taken and replace(taken, warnings=(*taken.warnings, warning))
 
@@ -162,8 +162,8 @@ def fitted_camera(
             raise InputError(stated, ArgumentName("K_size"), times(of_K))
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
-                f"{name} is for {times(of_K)} pixels and the image has {times(size)}, of another "
-                "aspect ratio: K cannot be scaled to it"
+                f"{name} is for {times(of_K)} pixels and the image has {times(size)}, "
+                "of another aspect ratio: K cannot be scaled"
             )
         camera = replace(checked_camera(camera, of_K, name), size=of_K).resized(size)
     camera = upright_camera(camera, image)
@@ -189,8 +189,8 @@ def upright_camera(camera: Camera, image: Image | Header) -> Camera:
     if _fits(camera, image) == (True, False) or np.array_equal(turned.K, camera.K):
         return turned
     warning = (
-        f"EXIF orientation {orientation} is applied, and K is turned with the image: it must refer "
-        "to the pixels as stored"
+        f"EXIF orientation {orientation} rotates K with the image: K must refer to the pixels as "
+        "stored"
     )
     return replace(turned, warnings=(*turned.warnings, warning))
 
@@ -233,7 +233,7 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
     millimetres, as its field of view shows.
     """
     if camera.size is not None and camera.size != size:
-        turned = ": K is of the image turned by 90 degrees" if camera.size == size[::-1] else ""
+        turned = ": K is of the image rotated by 90 degrees" if camera.size == size[::-1] else ""
         raise InputError(
             f"{name} is for an image of {camera.size[0]} x {camera.size[1]} pixels, {image} has "
             f"{size[0]} x {size[1]}{turned}"
@@ -243,14 +243,14 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
     of_K = 2 * centre + 1  # the size of an image whose middle the principal point is
     if camera.size is None and (of_K > 1).all():
         about = times(np.rint(of_K).astype(int))
-        middle = f"{place}, the middle of an image of about {about}, and {image} has {times(size)}"
+        middle = f"{place}, the middle of about {about} pixels; {image} has {times(size)}"
         if _may_be_of(camera, size[::-1]) and _offset(camera, size) > _TURNED_OFFSET:
-            raise InputError(f"{middle}: K is of the image turned by 90 degrees")
+            raise InputError(f"{middle}: K is of the image rotated by 90 degrees")
         x, y = np.log(of_K / size)
         scale = abs(np.log(of_K.max() / max(size)))
         if abs(x - y) <= _SAME_ASPECT and scale > _MAX_SAME_SCALE:
             if scale > _MAX_POSSIBLE_SCALE:
-                raise InputError(f"{middle}: state the size that K is of")
+                raise InputError(f"{middle}: state the size of K")
             return replace(camera, warnings=(*camera.warnings, middle))
     if not ((of_K > 0) & (of_K < 2 * np.array(size))).all():
         raise InputError(f"{place}, outside {image} of {times(size)}")

@@ -151,7 +151,7 @@ def _parse_text(text: str, name: str) -> Camera:
 def _require_K(details: KDetails, name: str) -> None:
     for option, value in (("size", details.size), ("std", details.focal_std or details.centre_std)):
         if value:
-            raise InputError(ArgumentName(f"K_{option}"), f"is of a K, and {name} gives none")
+            raise InputError(ArgumentName(f"K_{option}"), f"needs a K, and {name} states none")
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:

@@ -108,15 +108,15 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         tail = Part(math.log(_OTHER_SHARE), math.log(SIZE_FOCAL), OTHER_STD)
         if exif.size is not None and margin:
             warnings.append(
-                f"{width} x {height} pixels are a part of the {exif.size[0]} x {exif.size[1]} of "
-                "the EXIF data, or squeezed: the focal length and the middle are less certain"
+                f"{width}x{height} pixels are a part of the {exif.size[0]}x{exif.size[1]} of the "
+                "EXIF data, or squeezed: focal length and principal point are less certain"
             )
     elif exif.focal_35mm is not None or (exif.focal_mm and exif.pixels_per_mm):
         lengths = {"on 35 mm film": exif.focal_35mm, "of the lens": exif.focal_mm}
         words = " and ".join(f"{mm:g} mm {of}" for of, mm in lengths.items() if mm is not None)
         warnings.append(
-            f"the focal length of the EXIF data, {words}, is that of no camera with {width} x "
-            f"{height} pixels: it is taken from the size"
+            f"EXIF focal length {words} is impossible for {width}x{height} pixels: the size is "
+            "used instead"
         )
     lens_std = LENS_STD if any(names) else _SIZE_LENS_STD
     if _ACTION.search(f"{exif.make} {exif.model}"):

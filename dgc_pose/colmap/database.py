@@ -45,7 +45,7 @@ def share(
     if not pairs:
         down = sum(row.turned_down for row in batch.rows)
         first = "".join(f"; of the first {row.reason}" for row in batch.rows[:1])
-        first = f"; {down} are turned down" if down else first
+        first = f"; {down} are rejected as look-alikes" if down else first
         raise NoPairError(f"{batch.folder}: no pair of this batch has a pose that holds{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     cache = ImageCache(2**29)

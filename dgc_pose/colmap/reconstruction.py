@@ -133,7 +133,7 @@ def write_summary(
             if flipped := sum(row.status == "mirrored" for row in rows):
                 left_out[name] += f", mirrored in {flipped}"
             if down := sum(row.turned_down for row in rows):
-                left_out[name] += f", turned down in {down}"
+                left_out[name] += f", rejected in {down}"
     data = {
         "images": len(names),
         "registered": len(largest.poses),

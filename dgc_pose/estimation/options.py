@@ -23,8 +23,7 @@ class EstimationOptions:
 
     effort: Effort = option(
         "auto",
-        "fast: a coarse pass over small images; auto: and more while the pose is uncertain; "
-        "thorough: all that may help.",
+        "fast: one coarse pass; auto: more steps while the pose is uncertain; thorough: all steps.",
         metavar="HOW",
     )
     runs: int = option(

@@ -89,7 +89,7 @@ FEATURES: Mapping[str, Feature] = {
     "residual": Feature("residual", -1, "the inliers do not agree closely"),
     "threshold": Feature("threshold_cells", -1, "the matches are inaccurate", (0.01, 0.5)),
     "parallax": Feature("parallax", 1, "there is little parallax", (0.7, 40)),
-    "rotation_share": Feature("rotation_share", -1, "a rotation alone explains most matches"),
+    "rotation_share": Feature("rotation_share", -1, "a rotation explains most matches"),
     "triangulation": Feature(
         "median_triangulation_angle_deg", 1, "small triangulation angles ({:.1f} deg)", (0.2, 30)
     ),
@@ -103,7 +103,7 @@ FEATURES: Mapping[str, Feature] = {
     ),
     "camera_agreement": Feature("camera_agreement", 1, "other cameras explain the matches too"),
     "focal_error": Feature(
-        "raw_focal_90_percent", -1, "the matches hardly tell the focal length", (0.3, 100)
+        "raw_focal_90_percent", -1, "the matches hardly determine the focal length", (0.3, 100)
     ),
 }
 OF_AUTO = ("camera_agreement", "focal_error")  # of focal lengths that are fitted
@@ -197,7 +197,7 @@ class ProbabilityModel:
         if self.same_place.probability(evidence) >= DOUBTFUL:
             return words
         return [
-            "what surrounds the matches is not alike in both images",
+            "the surroundings of the matches differ between the images",
             *words[: _MAX_REASONS - 1],
         ]
 

@@ -228,18 +228,16 @@ def odd_extent(points: np.ndarray, camera: Camera, number: int) -> tuple[str, ..
     if len(points) < _MIN_POINTS or size.min() <= 1:
         return ()
     (left, top), (right, bottom) = points.min(0), points.max(0)
-    by, slack = ("", 1.0) if camera.size else (", by 2 cx + 1 and 2 cy + 1", _SLACK)
+    by, slack = ("", 1.0) if camera.size else (" (from cx and cy)", _SLACK)
     # Half a pixel beyond an edge may be another convention.
     outside = (np.abs(points - (size - 1) / 2) > (slack * size + 1) / 2).any(1)
-    reach = (
-        f"points{number} have x from {left:.0f} to {right:.0f} and y from {top:.0f} to {bottom:.0f}"
-    )
-    pixels = f"the {size[0]:.0f} x {size[1]:.0f} pixels of camera{number}{by}"
+    reach = f"points{number} span x {left:.0f} to {right:.0f}, y {top:.0f} to {bottom:.0f}"
+    pixels = f"the {size[0]:.0f}x{size[1]:.0f} pixels of camera{number}{by}"
     if outside.mean() > _MOST_OUTSIDE:
         text = f"{reach}: {outside.sum()} of {len(points)} lie outside {pixels}"
         if camera.size:
             raise InputError(text)
         return (text,)
     if max((right, bottom) / size) < _LEAST_REACH:
-        return (f"{reach}: less than half of {pixels} along both sides",)
+        return (f"{reach}: less than half of {pixels}",)
     return ()

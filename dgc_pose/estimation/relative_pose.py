@@ -128,15 +128,15 @@ def _of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     inliers[~stay] = pose.inliers
     if part <= _MOST:
         warning = (
-            f"{share} stay at the same pixels while others move, and are left out: an overlay, or "
-            "a background that stood still (mask1 and mask2 exclude it from the matching)"
+            f"{share} stay at the same pixels and are left out: an overlay or still background, "
+            "which mask1 and mask2 exclude"
         )
         return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))
     reason = f"{share} stay at the same pixels"
     if not pose.success:
         reason += "" if part == 1 else ", and the others determine no pose"
         return RelativePose("same_picture", reason, inliers, count, warnings=pose.warnings)
-    reason += f", and {pose.num_inliers} agree on a motion: which is the camera's does not show"
+    reason += f", and {pose.num_inliers} fit a motion: either may be the camera's"
     both = (pose.hypotheses[0], *pose.alternatives)
     return RelativePose(
         "ambiguous",
@@ -305,7 +305,7 @@ def _judged(
     # Of a pose that is not claimed there are no others.
     alternatives = tuple(poses if ambiguous else poses[1:] if has_t else ())
     if has_t and same_place < DOUBTFUL:
-        warnings += ("what surrounds the matches is not alike in both images",)
+        warnings += ("the surroundings of the matches differ between the images",)
     if alternatives and not ambiguous:
         count = len(alternatives)
         others = "1 other pose explains" if count == 1 else f"{count} other poses explain"

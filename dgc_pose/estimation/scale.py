@@ -149,8 +149,8 @@ def with_length(
     stds = own, *moved, *(length * camera.focal_std for camera in cameras)
     warnings = pose.warnings
     if scatter > _CONTRADICTS:
-        off = f"the lengths that inliers tell scatter by {scatter:.1f} times their deviations"
-        warnings += (f"the matches contradict the depth: {off}",)
+        off = f"lengths scatter by {scatter:.1f} times their deviations; check unit and photograph"
+        warnings += (f"the matches contradict the depth map: {off}",)
     sure = pose.covariance is not None and scatter <= _CONTRADICTS
     std = math.hypot(*stds) if sure else None
     return replace(pose, length=length, length_std=std, warnings=warnings)

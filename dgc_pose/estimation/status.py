@@ -39,18 +39,16 @@ STATUSES: Mapping[Status, StatusFacts] = {
     "planar": StatusFacts("a pose from a nearly planar scene", True, "PLANAR", of_cameras=True),
     "rotation_only": StatusFacts("the images do not determine t", False, "PANORAMIC"),
     "too_few_matches": StatusFacts("fewer than 20 distinct matches"),
-    "no_model": StatusFacts("RANSAC has no essential matrix"),
+    "no_model": StatusFacts("RANSAC finds no essential matrix"),
     "chance_inliers": StatusFacts("no more inliers than unrelated images would have"),
     "collinear": StatusFacts("the inliers lie on one line, which many poses explain"),
     "behind_cameras": StatusFacts("many points would lie behind a camera"),
     "undetermined": StatusFacts("the inliers do not determine the rotation", of_cameras=True),
-    "improbable": StatusFacts("the evidence altogether speaks against the pose", of_cameras=True),
-    "ambiguous": StatusFacts(
-        "two or more poses explain the matches, and which of them is right does not show"
-    ),
+    "improbable": StatusFacts("the evidence as a whole speaks against the pose", of_cameras=True),
+    "ambiguous": StatusFacts("two or more poses explain the matches"),
     "mirrored": StatusFacts("the mirror image of image 2 has a pose, image 2 has none as likely"),
-    "same_picture": StatusFacts("the images are the same picture, or have an overlay in common"),
-    "panorama": StatusFacts("an image is a panorama, and no image of a lens"),
+    "same_picture": StatusFacts("the images are one picture, or share an overlay"),
+    "panorama": StatusFacts("an image is a panorama"),
 }
 CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, of the pairs that have one
     status: facts.colmap for status, facts in STATUSES.items() if facts.colmap is not None

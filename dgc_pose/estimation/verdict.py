@@ -86,7 +86,7 @@ def judge(
             chances = [f"{100 * same_place * probability * each:.0f} %" for each in shares]
             count = "two" if len(shares) == 2 else str(len(shares))
             listed = " and ".join([", ".join(chances[:-1]), chances[-1]])
-            reason = f"{count} poses explain the matches, with probabilities of {listed}"
+            reason = f"{count} poses explain the matches: probabilities {listed}"
             return Verdict("ambiguous", reason)
         if whole >= min_probability:
             return _pose(evidence)
@@ -94,8 +94,7 @@ def judge(
     if share * probability < min_probability:  # else it is of two places alone
         failed = by_chance(evidence) or _implausible(evidence)
     reason = (
-        f"the pose is right with a probability of {percent_text(whole)}, and "
-        f"{percent_text(min_probability)} is the least"
+        f"probability {percent_text(whole)}, below the required {percent_text(min_probability)}"
     )
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
@@ -110,8 +109,8 @@ def by_chance(evidence: Evidence) -> Verdict | None:
     if evidence.key_points or evidence.occupied_cells >= _MIN_OCCUPIED_CELLS:
         return None
     reason = (
-        f"the {evidence.num_inliers} inliers lie in only {evidence.occupied_cells} grid cells; "
-        "unrelated images with a few similar patches have as many"
+        f"the {evidence.num_inliers} inliers lie in only {evidence.occupied_cells} grid cells, as "
+        "in unrelated images with a few similar patches"
     )
     return Verdict("chance_inliers", reason)
 
@@ -121,9 +120,8 @@ def _random(evidence: Evidence, few: bool = False) -> Verdict | None:
     if not few and evidence.log10_false_alarms <= _MAX_LOG10_FALSE_ALARMS:
         return None
     reason = (
-        f"only {evidence.num_inliers} matches ({100 * evidence.inlier_ratio:.1f} %) agree on an "
-        "essential matrix, which could be chance: so do "
-        f"{100 * evidence.chance_ratio:.1f} % of wrong matches with the same model"
+        f"only {evidence.num_inliers} matches ({100 * evidence.inlier_ratio:.1f} %) fit an "
+        f"essential matrix, as {100 * evidence.chance_ratio:.1f} % of wrong matches do by chance"
     )
     return Verdict("chance_inliers", reason)
 
@@ -138,24 +136,20 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
     strictly = evidence.strict_rotation_share >= _STRICT_ROTATION_SHARE
     if strictly or (rotates and evidence.parallax < min_parallax):
         why = (
-            f"a rotation alone explains {evidence.num_rotation_inliers} matches, as many as the "
-            "essential matrix does"
+            f"a rotation explains {evidence.num_rotation_inliers} matches, as many as the "
+            "essential matrix"
         )
     elif evidence.still_ratio >= _STRICT_ROTATION_SHARE:
-        why = (
-            f"a camera that only turned, zoomed or cropped explains "
-            f"{100 * evidence.still_ratio:.0f} % of the inliers"
-        )
+        why = f"a turn, zoom or crop explains {100 * evidence.still_ratio:.0f} % of the inliers"
     else:
         return None
     if evidence.num_second_inliers and evidence.second_rotation_deg >= _SAME_ROTATION_DEG:
         reason = (
-            f"{why}; {evidence.num_second_inliers} of the other matches agree on a motion whose "
-            f"rotation is {evidence.second_rotation_deg:.1f} deg from it: which of both is the "
-            "camera's does not show"
+            f"{why}; {evidence.num_second_inliers} others fit a rotation "
+            f"{evidence.second_rotation_deg:.1f} deg away: either may be the camera's"
         )
         return Verdict("ambiguous", reason)
-    return Verdict("rotation_only", f"{why}: the images do not determine the translation")
+    return Verdict("rotation_only", f"{why}: the images do not determine t")
 
 
 def _panorama(evidence: Evidence) -> Verdict | None:
@@ -163,8 +157,8 @@ def _panorama(evidence: Evidence) -> Verdict | None:
     if evidence.camera_model != "cylinder":
         return None
     reason = (
-        f"{evidence.num_inliers} matches agree on images on a cylinder, as a panorama is, and not "
-        "on those of a lens"
+        f"{evidence.num_inliers} matches fit images on a cylinder, as of a panorama, and not "
+        "those of a lens"
     )
     return Verdict("panorama", reason)
 
@@ -185,8 +179,8 @@ def _implausible(evidence: Evidence) -> Verdict | None:
     for part, error in zip(("rotation", "translation"), errors, strict=True):
         if error is not None and error > _MAX_ERROR_DEG:
             reason = (
-                f"the {evidence.num_inliers} inliers do not determine the pose: its {part} may be "
-                f"wrong by {error:.0f} deg"
+                f"the {evidence.num_inliers} inliers do not determine the pose: the error of its "
+                f"{part} may be {error:.0f} deg"
             )
             return Verdict("undetermined", reason)
     return None
@@ -198,10 +192,10 @@ def _moved_plane(evidence: Evidence) -> Verdict | None:
     if not evidence.num_second_inliers:
         return None
     plane = evidence.homography_ratio >= PLANAR_SHARE
-    lie = "lie on a plane" if plane else "agree on a motion"
+    lie = "lie on a plane" if plane else "fit a motion"
     reason = (
         f"the {evidence.num_inliers} inliers {lie}, and {evidence.num_second_inliers} of "
-        "the other matches agree on another motion: which of both is the camera's does not show"
+        "the other matches fit another motion: either may be the camera's"
     )
     return Verdict("ambiguous", reason)
 
@@ -218,7 +212,7 @@ def _pose(evidence: Evidence) -> Verdict:
     share = f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers"
     focal = evidence.raw_focal_90_percent or 0.0
     if focal > _MAX_FOCAL_PERCENT and evidence.homography_ratio >= _NOTHING_BUT_PLANE:
-        reason = f"{share}: a plane does not determine the focal length, which is not known"
+        reason = f"{share}: a plane does not determine the unknown focal length"
         return Verdict("undetermined", reason)
     warnings += (f"{share}: the scene is nearly a plane",)
     return Verdict("planar", STATUSES["planar"].meaning, warnings)

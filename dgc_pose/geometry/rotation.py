@@ -44,7 +44,7 @@ def rotation_of_quaternion(wxyz: np.ndarray) -> np.ndarray:
     ValueError if there is none."""
     length = float(np.linalg.norm(wxyz))
     if not 0 < length < math.inf:
-        raise ValueError("a quaternion without a length")
+        raise ValueError("the quaternion is zero")
     w, x, y, z = wxyz / length
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + 2 * (w * cross + cross @ cross)

@@ -235,7 +235,7 @@ class LocationSearch:
             return Location("nowhere", reason, none_agree, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
         R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
-        why = f"{best.name} alone has a pose"
+        why = f"only {best.name} has a pose"
         if pose is not None and len(likely) > 1:
             R, t, camera = pose.R, self.correspondences[best.name].pair_pose(pose)[1], self.fitted
             why = "they lie on one line of sight"
@@ -255,14 +255,13 @@ class LocationSearch:
         if mirrored and mirrored >= len(rotations):
             return f"the mirror image of the query has a pose with {mirrored} database images"
         if not rotations:
-            return f"none of {len(self.pairs)} database images has a pose that is likely"
+            return f"none of {len(self.pairs)} database images has a likely pose"
         if len(rotations) == 1 or (self.pose is not None and self._is_claimed()):
             return ""
         angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(rotations, 2)]
         return (
-            f"the poses of {len(rotations)} database images do not agree: the rotations between "
-            "them, by their pairs with the query, differ from those of the model by "
-            f"{np.median(angles):.0f} degrees"
+            f"the poses of {len(rotations)} database images disagree: rotations between them are "
+            f"{np.median(angles):.0f} degrees off those of the model"
         )
 
     def _is_located(self) -> bool:

@@ -136,9 +136,8 @@ class OnnxMatcher(KeyPointMatcher):
         self._roles = _find_roles([shape for _, shape in outputs])
         if len(shape) != 4 or shape[1] not in (1, 3) or not self._roles:
             raise InputError(
-                f"{self.path}: expected an image (1, 3, H, W) or (1, 1, H, W), and of it "
-                "descriptors and logits (1, 65, h, w), or key points (N, 2) and descriptors, not "
-                f"{_described(inputs)}, and {_described(outputs)}"
+                f"{self.path}: inputs {_described(inputs)} and outputs {_described(outputs)} are "
+                "not an image, and descriptors with logits or key points"
             )
         _, self._channels, *self._sides = shape
 

@@ -51,7 +51,7 @@ def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, 
     scene["turned_down"] = pairs
     facts = f"{len(model.poses)} cameras, {len(model.points)} points"
     if pairs:
-        facts += f"; dashed: {len(pairs)} pair{'s' * (len(pairs) > 1)} that the folder turns down"
+        facts += f"; dashed: {len(pairs)} pair{'s' * (len(pairs) > 1)} rejected as look-alikes"
     apart = f"; cameras up to {model.extent:.3g} {unit} apart" if unit else ""
     return _page(model.root.resolve().name, facts + apart, scene, photographs)
 

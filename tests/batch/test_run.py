@@ -173,7 +173,7 @@ def test_unusable_input(photos, whole, tmp_path):
     ):
         with pytest.raises(InputError, match=reason):
             run_sift(source, tmp_path / out)
-    with pytest.raises(InputError, match="sift has no features of a network"):
+    with pytest.raises(InputError, match="sift cannot choose pairs"):
         run_sift(photos[0], tmp_path / "out", pairs="auto:2")
     assert not (tmp_path / "out").exists()
 

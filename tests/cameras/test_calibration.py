@@ -122,8 +122,8 @@ def test_which_images_share_a_camera_without_K() -> None:
         ("500,510,160,238", (640, 240), "320x240, of another aspect ratio"),
         ("500,510,160,160", (320, 320), "K is for 320x320 pixels and the image has 320x240"),
         ("PINHOLE,640,480,500,510,320,240", (1280, 960), "K states 640x480, and K_size 1280x960"),
-        ("500,510,320,240", (160, 120), "641x481, and the image has 160x120"),
-        ("auto", SIZE, "K_size is of a K, and K gives none"),
+        ("500,510,320,240", (160, 120), "641x481 pixels; the image has 160x120"),
+        ("auto", SIZE, "K_size needs a K, and K states none"),
     ],
 )
 def test_a_size_that_K_cannot_have(text: str, size: tuple[int, int], error: str) -> None:
@@ -144,7 +144,7 @@ def test_the_deviation_of_a_K() -> None:
     camera1, camera2 = pair_cameras("auto", text, first, second, ("--K1", "--K"), details)
     assert camera1.focal_source != "given" and camera1.focal_std != 0.02
     assert camera2.focal_std == 0.02
-    with pytest.raises(InputError, match="^K_std is of a K, and K gives none$"):
+    with pytest.raises(InputError, match="^K_std needs a K, and K states none$"):
         read_calibration("auto", details=details)
 
 
@@ -193,7 +193,7 @@ def test_a_K_that_was_given_is_turned_unless_it_is_of_the_upright_image(
     camera = upright_camera(given, _header(orientation))
     assert (camera is not given) is is_turned
     assert camera.warnings[0] == "a" and len(camera.warnings) == 1 + warns
-    assert all(f"orientation {orientation} is applied" in text for text in camera.warnings[1:])
+    assert all(f"orientation {orientation} rotates K" in text for text in camera.warnings[1:])
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

@@ -190,19 +190,19 @@ LARGE = (1600, 1200)
         ("1400,1400,799.5,599.5", "", ""),
         (
             "1100,1100,639.5,479.5",
-            "at (639.5, 479.5), the middle of an image of about 1280x960",
+            "at (639.5, 479.5), the middle of about 1280x960",
             "",
         ),
         ("1400,1400,300,599.5", "at (300, 599.5), far from the middle of image 2 of 1600x1200", ""),
-        ("2800,2800,1599.5,1199.5", "", "the middle of an image of about 3200x2400"),
-        ("700,700,399.5,299.5", "", "about 800x600, and image 2 has 1600x1200"),
-        ("1400,1400,599.5,799.5", "", "K is of the image turned by 90 degrees"),
-        ("1400,1400,557.5,855.5", "", "K is of the image turned by 90 degrees"),  # 3.5 % off
+        ("2800,2800,1599.5,1199.5", "", "the middle of about 3200x2400"),
+        ("700,700,399.5,299.5", "", "about 800x600 pixels; image 2 has 1600x1200"),
+        ("1400,1400,599.5,799.5", "", "K is of the image rotated by 90 degrees"),
+        ("1400,1400,557.5,855.5", "", "K is of the image rotated by 90 degrees"),  # 3.5 % off
         ("1400,1400,690,670", "", ""),  # 7 and 6 % off the middle
         ("1400,1400,1700,300", "", "at (1700, 300), outside image 2 of 1600x1200"),
         ("35,35,799.5,599.5", "", "a focal length of 35 pixels, a field of view above 150 degrees"),
         ("PINHOLE,800,600,700,700,400,300", "", "of 800 x 600 pixels, image 2 has 1600 x 1200"),
-        ("PINHOLE,1200,1600,1400,1400,600,800", "", "x 1200: K is of the image turned by 90 deg"),
+        ("PINHOLE,1200,1600,1400,1400,600,800", "", "x 1200: K is of the image rotated by 90 deg"),
     ],
 )
 def test_a_K_is_checked_by_its_size_and_its_principal_point(

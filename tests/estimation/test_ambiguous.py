@@ -48,7 +48,7 @@ def test_a_plane_with_two_poses_is_ambiguous(seed: int) -> None:
     assert first.probability + second.probability == pytest.approx(ANY)
     assert pose.any_probability == pytest.approx(ANY)
     assert pose.reason == (
-        "two poses explain the matches, with probabilities of "
+        "two poses explain the matches: probabilities "
         f"{100 * first.probability:.0f} % and {100 * second.probability:.0f} %"
     )
     assert not any("other pose" in warning for warning in pose.warnings)

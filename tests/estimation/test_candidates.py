@@ -48,7 +48,7 @@ def test_structure_one_period_off_gives_a_second_pose() -> None:
     first, second = pose.alternatives
     assert max(right.errors_deg(first)) < 2 and first.num_inliers >= 560
     assert max(wrong.errors_deg(second)) < 3 and second.num_inliers >= 400
-    assert f"{first.num_inliers} inliers agree on a motion" in pose.reason
+    assert f"{first.num_inliers} inliers fit a motion" in pose.reason
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -111,7 +111,7 @@ def test_what_surrounds_the_matches_has_a_probability_of_its_own() -> None:
     odds = math.exp(7.0 * 0.9 - 2.0) * (0.98 / 0.02) / (0.92 / 0.08)
     assert model.same_place.probability(alike) == pytest.approx(odds / (1 + odds))
     assert model.probability(unlike) == model.probability(alike) == model.probability(GOOD_EVIDENCE)
-    told = ["what surrounds the matches is not alike in both images"]
+    told = ["the surroundings of the matches differ between the images"]
     assert (model.against(alike), model.against(unlike)) == ([], told)
     worse = model.against(dataclasses.replace(unlike, inlier_ratio=0.2, chance_ratio=0.2))
     assert worse[:1] == told and 1 < len(worse) <= 3

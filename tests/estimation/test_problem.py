@@ -73,13 +73,13 @@ def test_a_cell_is_a_24th_of_the_longer_side():
     assert unknown.cells[0] == pytest.approx(1621 / 24 / 1695)
 
 
-POINTS = two_view_scene(count=300).points1  # of 1600 x 1200 pixels
-FEW = ["less than half of the 1600 x 1200", "less than half of the 1621 x 1181"]
-MANY = ["refused", "lie outside the 1621 x 1181"]
+POINTS = two_view_scene(count=300).points1  # of 1600x1200 pixels
+FEW = ["less than half of the 1600x1200", "less than half of the 1621x1181"]
+MANY = ["refused", "lie outside the 1621x1181"]
 
 
 @pytest.mark.parametrize(
-    ("points", "said"),  # of a camera of 1600 x 1200 pixels, and of one without a size
+    ("points", "said"),  # of a camera of 1600x1200 pixels, and of one without a size
     [
         (0.4 * POINTS, FEW),
         (POINTS[:, ::-1], MANY),
@@ -97,14 +97,14 @@ MANY = ["refused", "lie outside the 1621 x 1181"]
 def test_points_of_another_size_are_told_and_real_ones_are_not(points, said):
     for camera, text in zip((Camera(K1, SIZE1), Camera(K1)), said, strict=True):
         if text == "refused":
-            with pytest.raises(InputError, match="of 300 lie outside the 1600 x 1200 pixels"):
+            with pytest.raises(InputError, match="of 300 lie outside the 1600x1200 pixels"):
                 odd_extent(points, camera, 2)
             continue
         texts = odd_extent(points, camera, 2)
         assert len(texts) == bool(text)
         if texts:
             left, right = points[:, 0].min(), points[:, 0].max()
-            assert texts[0].startswith(f"points2 have x from {left:.0f} to {right:.0f} and y from ")
+            assert texts[0].startswith(f"points2 span x {left:.0f} to {right:.0f}, y ")
             assert text in texts[0] and "pixels of camera2" in texts[0]
     assert odd_extent(Camera(K1).normalise(POINTS), Camera(np.eye(3)), 1) == ()
 
@@ -113,10 +113,10 @@ def test_a_pose_has_the_warnings_of_both_images():
     scene = two_view_scene(count=300)
     matches = replace(scene.matches, points2=0.4 * scene.points2)
     pose = estimate_pose(matches, *scene.cameras)
-    assert [w.split(" have ")[0] for w in pose.warnings if w.startswith("points")] == ["points2"]
+    assert [w.split(" span ")[0] for w in pose.warnings if w.startswith("points")] == ["points2"]
     for name in ("points1", "points2"):
         matches = replace(scene.matches, **{name: 2 * getattr(scene, name)})
-        with pytest.raises(InputError, match=f"^{name} have "):
+        with pytest.raises(InputError, match=f"^{name} span "):
             estimate_pose(matches, *scene.cameras)
 
 

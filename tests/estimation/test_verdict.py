@@ -113,8 +113,8 @@ def test_a_pose_of_two_places_is_not_claimed(status, probability, same_place):
     verdict = judge(GOOD_EVIDENCE, LEAST, probability, ("unlike",), same_place=same_place)
     assert verdict.status == status
     if status == "improbable":
-        told = f"with a probability of {100 * probability * same_place:.0f} %"
-        assert told in verdict.reason and verdict.reason.endswith("50 % is the least: unlike")
+        told = f"probability {100 * probability * same_place:.0f} %"
+        assert told in verdict.reason and verdict.reason.endswith("below the required 50 %: unlike")
 
 
 @pytest.mark.parametrize("percent", [None, 1.0, 30.0])
@@ -128,15 +128,15 @@ def test_fitted_focal_lengths_need_no_other_probability(percent):
         (0.7, 0.7, "improbable"),
     ):
         assert judge(evidence, LEAST, probability, same_place=same_place).status == status
-    assert "a probability of 49 %" in judge(evidence, LEAST, 0.7, same_place=0.7).reason
+    assert "probability 49 %" in judge(evidence, LEAST, 0.7, same_place=0.7).reason
 
 
 def test_an_ambiguous_pair_has_the_probabilities_of_its_poses_in_words():
     assert judge(GOOD_EVIDENCE, LEAST, 0.97, ("few",), (0.536, 0.464)).reason == (
-        "two poses explain the matches, with probabilities of 52 % and 45 %"
+        "two poses explain the matches: probabilities 52 % and 45 %"
     )
     assert judge(GOOD_EVIDENCE, LEAST, 0.8, (), (0.5, 0.3, 0.2)).reason == (
-        "3 poses explain the matches, with probabilities of 40 %, 24 % and 16 %"
+        "3 poses explain the matches: probabilities 40 %, 24 % and 16 %"
     )
 
 
@@ -150,7 +150,7 @@ def test_the_probability_decides_and_not_the_gates() -> None:
         plane = _changed(homography_ratio=ratio, raw_focal_90_percent=percent)
         assert judge(plane, LEAST, 0.95).status == "planar"
     plane = _changed(homography_ratio=0.97, raw_focal_90_percent=31.0)
-    assert "plane does not determine the focal length" in judge(plane, LEAST, 0.95).reason
+    assert "plane does not determine the unknown focal length" in judge(plane, LEAST, 0.95).reason
 
 
 def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
@@ -158,7 +158,7 @@ def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:
     status, reason, _ = judge(_changed(occupied_cells=8), LEAST, 0.231, against)
     assert status == "chance_inliers"
     assert reason == (
-        "the pose is right with a probability of 23 %, and 50 % is the least: "
+        "probability 23 %, below the required 50 %: "
         "only 28 % of the matches are inliers, "
         "there is little parallax"
     )
@@ -180,6 +180,6 @@ def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behin
 def test_a_rotation_that_another_motion_contradicts_is_ambiguous(rotates, probability) -> None:
     status, reason, _ = judge(_changed(**rotates, **SECOND), LEAST, probability)
     assert status == "ambiguous"
-    assert "30 of the other matches agree on a motion" in reason and "17.2 deg" in reason
+    assert "30 others fit a rotation" in reason and "17.2 deg" in reason
     alike = _changed(**rotates, **SECOND | {"second_rotation_deg": 2.9})
     assert judge(alike, LEAST, probability).status == "rotation_only"

@@ -99,7 +99,7 @@ def test_each_bad_value_is_refused_in_one_line_and_changes_nothing(folder, begin
         ((*EXPORT, "--database", "views/one.png"), ""),
         ((*EXPORT, "--hloc", "batch"), ""),
         (RECONSTRUCT, "is there already"),
-        ((*RECONSTRUCT, "--resume"), "sparse holds other files"),
+        ((*RECONSTRUCT, "--resume"), "sparse contains files"),
         ((*ESTIMATE, *K, "--json", "junk"), "junk is there already: --overwr"),
     ],
     ids=str,

@@ -87,7 +87,7 @@ def test_a_database_that_computes_is_refused(tmp_path):
     for name, table in (("a.db", "matches"), ("batch/batch.db", "result")):
         with closing(sqlite3.connect(tmp_path / name)) as database:
             database.executescript(f"DROP TABLE {table}; CREATE VIEW {table} AS {ENDLESS}")
-    with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*comput"):
+    with pytest.raises(InputError, match=r"a\.db is not a COLMAP database .*view or trigger"):
         read_database(tmp_path / "a.db")
     with pytest.raises(InputError, match=r"batch\.db is not the store of a batch"):
         read_batch(tmp_path / "batch")

@@ -116,13 +116,15 @@ def test_other_layouts_are_refused_with_what_they_are(tmp_path) -> None:
     nodes = [("Conv", ["image", "cut"], "features", by_cell)]
     image, features = {"image": (1, 1, *SIDES)}, {"features": (1, 64, *SIDES)}
     path = tiny_onnx.write_model(tmp_path / "m.onnx", nodes, {"cut": CUT}, image, features)
-    with pytest.raises(InputError, match=r"65.*not image .*, and features \(1, 64, h, w\)"):
+    with pytest.raises(
+        InputError, match=r"inputs image .* and outputs features \(1, 64, h, w\) are not"
+    ):
         load_matcher(path)
     flat = {"image": (1, 1, "h")}
     path = tiny_onnx.write_model(
         tmp_path / "m.onnx", [("Relu", ["image"], "out", {})], {}, flat, {"out": (1, 1, "h")}
     )
-    with pytest.raises(InputError, match=r"an image \(1, 3, H, W\).*not image \(1, 1, h\)"):
+    with pytest.raises(InputError, match=r"inputs image \(1, 1, h\) and outputs"):
         load_matcher(path)
     path.write_bytes(b"no model")
     with pytest.raises(WeightsError, match="m.onnx"):

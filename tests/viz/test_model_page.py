@@ -66,7 +66,7 @@ def test_the_page_is_one_file_with_all_cameras(model):
         r"https?:|@import|url\(|^import |^export | (src|href)=", page, re.MULTILINE
     )
     assert page.count("<script") == page.count("<canvas") == 1 and "{{" not in page
-    facts = "5 cameras, 300 points; dashed: 1 pair that the folder turns down"
+    facts = "5 cameras, 300 points; dashed: 1 pair rejected as look-alikes"
     assert f"{facts}; cameras up to {model.extent:.3g} m apart</p>" in page
     content = content_of(page)
     assert content["turned_down"] == [[1, 3]]

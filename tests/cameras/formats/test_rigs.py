@@ -67,7 +67,7 @@ def test_a_stereo_file(tmp_path: Path, names: tuple[str, ...]) -> None:
         for number, camera, lens in zip((1, 2), cameras, lenses, strict=True):
             _assert_camera(camera, number, lens)
             assert camera.identity == f"{path} {names[2 * number - 2]}"
-            said = f"by their order {names[0]} is that of image 1, and {names[2]} that of image 2"
+            said = f"{names[0]} is taken for image 1, {names[2]} for image 2"
             assert [said in warning for warning in camera.warnings] == [True] * (names[0] != "K1")
         _assert_camera(parse_camera(f"{path}:{names[2]}"), 2, lenses[1])
 
@@ -143,8 +143,7 @@ def test_two_cameras_are_those_of_a_pair_in_their_order_and_one_is_of_all_images
     assert (first.K[0, 0], second.K[0, 0]) == (501, 502)
     (warning,) = {*first.warnings, *second.warnings}
     assert warning == (
-        f"{path} has two cameras, and no name is stated: by their order left is that of image 1, "
-        "and right that of image 2"
+        f"{path} has two cameras and no image names: left is taken for image 1, right for image 2"
     )
     named = pair_cameras(path, path, _image("right.png"), _image("left.jpg"))
     assert [camera.K[0, 0] for camera in named] == [502, 501]
