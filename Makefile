@@ -12,7 +12,7 @@ PACKAGING := setup.cfg pyproject.toml constraints.txt
 # As the command sets it (cli/main.py), so that the tests bear a busy machine.
 export GOMP_SPINCOUNT ?= 10000
 
-.PHONY: demo test test-all test-processors lint fuzz docs figures clean
+.PHONY: demo test test-all test-processors lint fuzz docs figures screenshots clean
 
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
@@ -58,6 +58,10 @@ docs: $(VENV)/.installed-docs
 # What the documentation shows of the tool's own output; the tests say when it is out of date.
 figures: $(VENV)/.installed
 	$(BIN)/python docs/figures.py
+
+# The pages in headless Chromium; $$CHROMIUM may name one.
+screenshots: $(VENV)/.installed-dev
+	$(BIN)/python docs/screenshots.py
 
 clean:
 	rm -rf $(VENV) build site dgc_pose.egg-info

@@ -272,7 +272,7 @@ def collected(name: str, data: Path, out: Path) -> Pairs:
 def fit(folders: Mapping[str, Pairs]) -> str:
     """A table of the folders, each by weights of the others, with how much better repeats explain a
     pair of it; and the weights of all."""
-    table = ["folder,pairs,wrong,AUC alone,by repeats,right turned down,wrong kept".split(",")]
+    table = ["folder,pairs,wrong,AUC of pairs,by repeats,right rejected,wrong kept".split(",")]
     for name, (values, right, found, agree) in folders.items():
         alone = by_itself(values, *_weights([of for other, of in folders.items() if other != name]))
         solved = solutions(values[:, 0], alone, found, agree)

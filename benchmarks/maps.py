@@ -56,7 +56,7 @@ FOUND_PX = 4.0
 HEADING = (
     "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
     "AEPE: mean of a pair, then over pairs; AEPE@15 to @240: of each level's map of a network\n"
-    "PCK@1, 3, 5: percent of all pixels within so many, Euclidean\n"
+    "PCK@1, 3, 5: percent of all pixels within 1, 3, 5 pixels, Euclidean\n"
     "Jaccard: the mask (matchability above one half) against what is visible, mean over pairs;\n"
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "
     "which dgcm-lite's mask is trained for"
@@ -192,7 +192,7 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
         elif MatcherOptions(name).is_network:
             methods[name] = partial(compare, load_network(name, chosen))
         else:
-            words = f"{name}: has key points alone and no dense map"
+            words = f"{name}: matches key points and has no dense map"
             raise InputError(ArgumentName("methods"), words)
     return methods
 

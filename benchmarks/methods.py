@@ -38,8 +38,8 @@ class CameraTrial:
 
     k: Literal["list", "auto", "auto:shared", "auto:two"] | None = option(
         None,
-        "Report focal lengths and warnings too; auto withholds the K of LIST, auto:shared says "
-        "that one camera took both images, auto:two that two did.",
+        "Also report focal lengths and warnings. list: the K of LIST; auto: K is withheld; "
+        "auto:shared: one camera took both images; auto:two: two cameras did.",
         flag="--K",
     )
     k_scale: float = option(
@@ -116,9 +116,7 @@ def parse_methods(
         if weights in (FLOW, *stored) or everywhere or not used.is_network:
             used = replace(used, matching=replace(used.matching, aligned="none"))
         if everywhere and not used.is_network and weights not in (FLOW, *stored):
-            raise InputError(
-                f"{text}: {weights} has key points alone, so {EVERYWHERE} says nothing"
-            )
+            raise InputError(f"{text}: {weights} has no dense map, which {EVERYWHERE} needs")
         changes: dict[str, Any] = dict(zip(map(str.lower, words[::2]), words[1::2], strict=True))
         try:
             if "k_scale" in changes:

@@ -293,7 +293,7 @@ def location_report(queries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str
         "position, median, unit": position[located],
         "database images, median": column["database_images"],
         "seconds, median": seconds,
-        "seconds over those of the pairs, median": seconds[of_pairs > 0] / of_pairs[of_pairs > 0],
+        "seconds over pair seconds, median": seconds[of_pairs > 0] / of_pairs[of_pairs > 0],
     }
     lines = [(name, f"{flags.sum()} of {len(flags)}") for name, flags in counted.items()]
     return lines + [

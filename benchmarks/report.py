@@ -36,13 +36,13 @@ COLUMNS: Columns = {
     "pose s": ("pose_seconds_per_pair", 3),
 }
 CAMERA_HEADING = (
-    "poses claimed, and wrong ones among them (over 10 degrees in R or t); doubted: the pose says "
-    "that a K may be wrong;\n"
+    "poses claimed, and wrong ones among them (over 10 degrees in R or t); doubted: a warning that "
+    "a K may be wrong;\n"
     "told: doubted, or no pose; p off: calibration error of the probability, points; in 90 %: "
     "share of right poses whose\n"
     "error is within the expected one; f: focal lengths of claimed poses, median error and share "
     "within two deviations,\n"
-    "of all and of those with a deviation below 5 %; shares and errors in percent"
+    "of all and of the cameras with a deviation below 5 %; shares and errors in percent"
 )
 CAMERA_COLUMNS: Columns = {
     "claimed": ("claimed", 0),

@@ -38,7 +38,7 @@ OUT = click.option(
 class BatchChoice(KChoice):
     """The options of a batch: its images, their pairs and cameras, and how it works."""
 
-    root: Path | None = option(None, "Of a list's image names; default: its own folder.")
+    root: Path | None = option(None, "Folder of a list's image names; default: the list's folder.")
     masks: Path | None = option(
         None, "Folder with the mask NAME.jpg.png of NAME.jpg: black is not matched.", metavar="DIR"
     )
@@ -168,7 +168,7 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
     click.echo(aligned(lines))
     if len(rows) > PAIRS_SHOWN:
         click.echo(f"... and {len(rows) - PAIRS_SHOWN} more")
-    click.echo("within: nine times in ten if the pose is right; probability: R and t within 10 deg")
+    click.echo("within: in 90 % of cases, if the pose is right; probability: R and t within 10 deg")
 
 
 @click.command()

@@ -141,8 +141,8 @@ def location_text(query: str, location: Location) -> str:
     rotation, position = location.rotation_error_90_deg, location.position_error_90
     if rotation is not None and position is not None:
         lines.append(
-            f"expected error: R within {rotation:.3f} deg, centre within {position:.3g}, nine "
-            "times in ten if the location is right"
+            f"expected error: R within {rotation:.3f} deg, centre within {position:.3g} in "
+            "90 % of cases, if the location is right"
         )
         of = "that R is within 5 deg and the centre within 5 % of the model's extent"
         lines.append(probability_text(location.probability, of))

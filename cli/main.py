@@ -32,13 +32,13 @@ SPIN_COUNT = "10000"
 SECTIONS = {
     "Poses": {
         "estimate": "Estimate the relative pose of two photographs.",
-        "moved": "Tell whether a fixed camera has moved.",
-        "demo": "Estimate the pose of the bundled pair.",
+        "moved": "Check whether a fixed camera has moved.",
+        "demo": "Estimate the poses of the bundled pairs.",
         "serve": "Estimate poses on a page in the browser.",
     },
     "Many photographs": {
         "batch": "Match many pairs: a folder, a list, a database.",
-        "reconstruct": "From a folder of photographs to a COLMAP model.",
+        "reconstruct": "Make a COLMAP model from a folder of photographs.",
         "locate": "Place photographs in a model of known poses.",
         "rig": "Place fixed cameras in one frame.",
         "export-colmap": "Write a batch as a COLMAP database.",
@@ -53,7 +53,7 @@ SECTIONS = {
     "Training": {
         "train": "Train a network on photographs.",
         "fit-probability": "Fit the probability that a pose is right.",
-        "fit-folders": "Fit what a folder believes of its pairs.",
+        "fit-folders": "Fit the check of look-alike places in folders.",
     },
     "About": {"info": "Show versions, weights, devices and threads."},
 }

@@ -152,17 +152,17 @@ class KChoice:
     k: str | None = _camera(
         "Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file (COLMAP, OpenCV, "
         "ROS, Kalibr, KITTI, NeRF, .csv, JSON, 3x3 matrix); or auto: not known (auto:shared: one "
-        "camera took all, auto:two: each has its own).",
+        "camera took all images; auto:two: each has its own).",
         flag="--K",
     )
     k_size: tuple[int, int] | None = _detail(
-        "Size of the images that K is for: K is scaled.",
+        "Size of the images that K is for; K is scaled to the photographs.",
         flag="--K-size",
         metavar="WxH",
         parse=parse_size,
     )
     k_std: tuple[float, float] | None = _detail(
-        "Standard deviation of f, relative, and centre, px.",
+        "Standard deviation of f (relative) and of the principal point (px).",
         flag="--K-std",
         metavar="F[,C]",
         parse=parse_deviations,
@@ -178,8 +178,8 @@ class KChoice:
 class CameraChoice(KChoice):
     """The options of the cameras of two images. --K1 and --K2 override --K."""
 
-    k1: str | None = _camera("Camera of image 1; of both without --K2 and --K.", flag="--K1")
-    k2: str | None = _camera("Camera of image 2 alone.", flag="--K2")
+    k1: str | None = _camera("Camera of image 1; of both images without --K2 and --K.", flag="--K1")
+    k2: str | None = _camera("Camera of image 2.", flag="--K2")
     fov: float | None = _camera("Horizontal field of view.", metavar="DEGREES", section="advanced")
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
@@ -197,4 +197,4 @@ class MaskChoice:
     """The options of the masks of two images."""
 
     mask1: str | None = option(None, "Black is not matched.", metavar="FILE", section="matching")
-    mask2: str | None = option(None, "The same of image 2.", metavar="FILE", section="matching")
+    mask2: str | None = option(None, "The same for image 2.", metavar="FILE", section="matching")

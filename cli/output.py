@@ -45,7 +45,7 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     if pose.rotation_error_90_deg is not None and pose.translation_error_90_deg is not None:
         lines.append(
             f"expected error: R within {pose.rotation_error_90_deg:.3f} deg, t within "
-            f"{pose.translation_error_90_deg:.3f} deg, nine times in ten if the pose is right"
+            f"{pose.translation_error_90_deg:.3f} deg in 90 % of cases, if the pose is right"
         )
     if pose.t is not None:
         lines.append(probability_text(pose.probability, "that R and t are within 10 deg"))
@@ -67,7 +67,7 @@ def _pose_lines(R: np.ndarray, t: np.ndarray | None, length: str = "up to scale"
     lines = [f"  R  {line}" for line in row_lines(*R)]
     lines.append(f"     rotation angle {rotation_angle_deg(R):.2f} deg")
     if t is None:
-        return [*lines, "  t  undefined: the images show a rotation alone"]
+        return [*lines, "  t  undefined: the images show a pure rotation"]
     return [*lines, f"  t  {row_lines(t)[0]}  (translation {length})"]
 
 

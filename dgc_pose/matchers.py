@@ -73,7 +73,7 @@ class MatcherOptions:
             if name in PRESETS or Path(name).suffix or Path(name).exists():
                 raise
             names = ", ".join([*shipped(), *NAMES])
-            missing = f"is no file and no matcher: there are {names}"
+            missing = f"is neither a file nor a matcher; the matchers are {names}"
             raise InputError(Path(name), missing) from None
         return NetworkMatcher(engine, self.matching, cache)
 

@@ -201,7 +201,7 @@ def read_colmap(source: Path) -> pycolmap.Reconstruction:
     """COLMAP's model in a folder. Raises InputError if there is none, or one without images."""
     path = model_path(source)
     if not path.is_dir():
-        raise InputError(ArgumentName("model"), f"{path} is no folder of COLMAP's files")
+        raise InputError(ArgumentName("model"), f"{path} is not a folder of COLMAP's files")
     file, colmap = read_model(path, whole=True)
     if not file.poses:
         raise InputError(ArgumentName("model"), f"{path} has no poses of images")

@@ -4,6 +4,7 @@ Chromium reads commands from its descriptor 3 and answers on 4 (--remote-debuggi
 no driver and no port are needed.
 """
 
+import base64
 import json
 import os
 import shutil
@@ -81,6 +82,16 @@ class Page:
         while not self.evaluate(expression):
             assert time.monotonic() < deadline, f"still not: {expression}"
             time.sleep(0.05)
+
+    def screenshot(self, path: Path, width: int, height: int | None = None) -> None:
+        """Write the whole page, or its top, as a PNG of so many pixels."""
+        size = {"width": width, "height": height or 800, "deviceScaleFactor": 1, "mobile": False}
+        self._call("Emulation.setDeviceMetricsOverride", **size)
+        time.sleep(1)  # drawing goes on after loading
+        tall = height or self.evaluate("document.documentElement.scrollHeight")
+        clip = {"x": 0, "y": 0, "width": width, "height": tall, "scale": 1}
+        answer = self._call("Page.captureScreenshot", clip=clip, captureBeyondViewport=True)
+        path.write_bytes(base64.b64decode(answer["data"]))
 
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1

@@ -99,10 +99,11 @@ def test_a_fingerprint_tells_weights_apart(tmp_path: Path) -> None:
 
 
 def test_other_names_are_paths_to_weights() -> None:
-    with pytest.raises(WeightsError, match="nowhere.pth is no file, and no weights"):
+    with pytest.raises(WeightsError, match="nowhere.pth is not a file, and no weights"):
         load_matcher("nowhere.pth")
     with pytest.raises(
-        InputError, match="nowhere is no file and no matcher: there are dgcm-lite0, sift, "
+        InputError,
+        match="nowhere is neither a file nor a matcher; the matchers are dgcm-lite0, sift, ",
     ):
         load_matcher("nowhere")
 
@@ -179,7 +180,7 @@ def test_without_torch_what_needs_it_is_refused(no_torch, own_weights):
 
 def test_other_requests_are_refused(no_gpu, tmp_path):
     for options, error, words in (
-        ({"weights": "nowhere.safetensors"}, WeightsError, "is no file, and no weights"),
+        ({"weights": "nowhere.safetensors"}, WeightsError, "is not a file, and no weights"),
         ({"weights": "dgcm"}, WeightsError, "no weights are shipped for dgcm "),
         (
             {"device": "cuda", "runtime": "onnx"},

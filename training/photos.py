@@ -181,5 +181,5 @@ def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
     if damaged and not images:
         raise damaged[0]
     if damaged:
-        _log.warning("%d of %d photographs are left out: %s", len(damaged), len(paths), damaged[0])
+        _log.warning("%d of %d photographs are skipped: %s", len(damaged), len(paths), damaged[0])
     return images

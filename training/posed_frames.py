@@ -40,7 +40,7 @@ class PosedFrame:
         R, last = self.cam_from_world[:3, :3], self.cam_from_world[3]
         is_pose = is_rotation(R) and np.isfinite(self.cam_from_world).all()
         if not (is_pose and np.allclose(last, (0, 0, 0, 1), atol=1e-6)):
-            raise InputError(f"{self.image}: its pose is no rotation and translation")
+            raise InputError(f"{self.image}: its pose is not a rotation and translation")
         if abs(self.camera.K[0, 1]) > 1e-6 * self.camera.K[0, 0]:
             raise InputError(f"{self.image}: its K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
 

@@ -215,7 +215,7 @@ class Trainer:
         numbers = {name: float(value) for name, value in figures.items()}
         if not math.isfinite(numbers.get("loss", 0) + numbers.get("gradient", 0)):
             raise DgcPoseError(
-                f"{self.out}: the loss or its gradient is no number at step {self.step} of the "
+                f"{self.out}: the loss or its gradient is not finite at step {self.step} of the "
                 f"{self.stage} stage; the checkpoint is from before"
             )
         stage = self.stages[self.stage]

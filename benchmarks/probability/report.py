@@ -95,10 +95,10 @@ def report_text(poses: Sequence[Judged]) -> str:
     t = [p.record.best.translation_error_deg <= p.translation_90_deg for p in exact]
     within = f"{100 * np.mean(R):.0f} and {100 * np.mean(t):.0f} %" if exact else "none"
     return (
-        "Claimed and refused, by data set. A pose is right within 10 degrees in R and t.\n\n"
+        "Claimed and rejected, by data set. A pose is right within 10 degrees in R and t.\n\n"
         f"{claims_table(poses)}\n\ncalibration error of the probability {error:.1f} %\n"
-        "right claimed poses whose R and t are within the expected error, 90 % of them meant, "
-        f"scenes of a rough reference left out: {within} of {len(exact)}"
+        "right claimed poses whose R and t are within the expected error (90 % expected, "
+        f"without scenes of a rough reference): {within} of {len(exact)}"
     )
 
 

@@ -42,7 +42,7 @@ class DtuChoice:
     required=True,
     type=OutputFolder(_LIST, *FILES, path_type=Path),
     metavar="DIR",
-    help="Folder of the results: pairs.txt and those of bench-pairs.",
+    help="Folder of the results: pairs.txt and the files of bench-pairs.",
 )
 @dataclass_options(DtuChoice, "choice")
 @dataclass_options(

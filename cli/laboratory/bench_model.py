@@ -48,18 +48,18 @@ class ModelBenchOptions:
     )
     methods: str = option(
         DEFAULT_WEIGHTS,
-        "Comma-separated names or paths of weights or other matchers; of reconstructions too "
-        f"{COLMAP_SIFT}, COLMAP's own pipeline over all pairs.",
+        "Comma-separated names or paths of weights or other matchers; for reconstructions "
+        f"also {COLMAP_SIFT}, COLMAP's own pipeline over all pairs.",
     )
-    pairs: str = option("exhaustive", "Of a reconstruction, as for batch.")
+    pairs: str = option("exhaustive", "Pairs of a reconstruction, as for batch.")
     locate: bool = option(
-        False, "Leave images out of the model and place them in it, in place of reconstructing."
+        False, "Remove each image from the model and place it there, instead of reconstructing."
     )
     apart: int = option(
         1, "Names between a query and its database images, at least.", metavar="N", min=1, max=1000
     )
     count: int | None = option(
-        None, "Place so many, evenly chosen; default: all.", metavar="N", min=1
+        None, "Number of images to place, evenly chosen; default: all.", metavar="N", min=1
     )
     other: Path | None = option(
         None, "Place the photographs of this folder, which show other places, instead."

@@ -63,7 +63,7 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
             raise InputError(_ROOT, f"is for a list or a database, and {path} is a folder")
         source = _of_folder(path, masks)
     elif not path.is_file():
-        raise InputError(path, "is no folder, video, list or database")
+        raise InputError(path, "is not a folder, video, list or database")
     else:
         is_database = path.suffix.lower() in _DATABASES
         listed = read_database(path) if is_database else read_pair_list(path)
@@ -99,7 +99,10 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     others = {n for n in content.names if files and os.path.realpath(root / n) in files}
     names = [name for name in content.names if name not in others.union(results)]
     copies = copies_of_others(root, names)
-    why = {f"results, told by their {STORE}": results, "copies of other photographs": copies}
+    why = {
+        f"results, beside {STORE}": results,
+        "copies of other photographs": copies,
+    }
     lines = [left_out_line("file", found, reason) for reason, found in why.items() if found]
     kept = tuple(name for name in names if name not in copies)
     return Source(root, kept, None, {}, (*content.left_out, *lines))

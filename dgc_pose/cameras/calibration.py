@@ -93,7 +93,7 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
     """
     common = read_calibration(text, name).common if files else _parse_text(text, name)
     if common is None:
-        raise InputError(f"{name}: {text} is no camera for all images")
+        raise InputError(f"{name}: {text} is not one camera for all images")
     return common
 
 

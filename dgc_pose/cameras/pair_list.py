@@ -187,7 +187,7 @@ def _cameras(words: list[str]) -> list[Camera]:
 def _pose(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     R, t = T[:3, :3], T[:3, 3]
     if not (is_rotation(R) and np.array_equal(T[3], [0, 0, 0, 1])):
-        raise InputError("T is no rotation and translation with the last row 0 0 0 1")
+        raise InputError("T is not a rotation and translation with the last row 0 0 0 1")
     with np.errstate(over="ignore"):
         length = np.linalg.norm(t)
     if not 0 < length < np.inf:

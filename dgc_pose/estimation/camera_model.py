@@ -197,7 +197,7 @@ def camera_warnings(
             centre = f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
             line = f"a principal point of {centre}, and K states ({cx:.0f}, {cy:.0f})"
         elif name == "swapped":
-            line = f"f = {camera.focal:.0f} px, that of the other image's K"
+            line = f"f = {camera.focal:.0f} px, as the K of the other image"
         elif name == "squeezed" and _is_open(before):
             ratio = f"fy / fx = {camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
             line = f"pixels that are not square, {ratio}"

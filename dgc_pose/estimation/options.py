@@ -53,7 +53,7 @@ class EstimationOptions:
     refine: bool = True
     min_probability: float | None = option(
         0.5,
-        "Least probability of a success: that R and t are both within 10 degrees.",
+        "Required probability that R and t are both within 10 degrees.",
         metavar="P",
         min=0,
         max=1,

@@ -128,7 +128,7 @@ def _of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     inliers[~stay] = pose.inliers
     if part <= _MOST:
         warning = (
-            f"{share} stay at the same pixels and are left out: an overlay or still background, "
+            f"{share} stay at the same pixels and are dropped: an overlay or still background, "
             "which mask1 and mask2 exclude"
         )
         return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))

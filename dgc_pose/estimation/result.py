@@ -114,8 +114,8 @@ class RelativePose:
         errors = self.rotation_error_90_deg, self.translation_error_90_deg
         if errors[0] is not None and errors[1] is not None:
             lines.append(
-                f"expected error: R {errors[0]:.3f} deg, t {errors[1]:.3f} deg, nine times in ten "
-                "if the pose is right"
+                f"expected error: R {errors[0]:.3f} deg, t {errors[1]:.3f} deg in 90 % of "
+                "cases, if the pose is right"
             )
         others = [probability_text(other.probability) for other in self.alternatives]
         last = [probability_text(self.probability)] if self.success else []

@@ -66,7 +66,7 @@ class ScaleSource:
         0.02, "Relative deviation of depths.", metavar="STD", above=0, max=1, section="scale"
     )
     baseline: _Numbers = _source("Distance between the cameras.", metavar=_FORMS["baseline"])
-    distance: _Numbers = _source("That of two points of image 1.", metavar=_FORMS["distance"])
+    distance: _Numbers = _source("Distance of two points of image 1.", metavar=_FORMS["distance"])
     marker: float | None = _source(
         "Side of ArUco or AprilTag markers.", metavar="METRES", type=float, above=0
     )
@@ -76,7 +76,7 @@ class ScaleSource:
         names = [n for n in ("depth1", "depth2", *_FORMS, "marker") if getattr(self, n) is not None]
         if len(names) > 1 and names != ["depth1", "depth2"]:
             first, *_, last = map(ArgumentName, names)
-            raise InputError(first, "and", last, "both tell the length of t, and one is needed")
+            raise InputError(first, "and", last, "both determine the length of t: give only one")
         for name, counts, n in ("baseline", (1, 2), 0), ("distance", (5,), 4):
             value, values = getattr(self, name), numbers(getattr(self, name)) or [0.0]
             is_length = len(values) in counts and min(values[n:]) > 0 and np.isfinite(values).all()

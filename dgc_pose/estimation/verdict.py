@@ -157,8 +157,8 @@ def _panorama(evidence: Evidence) -> Verdict | None:
     if evidence.camera_model != "cylinder":
         return None
     reason = (
-        f"{evidence.num_inliers} matches fit images on a cylinder, as of a panorama, and not "
-        "those of a lens"
+        f"{evidence.num_inliers} matches fit a cylindrical panorama, not a photograph "
+        "through a lens"
     )
     return Verdict("panorama", reason)
 

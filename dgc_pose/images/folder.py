@@ -84,7 +84,7 @@ def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
 
 def left_out_line(kind: str, names: Collection[str], why: str) -> str:
     """How many files or folders are left out, the first of them, and the reason."""
-    return f"{len(names)} {kind}{'s' * (len(names) > 1)} left out (first: {min(names)}): {why}"
+    return f"{len(names)} {kind}{'s' * (len(names) > 1)} skipped (first: {min(names)}): {why}"
 
 
 def _why_not(path: Path, name: str) -> str | None:

@@ -117,7 +117,7 @@ def load_image(source: ImageSource, name: str = "image") -> Image:
     finite or of alpha 0.
     """
     if source is None or isinstance(source, bytes) or (isinstance(source, str) and "://" in source):
-        raise InputError(f"{name} is no path, no array and no tensor: {source!r:.60}")
+        raise InputError(f"{name} is not a path, an array or a tensor: {source!r:.60}")
     if isinstance(source, str | os.PathLike):
         source = _read_file(Path(source))
     if isinstance(source, Image):

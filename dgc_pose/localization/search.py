@@ -260,8 +260,8 @@ class LocationSearch:
             return ""
         angles = [rotation_angle_deg(R1 @ R2.T) for R1, R2 in combinations(rotations, 2)]
         return (
-            f"the poses of {len(rotations)} database images disagree: rotations between them are "
-            f"{np.median(angles):.0f} degrees off those of the model"
+            f"{len(rotations)} database images disagree on the rotation of the query, by "
+            f"{np.median(angles):.0f} degrees (median)"
         )
 
     def _is_located(self) -> bool:

@@ -45,7 +45,7 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
         raise WeightsError(f"no weights are shipped for {name} (there are: {known}); give a file")
     path = Path(weights)
     if "\0" in name or not path.exists():
-        raise WeightsError(path, "is no file, and no weights of that name are shipped")
+        raise WeightsError(path, "is not a file, and no weights of that name are shipped")
     return path
 
 
@@ -180,12 +180,12 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
             with zipfile.ZipFile(path) as archive:
                 # A packed one could need any amount of memory; torch packs none.
                 if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                    raise WeightsError(path, "is no checkpoint of torch: its archive is packed")
+                    raise WeightsError(path, "is not a checkpoint of torch: its archive is packed")
         try:
             return torch.load(path, map_location=device, weights_only=True)
         except pickle.UnpicklingError as error:
             # torch's own message advises to load the file as code: unsafe.
-            what = "is no checkpoint of tensors and plain values"
+            what = "is not a checkpoint of tensors and plain values"
             raise WeightsError(path, what) from error
 
 

@@ -56,7 +56,7 @@ class OnnxEngine:
     def __init__(self, path: Path) -> None:
         name, self._stored = read_safetensors(path)
         if name != DEFAULT_WEIGHTS:
-            raise InputError(path, f"is of {name}, which has no ONNX graphs: run it by torch")
+            raise InputError(path, f"is for {name}, which has no ONNX graphs: use --runtime torch")
         self.config = preset(name)
         names: dict[str, Any] = json.loads((graphs.GRAPHS / graphs.WEIGHTS).read_text("utf-8"))
         check_state(path, name, self._stored, names["stored"])

@@ -40,7 +40,7 @@ def open_file(path: str | Path, error: type[DgcPoseError] = InputError) -> Binar
     with suppress(ValueError):  # a zero byte
         if os.path.isfile(path) or not os.path.exists(path):
             return open(path, "rb")
-    raise error(Path(path), "is no regular file")
+    raise error(Path(path), "is not a regular file")
 
 
 def read_bytes(
@@ -80,7 +80,7 @@ def read_text(path: str | Path, what: str = "a text") -> str:
     """A text in UTF-8, without a byte order mark.
 
     Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
-    almost any other file has, or is no regular file; OSError if it cannot be read.
+    almost any other file has, or is not a regular file; OSError if it cannot be read.
     """
     data = read_bytes(path, TEXT_BYTES)
     with suppress(UnicodeDecodeError):

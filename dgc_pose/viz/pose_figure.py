@@ -89,7 +89,7 @@ def _headline(pose: RelativePose) -> str:
         return text
     return (
         f"{text}\nexpected error: R within {pose.rotation_error_90_deg:.3f}°, t within "
-        f"{pose.translation_error_90_deg:.3f}°, nine times in ten if the pose is right"
+        f"{pose.translation_error_90_deg:.3f}° in 90 % of cases, if the pose is right"
     )
 
 
@@ -181,7 +181,7 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
     if location.success:
         said = (
             f"R within {location.rotation_error_90_deg or 0:.2f}°, centre within "
-            f"{location.position_error_90 or 0:.2g}, nine times in ten if it is right"
+            f"{location.position_error_90 or 0:.2g} in 90 % of cases, if it is right"
         )
     figure.suptitle(f"{printable(Path(query).name)}: {said}", parse_math=False)
     _draw_place(figure.add_subplot(grid[:, 0]), model, location)

@@ -165,7 +165,7 @@ def test_unusable_input(photos, whole, tmp_path):
     alike.write_text("a/view.png a-view.png\na/view.png view1.png\n")
     (tmp_path / "view1.png").write_bytes((photos[0] / "view1.png").read_bytes())
     for source, out, reason in (
-        (tmp_path / "none", "out", "is no folder, video"),
+        (tmp_path / "none", "out", "is not a folder, video"),
         (database, "out", "not a COLMAP database"),
         (alike, "out", "^a-view.png view1.png and a/view.png view1.png have one name in matches"),
         (photos[0], str(whole), "holds a batch already"),

@@ -45,7 +45,7 @@ def test_results_are_no_photographs(tmp_path, plan, result, *, kept):
     (tmp_path / plan).write_text("{}")
     source = open_source(tmp_path)
     assert source.names == ("1.png", "2.jfif") + (result,) * kept
-    assert kept or "results, told by their batch.db" in "; ".join(source.left_out)
+    assert kept or "results, beside batch.db" in "; ".join(source.left_out)
 
 
 @pytest.mark.parametrize("root", ["photos/other", None])

@@ -43,7 +43,7 @@ def test_names_stand_for_methods_with_their_own_trials_of_the_cameras() -> None:
     [
         ([], [], "no methods"),
         (["dis", "sift", "dis"], [], "'dis' is named twice"),
-        (["sift/all"], [], "key points alone"),
+        (["sift/all"], [], "no dense map"),
         (["net:K=auto:three"], [], "net:K=auto:three: k must be"),
         (["net:K_scale=much"], [], "could not convert"),
         (["net:K=auto:K_scale=2"], [], "cannot be scaled"),
@@ -72,5 +72,5 @@ def test_a_network_is_read_once_for_all_methods() -> None:
     network, stored, other, dis = load_matchers(methods, device="cpu", stored={"mine": {}})
     assert other.engine is network.engine is not None and other is not network
     assert (stored.name, dis.name) == ("mine", "dis")
-    with pytest.raises(InputError, match="nowhere is no file and no matcher.* sift, "):
+    with pytest.raises(InputError, match="nowhere is neither a file nor a matcher.* sift, "):
         load_matchers(parse_methods(["nowhere"]), device="cpu")

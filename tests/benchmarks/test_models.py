@@ -160,7 +160,7 @@ def test_a_report_counts_what_is_within_bounds() -> None:
     assert lines["position within its expected error"] == "0 of 2"
     assert lines["right of those at 0.9 or more"] == "1 of 2"
     assert lines["right of those at 0.99 or more"] == "1 of 1"
-    assert lines["seconds, median"] == lines["seconds over those of the pairs, median"] == "2"
+    assert lines["seconds, median"] == lines["seconds over pair seconds, median"] == "2"
 
 
 def test_the_command_scores_views(posed: tuple[Path, list[View]], tmp_path: Path) -> None:

@@ -137,12 +137,12 @@ def test_resized_follows_a_spot_in_a_resized_image() -> None:
         (
             "cameras.txt",
             b"# none\n1 PINHOLE 9\n",
-            "cameras.txt has a line that is no camera: ",
+            "cameras.txt has a line that is not a camera: ",
         ),
         (
             "cameras.txt",
             b"1 PINHOLE 640 480 500 510 320 240 -1",
-            "cameras.txt has a line that is no camera: PINHOLE takes 4 parameters",
+            "cameras.txt has a line that is not a camera: PINHOLE takes 4 parameters",
         ),
         ("cameras.bin", b"xx", "cameras.bin is not COLMAP's cameras that can be read"),
         ("c.csv", b"name,fx\na,1\n", "c.csv has no column 'fy'"),

@@ -70,7 +70,7 @@ def test_written_pairs_are_read_back(tmp_path):
         (line(k1="500 0 320 0 f 240 0 0 1"), "could not convert string to float: 'f'"),
         (line(k2="nan 0 320 0 510 240 0 0 1"), "K2 has values that are not finite"),
         (line(k1="-500 0 320 0 510 240 0 0 1"), "K1 "),
-        (line(pose=T * [-1, 1, 1, 1]), "T is no rotation"),
+        (line(pose=T * [-1, 1, 1, 1]), "T is not a rotation"),
         (line(pose=T * [1, 1, 1, 0] + np.diag([0, 0, 0, 1])), "no translation"),
         (line(rotations="1 0"), "rot1 rot2 must be 0 0, not 1 0"),
     ],

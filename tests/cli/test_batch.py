@@ -86,7 +86,7 @@ def test_folders_and_photographs_may_have_any_name(photos: Path, tmp_path: Path,
     lines = done.stdout.splitlines()
     assert sum(line.startswith("0\ufffd]0;title\ufffd .png 1") for line in lines) == 1
     assert [line.split(".")[0] for line in done.stderr.splitlines()] == [
-        "warning: 1 file left out (first: notes\ufffd ",
+        "warning: 1 file skipped (first: notes\ufffd ",
         "bad image bad\ufffd ",
     ]
     database = out.parent / f"{name}.db"

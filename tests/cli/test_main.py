@@ -73,7 +73,7 @@ def test_nothing_heavy_is_imported_before_it_is_needed(arguments, status, heavy)
         ),
         (
             ["rig", ".", "--out", "no", "--start", os.devnull],
-            "error: --start: /dev/null is no regular file",
+            "error: --start: /dev/null is not a regular file",
         ),
         (["estimate", "auto", "b.png"], "error: auto cannot be read"),
         (["estimate", "no.png", "b.png", "--mask1", "no.png"], "error: no.png cannot be read"),

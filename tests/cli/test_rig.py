@@ -112,7 +112,7 @@ def test_unusable_input_is_one_line(folder: Path) -> None:
             (("frames", "--K", "view0=1,2"), "K of view0"),
             (("frames", "--scale", "view0,east,2"), "--scale must be two of the 3 images"),
             (("frames", "--gps", "--marker", 0.2), "--gps and --marker both bring the model"),
-            (("frames", "--walk", "missing"), "--walk: missing is no folder"),
+            (("frames", "--walk", "missing"), "--walk: missing is not a folder"),
             (("frames", "--walk", "walk", "--walk-K", "1,2"), "K: '1,2' is neither auto"),
         )
     ):

@@ -100,7 +100,7 @@ def test_images_on_a_cylinder_are_panoramas(degrees: float, seed: int) -> None:
     pose = scene.estimate(seed=seed)
     assert pose.status == "panorama" and pose.evidence.camera_model == "cylinder"
     assert pose.R is None and pose.t is None and pose.camera1 is None and not pose.success
-    assert "matches fit images on a cylinder" in pose.reason
+    assert "matches fit a cylindrical panorama" in pose.reason
 
 
 @pytest.mark.parametrize(("exif", "seed"), [(NO_EXIF, 0), (OF_30_MM, 1)])

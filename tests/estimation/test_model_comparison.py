@@ -104,7 +104,7 @@ def test_K1_and_K2_that_are_swapped(motion: str, seed: int) -> None:
     pose = scene.estimate(*named, seed=seed)
     _assert_found(pose, scene, "swapped")
     assert [camera.focal for camera in (pose.camera1, pose.camera2)] == [1300, 1950]
-    said = [f"f = {focal} px, that of the other image's K" for focal in (1300, 1950)]
+    said = [f"f = {focal} px, as the K of the other image" for focal in (1300, 1950)]
     assert _agreed(pose) == said
 
 

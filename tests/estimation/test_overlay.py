@@ -12,7 +12,7 @@ from dgc_pose.matches import Matches
 SIZE, SMALL = (1600, 1200), (800, 600)
 CAMERA, HALF = pinhole(1500, SIZE), pinhole(1500, SIZE).resized(SMALL)
 TURN = {"turn_deg": (6.0, 17.0, 9.0)}  # by 20.4 degrees
-LEFT_OUT = "stay at the same pixels and are left out"
+LEFT_OUT = "stay at the same pixels and are dropped"
 # Where an overlay lies, shares of the sides: left, top, right, bottom.
 STRIP, CORNER, ANYWHERE = (0.0, 0.85, 1.0, 1.0), (0.02, 0.02, 0.2, 0.15), (0.0, 0.0, 1.0, 1.0)
 

@@ -88,9 +88,9 @@ def test_channels_may_come_first(rgb: np.ndarray) -> None:
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        (None, "is no path, no array and no tensor: None"),
-        (b"\x89PNG", "is no path, no array and no tensor: b"),
-        ("http://x/y.jpg", "is no path, no array and no tensor: 'http://x"),
+        (None, "is not a path, an array or a tensor: None"),
+        (b"\x89PNG", "is not a path, an array or a tensor: b"),
+        ("http://x/y.jpg", "is not a path, an array or a tensor: 'http://x"),
         (np.zeros((5, 20, 30), np.uint8), "must have shape"),
         (np.zeros((20, 0), np.float32), "must have shape"),
         (np.array([[0, np.inf], [1, 2]]), "has values that are not finite"),

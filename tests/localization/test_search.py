@@ -174,8 +174,8 @@ def test_a_model_that_contradicts_its_images_is_told() -> None:
     angles = [(a * b.inv()).magnitude() for a, b in combinations(turned, 2)]
     assert location.status == "nowhere" and np.median(angles) > np.radians(20)
     assert location.reason == (
-        "the poses of 4 database images disagree: rotations between them are "
-        f"{np.degrees(np.median(angles)):.0f} degrees off those of the model"
+        "4 database images disagree on the rotation of the query, by "
+        f"{np.degrees(np.median(angles)):.0f} degrees (median)"
     )
     unknown = replace(PHOTO_CAMERA, focal_std=0.4, focal_source="size")
     assert _search_of(scene, _poses(scene), unknown, wrong).pair_camera is unknown

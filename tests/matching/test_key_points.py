@@ -129,5 +129,5 @@ def test_other_layouts_are_refused_with_what_they_are(tmp_path) -> None:
     path.write_bytes(b"no model")
     with pytest.raises(WeightsError, match="m.onnx"):
         load_matcher(path)
-    with pytest.raises(WeightsError, match="gone.onnx is no file, and no weights"):
+    with pytest.raises(WeightsError, match="gone.onnx is not a file, and no weights"):
         load_matcher(tmp_path / "gone.onnx")

@@ -33,7 +33,7 @@ def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
     (rig / "notes.txt").write_text("of the cameras")
     (rig / "empty").mkdir()
     found, left_out = camera_frames(rig, tmp_path / "videos")
-    assert left_out[0].startswith("2 files left out (first: empty): neither a picture")
+    assert left_out[0].startswith("2 files skipped (first: empty): neither a picture")
     expected = {"north": [rig / "north.jpg"], "south": [rig / "south.data"], "west": many[::3]}
     assert found == expected and not (tmp_path / "videos").exists()
 

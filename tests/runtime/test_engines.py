@@ -125,7 +125,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
     weights = load_file(find_weights("dgcm-lite0"))
     for preset_name, error, words in (
         ("dgcm-lite0", WeightsError, "it lacks reg_0.final.bias"),
-        ("dgcm", InputError, "is of dgcm, which has no ONNX graphs"),
+        ("dgcm", InputError, "is for dgcm, which has no ONNX graphs"),
     ):
         weights.pop("reg_0.final.bias", None)
         save_file(weights, tmp_path / "w.safetensors", {"preset": preset_name})

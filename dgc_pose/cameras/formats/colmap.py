@@ -143,7 +143,7 @@ def _checked_lines(text: str, path: Path) -> str:
             try:
                 parse_line(line)
             except InputError as error:
-                raise InputError(path, f"has a line that is no camera: {error}") from None
+                raise InputError(path, f"has a line that is not a camera: {error}") from None
     return text.upper()
 
 

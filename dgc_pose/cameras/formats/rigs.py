@@ -110,7 +110,7 @@ def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
         pose = np.column_stack([R, t])
         if np.isfinite(pose).all() and is_rotation(pose[:, :3]):
             return pose
-    raise InputError("rotation and translation are no rigid pose")
+    raise InputError("rotation and translation are not a rigid pose")
 
 
 def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:

@@ -31,7 +31,7 @@ export function photographsOf(files) {
     type.startsWith("image/") || endings.some((ending) => name.toLowerCase().endsWith(ending))));
   photographs.sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
   const taken = photographs.slice(0, MOST);
-  at("taken").textContent = `${photographs.length} of ${files.length} files are photographs by type or name; ${taken.length} are taken.`;
+  at("taken").textContent = `${photographs.length} of ${files.length} files are photographs by type or name; the page uses ${taken.length}.`;
   return taken;
 }
 

@@ -4,8 +4,8 @@ const at = (id) => document.getElementById(id);
 const SUCCESS = { ok: "R and t are known, t up to scale.", planar: "R and t are known, t up to scale, from a nearly planar scene." };
 const SOURCES = { exif: " by EXIF data", size: " by the size of the image", matches: " by the matches" };
 const BASES = {
-  auto: "K was not known: its focal length is estimated, see K below. With a K that is known the pose is more accurate.",
-  fov: "K is a guess by the field of view: the pose is as wrong as the angle.",
+  auto: "K is not known: the focal length below is estimated. A known K gives a more accurate pose.",
+  fov: "K comes from the field of view: if the angle is wrong, so is the pose.",
 };
 
 /** Fill in the verdict and the facts. kind: how K was said. */
@@ -39,11 +39,11 @@ export function verdict({ status, success, R, alternatives: others }, reason) {
   if (success) return { sort: "good", title: "A pose", why: SUCCESS[status] };
   if (status === "ambiguous") {
     const count = others.length === 2 ? "Two" : others.length;
-    const why = "The matches do not show which of them is right, so none is claimed. The likeliest stands first; each is x2 = R x1 + t.";
+    const why = "The matches do not show which pose is right, so there is no result. The likeliest pose is first; each is x2 = R x1 + t.";
     return { sort: "doubt", title: `${count} poses explain these photographs`, why };
   }
   const why = `${reason[0].toUpperCase()}${reason.slice(1)} (${status}).`;
-  return R ? { sort: "doubt", title: "A rotation alone", why } : { sort: "bad", title: "No pose", why };
+  return R ? { sort: "doubt", title: "A pure rotation", why } : { sort: "bad", title: "No pose", why };
 }
 
 export function element(name, text, className = "") {
@@ -103,7 +103,7 @@ export function facts(pose) {
   if (pose.t) lines.push(["probability", likelihood(pose.probability), ", that R and t are within 10°"]);
   if (pose.rotation_error_90_deg != null) {
     const [R, t] = [pose.rotation_error_90_deg, pose.translation_error_90_deg];
-    lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°`, ", nine times in ten if the pose is right"]);
+    lines.push(["expected error", `R within ${R.toFixed(3)}°, t within ${t.toFixed(3)}°`, " in 90 % of cases, if the pose is right"]);
   }
   const share = pose.inlier_ratio == null ? "" : ` (${(100 * pose.inlier_ratio).toFixed(1)} %)`;
   const sense = pose.success ? "" : " agree with the best essential matrix";

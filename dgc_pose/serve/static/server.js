@@ -16,7 +16,7 @@ async function ask(path, body, type) {
 /** Send a photograph. Returns it as the server describes it, with a way to send it again. */
 export async function sendFile(file) {
   try {
-    const content = await file.arrayBuffer().catch(() => { throw new Error("the file cannot be read, or no longer"); });
+    const content = await file.arrayBuffer().catch(() => { throw new Error("the file cannot be read"); });
     const answer = await ask(`/images?name=${encodeURIComponent(file.name)}`, content, "application/octet-stream");
     return { ...await answer.json(), again: () => sendFile(file) };
   } catch (error) {

@@ -99,7 +99,7 @@ def test_the_fit_finds_the_weights_and_scores_folders_left_out():
     values, _, *none = _folder(9, 20)
     folders["plain"] = (values, np.ones(20, bool), *none)
     header, *lines, fitted = fit(folders).splitlines()
-    headings = "folder pairs wrong AUC alone by repeats right turned down wrong kept"
+    headings = "folder pairs wrong AUC of pairs by repeats right rejected wrong kept"
     assert header.split() == headings.split()
     table = {line.split()[0]: line.split()[1:] for line in lines}
     assert set(table) == set(folders) and table["plain"][1:3] == ["0", "-"]

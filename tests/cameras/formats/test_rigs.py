@@ -179,11 +179,11 @@ def test_cameras_that_are_not_calibrated(tmp_path: Path, matrix: Any) -> None:
         ({"fisheye": "omni"}, "left: the fisheye 'omni' has no COLMAP model"),
         ({"size": [640]}, "left: size: no width and height"),
         ({"size": [float("inf"), 480]}, "left: .*infinity"),
-        ({"rotation": [0.1, 0.2]}, "left: rotation and translation are no rigid pose"),
-        ({"rotation": (2 * R).tolist()}, "left: rotation and translation are no rigid pose"),
-        ({"rotation": (-R).tolist()}, "left: rotation and translation are no rigid pose"),
+        ({"rotation": [0.1, 0.2]}, "left: rotation and translation are not a rigid pose"),
+        ({"rotation": (2 * R).tolist()}, "left: rotation and translation are not a rigid pose"),
+        ({"rotation": (-R).tolist()}, "left: rotation and translation are not a rigid pose"),
         ({"rotation": [0.1, float("inf"), 0.3]}, "left: rotation and translation are no"),
-        ({"translation": [1.0, 2.0]}, "left: rotation and translation are no rigid pose"),
+        ({"translation": [1.0, 2.0]}, "left: rotation and translation are not a rigid pose"),
         ({"name": "right"}, "two cameras have the name right"),
     ],
 )
@@ -244,7 +244,10 @@ def test_colmaps_rig_config(tmp_path: Path) -> None:
     for change, error in (
         ({"camera_params": [1, 2]}, "OPENCV takes 8 parameters"),
         ({"camera_model_name": "none"}, "'none' is not a COLMAP model"),
-        ({"cam_from_rig_rotation": [0, 0, 0, 0]}, "right: rotation and translation are no rigid"),
+        (
+            {"cam_from_rig_rotation": [0, 0, 0, 0]},
+            "right: rotation and translation are not a rigid",
+        ),
         ({"cam_from_rig_translation": [1, 2]}, "right: rotation and"),
         ({"image_prefix": "rig2/left"}, "two cameras have the name left"),
     ):
