@@ -34,7 +34,7 @@ class PosedFrame:
     cam_from_world: np.ndarray  # (4, 4) float64
     depth: Path | None = None  # image of z along the optical axis; 0: unknown
     step: float = 1e-3  # unit of the stored depth, in units of length
-    reach: tuple[float, float] | None = None  # nearest and farthest depth, without a sensor
+    reach: tuple[float, float] | None = None  # nearest and farthest depth; None: by a sensor
 
     def __post_init__(self) -> None:
         R, last = self.cam_from_world[:3, :3], self.cam_from_world[3]
