@@ -270,8 +270,8 @@ def collected(name: str, data: Path, out: Path) -> Pairs:
 
 
 def fit(folders: Mapping[str, Pairs]) -> str:
-    """A table of the folders, each judged by weights fitted on the others, and weights of all.
-    Column "by repeats": log-odds per pair by which repeats explain the folder better."""
+    """A table of the folders, each judged by weights fitted on the others; and the weights fitted
+    on all. Column "by repeats": log-odds per pair by which repeats explain the folder better."""
     table = ["folder,pairs,wrong,AUC alone,by repeats,right turned down,wrong kept".split(",")]
     for name, (values, right, found, agree) in folders.items():
         alone = by_itself(values, *_weights([of for other, of in folders.items() if other != name]))

@@ -107,7 +107,7 @@ class Photos:
         places: Sequence[Sequence[np.ndarray]] = (),
         device: torch.device | str = "cpu",
     ) -> Photos:
-        """Images are (h, w, 3) uint8, RGB; the images of a place are aligned and have one size."""
+        """From images (h, w, 3) uint8, RGB; the images of a place are aligned and have one size."""
         counts = torch.tensor([len(place) for place in places], dtype=torch.int64)
         first = len(images) + counts.cumsum(0) - counts
         every = [*images, *(image for place in places for image in place)]
@@ -127,7 +127,7 @@ def load_photos(
     """Load all photographs below a folder, resized: those for training, and those held back.
 
     light: a folder of folders for training, each with aligned photographs of one place in different
-    light. Only its name decides whether a photograph is held back, so that it never trains another
+    light. Only a photograph's name decides whether it is held back, so that it never trains another
     run, unless the folder is so small that one of the two groups would be empty. Raises ImageError
     for fewer than two photographs, or if `light` or one of its folders has no place.
     """

@@ -144,7 +144,7 @@ def _orbiting(
 
 
 class Rooms(NamedTuple):
-    """B rooms of P primitives: a box from inside, boxes, then ellipsoids. World y points down."""
+    """B rooms of P primitives: a box seen from inside, boxes, ellipsoids. World y points down."""
 
     axes: Tensor  # (B, P, 3, 3), world from primitive
     half: Tensor  # (B, P, 3), half sizes along the axes, units of length
@@ -173,7 +173,7 @@ class RoomPairs:
 def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
     """Where rays first hit a surface: ray parameters (B, N) and primitives (B, N).
 
-    origin: (B, 3); rays: (B, N, 3), 1 long along the optical axis; both in world coordinates.
+    origin: (B, 3); rays: (B, N, 3), with z = 1 in the camera; both in world coordinates.
     """
     nearest = torch.full_like(rays[..., 0], torch.inf)
     which, count = torch.zeros_like(nearest, dtype=torch.int64), rooms.half.shape[1]
