@@ -74,7 +74,7 @@ def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
 
 
 def read_scene(root: Path) -> list[PosedFrame]:
-    """Read the frames of a scene's folder, two or more, in order. Raises as `read_scenes`."""
+    """Read the frames of a scene's folder, two or more, in order. Raises as `read_scenes` does."""
     if (root / "poses.txt").exists():
         frames = read_rgbd(root)
     elif (root / "cameras.txt").exists() and not (root / "images.txt").exists():
