@@ -1,4 +1,4 @@
-"""What a method makes of a pair, compared with the truth."""
+"""The result of a method on a pair, compared with the truth."""
 
 import time
 from dataclasses import replace
@@ -24,15 +24,15 @@ from dgc_pose.pose import solve_pair
 def score(
     names: tuple[str, str], pair: PosedPair, method: Method, matcher: Matcher
 ) -> dict[str, Any]:
-    """What a method makes of a pair, compared with the truth: a row of results.csv by its columns.
+    """Compare the result of a method on a pair with the truth; return a row of results.csv.
 
-    Errors are infinite without a pose; NaN is what a method does not say. D_e is the symmetric
-    epipolar distance to the true epipolar lines, in pixels of the images that the methods see: over
-    all cells of the dense map (NaN without one), and over the matches that the pose was estimated
-    from (infinite without any).
+    Errors are infinite without a pose. A value that the method does not give is NaN. D_e is the
+    symmetric epipolar distance to the true epipolar lines, in pixels of the images that the method
+    gets: over all cells of the dense map (NaN without a map), and over the matches from which the
+    pose was estimated (infinite without matches).
 
-    names: of the images, as the list has them. Raises InputError if the method asks for every pixel
-    of a matcher that makes no map.
+    names: the images' names in the list. Raises InputError if the method takes every pixel and its
+    matcher makes no map.
     """
     assert pair.R is not None and pair.t is not None
     cameras = method.cameras.cameras(pair)
@@ -42,7 +42,7 @@ def score(
         everywhere_px = epipolar_errors(pair, dense.map, dense.grid)
     confident_px = epipolar_errors(pair, matches.points1, matches.points2)
     rotation = translation = np.inf
-    if pose.success and pose.R is not None and pose.t is not None:  # it counts only as a whole
+    if pose.success and pose.R is not None and pose.t is not None:  # R without t is a failure
         rotation = rotation_error_deg(pose.R, pair.R)
         translation = translation_error_deg(pose.t, pair.t)
     focal_errors, focal_stds = [np.nan, np.nan], [np.nan, np.nan]
@@ -65,15 +65,15 @@ def score(
         "translation_folded_deg": folded(translation),
         "match_seconds": match_seconds,  # wall clock of the steps that changed the matches
         "estimate_seconds": pose.seconds["estimate"],  # wall clock of all estimations
-        "rotation_90_deg": _number(pose.rotation_error_90_deg),  # what the pose expects
+        "rotation_90_deg": _number(pose.rotation_error_90_deg),  # expected error
         "translation_90_deg": _number(pose.translation_error_90_deg),
         "probability": _number(pose.probability),  # that R and t are both within 10 degrees
-        # ln of the focal length of the pose over the true one, and what the pose expects of it
+        # ln of the estimated focal length over the true one, and its expected standard deviation
         "focal1_error": focal_errors[0],
         "focal2_error": focal_errors[1],
-        "focal1_std": focal_stds[0],  # 0 if K was exact for it
+        "focal1_std": focal_stds[0],  # 0 if the estimation took K as exact
         "focal2_std": focal_stds[1],
-        "doubts_camera": doubts_camera(pose, cameras),  # whether by the pose a K may be wrong
+        "doubts_camera": doubts_camera(pose, cameras),  # whether a K may be wrong
         "epipolar_all_px": everywhere_px[0],  # medians
         "epipolar_confident_px": confident_px[0],
         "epipolar_all_mean_px": everywhere_px[1],
@@ -84,7 +84,7 @@ def score(
 def _solved(
     pair: PosedPair, cameras: tuple[Camera, Camera], method: Method, matcher: Matcher
 ) -> tuple[RelativePose, Matches, CorrespondenceMap | None, float]:
-    """The pose of a pair, its matches and the dense map, and the seconds of the matching."""
+    """The pose of a pair, its matches, its dense map and the seconds spent on matching."""
     if not method.everywhere:
         found = solve_pair(pair.image1, pair.image2, cameras, matcher, method.estimation)
         seconds = sum(s for step, s in found.pose.seconds.items() if step != "estimate")
@@ -101,8 +101,8 @@ def _solved(
 
 
 def doubts_camera(pose: RelativePose, cameras: tuple[Camera, Camera]) -> bool:
-    """Whether a K may be wrong: there was a warning of it before the estimation, or the matches
-    contradict its focal length or that of the EXIF data. cameras: before the estimation."""
+    """Whether a K may be wrong: it had a warning before the estimation, or the matches contradict
+    K or a focal length from EXIF. cameras: before the estimation."""
     if any(camera.focal_source == "given" and camera.warnings for camera in cameras):
         return True
     if pose.evidence is None or not STATUSES[pose.status].of_cameras:
@@ -119,7 +119,7 @@ def epipolar_errors(
 ) -> tuple[float, float]:
     """Median and mean of the distances D_e of matches (..., 2) from the true lines, pixels.
 
-    A match that is not finite counts as infinitely far, and so do no matches at all.
+    The distance of a match that is not finite is infinite. Without matches both are infinite.
     """
     assert pair.R is not None and pair.t is not None
     E = essential_from_pose(pair.R, pair.t / np.linalg.norm(pair.t))
@@ -138,7 +138,7 @@ def epipolar_errors(
 def folded(error_deg: float) -> float:
     """min(e, 180 - e): the translation error of the matching literature, which ignores t's sign.
 
-    error_deg: degrees in [0, 180]; infinite for a failure, and so is the result.
+    error_deg: degrees in [0, 180]; an infinite error (a failure) stays infinite.
     """
     return min(error_deg, abs(180.0 - error_deg))
 
@@ -147,11 +147,11 @@ def pose_auc(errors: ArrayLike, threshold: float) -> float:
     """Area under the recall curve of pose errors up to a threshold, percent of the full area.
 
     The curve of the matching literature: straight lines from (0, 0) through the points (e_i, i/N),
-    errors in ascending order, and constant from the last error below the threshold on. The area
-    under it is exact. Failures are infinite errors and count among the N.
+    errors in ascending order, constant after the last error below the threshold. The area under
+    the curve is exact. Failures have infinite errors and count among the N.
 
-    errors: (N,), N > 0, in the unit of the threshold, for a pair max(rotation, folded translation),
-    never NaN.
+    errors: (N,), N > 0, without NaN, in the unit of the threshold: for each pair max(rotation,
+    folded translation).
     """
     values = np.sort(np.asarray(errors, dtype=np.float64))
     below = values[: np.searchsorted(values, threshold)]

@@ -1,7 +1,7 @@
-"""The fit of `batch/look_alikes.py`: what of a pair by itself speaks for it.
+"""The fit of `batch/look_alikes.py`: the weights of the evidence for each pair on its own.
 
-Folders in which a place is there twice are rendered by the ray caster, with the truth; ordinary
-ones are posed photographs. Their pairs are matched.
+The pairs come from two kinds of folders. The ray caster renders folders in which a place appears
+twice, with the truth. Ordinary folders hold posed photographs.
 """
 
 from __future__ import annotations
@@ -49,40 +49,40 @@ from dgc_pose.training.room_pairs import Rooms, random_textures, render
 from dgc_pose.training.views import Cameras, Shape, about_axis, image_arrays
 
 KINDS = ("rooms", "object", "tower", "shelf")
-# Half of the length that a photograph covers, over the root of a box's median half size
+# By layer: half the length that a photograph covers, over the root of a box's median half size
 _SPANS = ((0.4, 1.1), (0.25, 0.75))
-_OTHER_LIGHT = 0.3  # its share of a photograph
+_OTHER_LIGHT = 0.3  # share of the relit view in the photograph
 _HOLDS = math.log(LEAST_BELIEF / (1 - LEAST_BELIEF))
 _FRAMES = 13  # of a posed scene, evenly spread
-_LANDS_PX = 8.0  # of an inlier from where the truth has it
-_RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the latter over the depth, of a t that counts
-# Folder of images, their cameras by name, and whether a pair that has a pose is right
+_LANDS_PX = 8.0  # largest distance of a right inlier from its true point
+_RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the baseline over the depth, from which t counts
+# Folder of images, their cameras by name, and a function: whether the pose of a pair is right
 Folder = tuple[Path, Mapping[str, Camera], Callable[[MatchedPair], bool]]
-# Of the pairs that have a pose the values (n, 3) of `evidence_of_pairs`, whether they are right,
-# (n,), their triples (M, 3), and whether these agree, (M,)
+# For the pairs with a pose: values (n, 3) of `evidence_of_pairs`, whether each pair is right (n,),
+# triples (M, 3), and whether each triple agrees (M,)
 Pairs = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A rendered photograph with its truth."""
+    """A rendered photograph with its true camera and depths."""
 
     image: np.ndarray  # (h, w, 3) uint8, RGB
     camera: Cameras  # a single one
     depth: np.ndarray  # (h, w), along the optical axis, units of length
-    part: str  # views of other parts show other places
+    part: str  # views of different parts show different places
 
 
 class _Box(NamedTuple):
     centre: np.ndarray  # (3,), y down
-    half: np.ndarray  # (3,), sizes
+    half: np.ndarray  # (3,), half sizes
     yaw: float
-    seed: float  # of its textures
+    seed: float  # of the textures
 
 
-_Values = float | Sequence[float] | np.ndarray  # one, or of each axis
-_Range = tuple[_Values, _Values]  # the least and the largest
-# Boxes, the first a room around them; (n, 3) centres of cameras, and what these look at
+_Values = float | Sequence[float] | np.ndarray  # one value, or one for each axis
+_Range = tuple[_Values, _Values]  # least and largest values
+# Boxes, of which the first is the room; camera centres (n, 3); the points they look at (n, 3)
 _Part = tuple[list[_Box], np.ndarray, np.ndarray]
 _floats = partial(torch.as_tensor, dtype=torch.float32)
 
@@ -90,7 +90,7 @@ _floats = partial(torch.as_tensor, dtype=torch.float32)
 def rendered_folder(
     kind: str, photos: Photos, seed: int, shape: Shape = (480, 640)
 ) -> dict[str, View]:
-    """The views of a folder of one of `KINDS` by name, in random order, textured with photos."""
+    """Render a folder of one of `KINDS`, textured with photos: views by name, in random order."""
     make, draw = _Maker(np.random.default_rng([seed, *kind.encode()])), Draw("cpu", kind, seed)
     focal, views = make.between(0.66, 0.84) * shape[1], list[View]()
     K = _floats([[focal, focal, (shape[1] - 1) / 2, (shape[0] - 1) / 2]])
@@ -116,13 +116,13 @@ def _copied(boxes: list[_Box], shift: _Values = 0, turn: float = 0) -> list[_Box
 
 
 class _Maker:
-    """Makes random boxes, and the parts of a folder of a kind, which has its name."""
+    """Makes random boxes. The method with the name of a kind makes the parts of its folder."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng, self.between = rng, rng.uniform
 
     def boxes(self, count: int, halves: _Range, feet: _Range, yaw: float = 0) -> list[_Box]:
-        """feet: the middles of their lower faces; yaw: the largest, either way."""
+        """feet: range of the middles of the lower faces; yaw: largest, in either direction."""
         sizes, places = (self.between(*of, (count, 3)) for of in (halves, feet))
         turns, seeds = self.between(-yaw, yaw, count), self.rng.random(count)
         return [*map(_Box, places - sizes * (0, 1, 0), sizes, turns, seeds)]
@@ -131,7 +131,7 @@ class _Maker:
         return self.boxes(1, (half, half), (foot, foot))
 
     def rooms(self) -> list[_Part]:
-        """Two rooms with one back wall and the same before it."""
+        """Two rooms with the same back wall and the same objects in front of it."""
         wide, y, deep = walls = self.between((2.0, 1.2, 2.0), (2.8, 1.5, 2.8))
         x, alike, parts = wide - 0.5, self.box((0, y, deep), (wide, y, 0.01)), list[_Part]()
         feet = (-x, y, deep - 0.6), (x, y, deep - 0.3)
@@ -144,7 +144,7 @@ class _Maker:
         return parts
 
     def object(self) -> list[_Part]:
-        """An object of two boxes, twice in a room, and a path from one to the other."""
+        """An object of two boxes, twice in one room, and a path from one copy to the other."""
         _, y, _ = walls = self.between((5.0, 1.5, 4.0), (7.0, 2.5, 5.0))
         thing = self.boxes(1, ((0.25, 0.4, 0.25), (0.45, 0.7, 0.45)), ((0, y, 0), (0, y, 0)), 0.4)
         thing += self.boxes(1, (0.1, 0.3), ((-0.5, y, -0.6), (0.5, y, -0.4)), 1)
@@ -158,7 +158,7 @@ class _Maker:
         return [(boxes, centres, targets)]
 
     def tower(self) -> list[_Part]:
-        """A tower with four sides alike, and a path around it."""
+        """A tower with four equal sides, and a path around it."""
         y, wide = 6.0, self.between(0.9, 1.3)
         side = self.box((0, y, wide / 2), (wide - 0.01, 3, wide / 2))
         side += self.box((wide, y, wide), (0.2, 2, 0.2))
@@ -177,7 +177,7 @@ class _Maker:
         return [(boxes, centres, targets)]
 
     def shelf(self) -> list[_Part]:
-        """A shelf with the same goods five times, less some, and a path along it."""
+        """A shelf with five copies of the same goods, some missing in each, and a path along it."""
         period, z, goods = self.between(1.8, 2.6), 2.6, list[_Box]()
         boxes, x = self.box((0, 2.2, 0), (9, 2.2, 3)), period / 2
         for y in (-0.7, 0.1, 0.9):
@@ -197,7 +197,7 @@ _photos = cache(load_held_back)
 
 
 def folder_names(data: Path, count: int) -> list[str]:
-    """The names of so many rendered folders of each kind, and of as many posed scenes."""
+    """The names of `count` rendered folders of each kind, and of as many posed scenes."""
     rendered = [f"{kind}_{seed}" for kind, seed in product(KINDS, range(count))]
     scenes = sorted(path.parent.name for path in data.glob("posed/*/images"))
     return rendered + thinned(scenes, len(rendered))
@@ -211,7 +211,7 @@ def _made(name: str, data: Path, out: Path) -> Folder:
         return data / "posed" / name / "images", of_frames, partial(has_right_pose, frames)
     views, root = rendered_folder(kind, _photos(data / "photos"), int(seed)), out / "folders" / name
     root.parent.mkdir(parents=True, exist_ok=True)
-    if not root.is_dir():  # else the pairs of newer files are matched again
+    if not root.is_dir():  # newer files would make the batch match their pairs again
         with replaced_folder(root) as folder:
             for image, view in views.items():
                 cv2.imwrite(str(folder / image), view.image[..., ::-1])
@@ -220,7 +220,7 @@ def _made(name: str, data: Path, out: Path) -> Folder:
 
 
 def shows_one_place(views: Mapping[str, View], pair: MatchedPair) -> bool:
-    """Whether half of the inliers or more are on one surface, by the depth of either image."""
+    """Whether at least half of the inliers lie on one surface, by the depth of either image."""
     assert pair.row.pose is not None
     ends, matches = [views[n] for n in pair.row.names], pair.matches.subset(pair.row.pose.inliers)
     points, lands = (matches.points1, matches.points2), np.zeros(len(matches), bool)
@@ -236,7 +236,7 @@ def shows_one_place(views: Mapping[str, View], pair: MatchedPair) -> bool:
 
 
 def has_right_pose(frames: Mapping[str, PosedFrame], pair: MatchedPair) -> bool:
-    """Whether R is right, and t unless the cameras are at one place."""
+    """Whether R is right, and t too unless the cameras have almost no baseline."""
     (first, second), pose = (frames[name] for name in pair.row.names), pair.row.pose
     assert pose is not None and pose.R is not None and first.reach and second.reach
     relative = second.cam_from_world @ np.linalg.inv(first.cam_from_world)
@@ -248,7 +248,7 @@ def has_right_pose(frames: Mapping[str, PosedFrame], pair: MatchedPair) -> bool:
 
 
 def collected(name: str, data: Path, out: Path) -> Pairs:
-    """The pairs of a folder, whose batch and labels are made in `out` unless they are there."""
+    """The pairs of a folder. Its batch and its labels are made in `out` if they are missing."""
     folder, labels = out / "batches" / name, out / "batches" / f"{name}.npy"
     if not labels.is_file():
         root, cameras, is_right = _made(name, data, out)
@@ -270,8 +270,8 @@ def collected(name: str, data: Path, out: Path) -> Pairs:
 
 
 def fit(folders: Mapping[str, Pairs]) -> str:
-    """A table of the folders, each by weights of the others, with how much better repeats explain a
-    pair of it; and the weights of all."""
+    """A table of the folders, each judged by weights fitted on the others; and the weights fitted
+    on all. Column "by repeats": log-odds per pair by which repeats explain the folder better."""
     table = ["folder,pairs,wrong,AUC of pairs,by repeats,right rejected,wrong kept".split(",")]
     for name, (values, right, found, agree) in folders.items():
         alone = by_itself(values, *_weights([of for other, of in folders.items() if other != name]))
@@ -293,7 +293,7 @@ def fit(folders: Mapping[str, Pairs]) -> str:
 
 
 def _weights(folders: Sequence[Pairs]) -> tuple[np.ndarray, float]:
-    """Log-odds for a unit of each value, and the intercept."""
+    """Log-odds per unit of each evidence value, and the intercept."""
     values, right = (np.concatenate([of[k] for of in folders]) for k in range(2))
     values = np.nan_to_num(values)
     deviation = values.std(0).clip(1e-6)

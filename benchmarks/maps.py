@@ -3,8 +3,8 @@
 A homography H maps pixels of the first image to the second, x2 ~ H x1. The layouts are HPatches'
 sequences of a changing viewpoint (`v_*`), VGG's affine-covariant sets, and annotated pairs.
 
-AEPE and Jaccard are means over pairs of a pair's own figure; PCK is pooled over pixels. All errors
-are in pixels of the 240x240 images, over the pixels whose true correspondence is known.
+AEPE and Jaccard are computed for each pair, then averaged; PCK is pooled over pixels. Errors are in
+pixels of the 240x240 images, over the pixels whose true correspondence is known.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from dgc_pose.system.texts import aligned
 from dgc_pose.training.views import MapPairs, image_arrays, level_truth
 from dgc_pose.viz.figure import new_figure
 
-VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, seen from image 1
+VIEWPOINTS = ("I", "II", "III", "IV", "V")  # of images 2 to 6 of a sequence, from image 1
 SEQUENCES = 59  # of a changing viewpoint in HPatches
 _SUFFIXES = (".ppm", ".png", ".jpg", ".jpeg", ".pgm")
-_FAR = 1e6  # pixels, coordinate of a map's points beyond the horizon
+_FAR = 1e6  # pixels; coordinate of points beyond the horizon, and bound of all others
 _SIZE = (INPUT_SIZE, INPUT_SIZE)
 PCK_ALPHAS = np.linspace(0.005, 0.1, 200)  # of 240: the paper's thresholds
 PCK_THRESHOLDS = PCK_ALPHAS * INPUT_SIZE  # pixels
 WITHIN = (1.0, 3.0, 5.0)  # pixels, Euclidean: PCK@1, PCK@3, PCK@5
-RIGHT_PX = 3.0  # a match this near is right, in the reliability diagram
-# The mask of dgcm-lite0 is trained on "visible, with an error below" so many pixels.
+RIGHT_PX = 3.0  # largest error of a right match, in the reliability diagram
+# The mask of dgcm-lite0 is trained on "visible, with an error below this many pixels".
 FOUND_PX = 4.0
 HEADING = (
     "errors in pixels of 240x240, over the pixels of known correspondence, no mask applied\n"
@@ -61,7 +61,7 @@ HEADING = (
     f"J found: against what is visible and found to within {FOUND_PX:g} px, "
     "which dgcm-lite's mask is trained for"
 )
-_LEVELS = [f"aepe{cells}" for cells in LEVEL_SIZES[::-1]]  # of the maps of 15 to 240 cells a side
+_LEVELS = [f"aepe{cells}" for cells in LEVEL_SIZES[::-1]]  # maps of 15 to 240 cells a side
 # Heading, figure, factor and decimals.
 _COLUMNS = [
     ("pairs", "pairs", 1, 0),
@@ -73,13 +73,13 @@ _COLUMNS = [
 ]
 
 
-# The distances (S, S) float64 of a level's map from the truth, pixels of 240x240, infinite where
-# that is not known, and where it is known, (S, S) bool
+# Distances (S, S) float64 of a level's map from the truth, pixels of 240x240, infinite where the
+# truth is unknown; and mask (S, S) bool of the known cells
 Level = tuple[np.ndarray, np.ndarray]
-# A pair's levels, coarse to fine, up to 240 cells a side, of a network from 15 on; and the
+# A pair's levels, coarse to fine: 15 to 240 cells a side for a network, else 240 only; and the
 # matchability (240, 240) float32 in [0, 1], None without a mask
 Comparison = tuple[Sequence[Level], np.ndarray | None]
-MapMethod = Callable[[MapPairs], Comparison]  # of one pair
+MapMethod = Callable[[MapPairs], Comparison]  # for a batch of one pair
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +87,14 @@ class HomographyPair:
     """Two images of a plane. Image 1 is the source, image 2 the target."""
 
     name: str
-    group: str  # that its figures are averaged in: a viewpoint of HPatches, or the folder
+    group: str  # its figures are averaged within: a viewpoint of HPatches, or the folder
     path1: Path
     path2: Path
     H: np.ndarray  # (3, 3) float64, x2 ~ H x1, pixels of the images as stored
 
 
 def find_homography_pairs(root: Path) -> list[HomographyPair]:
-    """All pairs of the three layouts in a folder and the folders right below it whose files are
-    there.
+    """All complete pairs of the three layouts in a folder and the folders directly below it.
 
     Raises InputError if there is no pair or, with the path, if a matrix is malformed.
     """
@@ -110,7 +109,7 @@ def find_homography_pairs(root: Path) -> list[HomographyPair]:
 
 
 def load_pair(pair: HomographyPair) -> MapPairs:
-    """A batch of the one pair at 240x240 with its true map.
+    """Load a pair at 240x240, with its true map, as a batch of one.
 
     Raises ImageError for an image that cannot be read.
     """
@@ -134,7 +133,7 @@ def true_map(
     paper's normalised coordinates. Squaring follows the half-pixel rule.
     """
     squared = _squaring(size2) @ H @ np.linalg.inv(_squaring(size1))
-    # The scale of H decides the sign of the depth alone: positive at the source's centre.
+    # The sign of H's scale is chosen so that the depth is positive at the source's centre.
     centre = np.array([(INPUT_SIZE - 1) / 2, (INPUT_SIZE - 1) / 2, 1.0])
     inverse = np.linalg.inv(squared * np.sign((squared @ centre)[2] or 1.0))
     source = np.concatenate([pixel_grid(_SIZE), np.ones((*_SIZE, 1))], -1) @ inverse.T
@@ -146,14 +145,14 @@ def true_map(
 
 
 def _squaring(size: tuple[int, int]) -> np.ndarray:
-    """(3, 3), from pixels of an image of `size` to those of the square, by the half-pixel rule."""
+    """(3, 3), from pixels of an image of `size` to pixels of the square, by the half-pixel rule."""
     sx, sy = np.divide(INPUT_SIZE, size)
     return np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
 
 
 def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
-    """The pairs right in a folder, in each of the layouts."""
-    name, found = folder.resolve().name, []  # name and group of a pair, its images and its matrix
+    """The pairs directly in a folder, in any of the layouts."""
+    name, found = folder.resolve().name, []  # names of pair, group, images, matrix
     for k, viewpoint in enumerate(VIEWPOINTS, start=2):
         if folder.name.startswith("v_"):
             found.append((f"{name} 1-{k}", viewpoint, "1", f"{k}", f"H_1_{k}"))
@@ -177,7 +176,7 @@ def _pairs_in(folder: Path) -> Iterator[HomographyPair]:
 
 
 def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMethod]:
-    """What makes the dense maps of methods, by name: bare networks, and matchers without one.
+    """The functions that compare dense maps, by method: bare networks, or optical flow.
 
     Raises InputError for no names or a matcher of key points; WeightsError if weights cannot be
     loaded.
@@ -199,9 +198,9 @@ def load_map_methods(names: Sequence[str], *, device: str) -> dict[str, MapMetho
 
 @torch.no_grad()
 def compare(net: nn.Module, pair: MapPairs) -> Comparison:
-    """The net's forward pass on a 240x240 pair.
+    """Compare the maps of a net's forward pass on a 240x240 pair.
 
-    net: a `DGCNet` in evaluation mode, or another module with its `config` that gives a
+    net: a `DGCNet` in evaluation mode, or another module with a `config` that returns a
     `Prediction`.
     """
     align_corners = cast(NetworkConfig, net.config).align_corners
@@ -222,10 +221,10 @@ def compare(net: nn.Module, pair: MapPairs) -> Comparison:
 
 
 def compare_matcher(matcher: Matcher, pair: MapPairs) -> Comparison:
-    """The dense map of a matcher that makes one, of a 240x240 pair.
+    """Compare the dense map of a matcher on a 240x240 pair; the matcher must make one.
 
-    A map of fewer cells is brought to the pixels: its displacements linearly, beyond the outermost
-    centres as there, and its matchability as that of the nearest cell.
+    A coarser map is resized to the pixels: displacements bilinearly (constant beyond the outermost
+    cell centres), matchability from the nearest cell.
     """
     images = (Image(image_arrays(image)[0]) for image in (pair.image1, pair.image2))
     dense = matcher.match(*images).correspondence_map
@@ -237,7 +236,7 @@ def compare_matcher(matcher: Matcher, pair: MapPairs) -> Comparison:
 
 
 def level_errors(points: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> Level:
-    """The errors of a map (S, S, 2) float32 against the true one where it is valid (S, S)."""
+    """The errors of a map (S, S, 2) float32 against the truth, where this is valid (S, S)."""
     distances = np.full(valid.shape, np.inf)
     distances[valid] = np.linalg.norm(points[valid].astype(np.float64) - truth[valid], axis=1)
     return distances, valid
@@ -245,25 +244,25 @@ def level_errors(points: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> Le
 
 @dataclass(frozen=True, eq=False)
 class MapScore:
-    """One method's figures of a pair, or of several together.
+    """One method's figures for a pair, or for several pairs together.
 
-    means: mean over the pairs, NaN where nothing is known: `aepe`, pixels, and that of each level
-    of a network, `aepe15` to `aepe240`; `jaccard`, of the mask against the visible pixels, and
-    `jaccard_found`, against those that are visible and found to within FOUND_PX.
+    means: means over the pairs, NaN if unknown. `aepe`: pixels; `aepe15` to `aepe240`: the same for
+    each level of a network. `jaccard`: the mask against the visible pixels; `jaccard_found`:
+    against the visible pixels found to within FOUND_PX.
     """
 
     method: str
     group: str
-    name: str  # of the pair; "" of several
+    name: str  # of the pair; "" for several
     valid: int  # pixels of known correspondence
     means: Mapping[str, float]
-    near: np.ndarray  # (203,) int, valid pixels within each of PCK_THRESHOLDS and of WITHIN
-    reliability: np.ndarray | None  # of matches within RIGHT_PX; None without a mask
+    near: np.ndarray  # (203,) int, valid pixels within each of PCK_THRESHOLDS and WITHIN
+    reliability: np.ndarray | None  # a match within RIGHT_PX is correct; None without a mask
     pairs: int = 1
 
     @property
     def pck(self) -> np.ndarray:
-        """Share (203,) of all valid pixels within each of these; NaN without any."""
+        """Share (203,) of the valid pixels within each threshold; NaN without valid pixels."""
         return self.near / self.valid if self.valid else np.full(self.near.shape, np.nan)
 
     @property
@@ -282,7 +281,7 @@ class MapScore:
 
 
 def score_map(method: str, group: str, name: str, comparison: Comparison) -> MapScore:
-    """The figures of one pair."""
+    """One method's figures for one pair."""
     levels, matchability = comparison
     distances, valid = levels[-1]
     means = dict.fromkeys(("aepe", *_LEVELS, "jaccard", "jaccard_found"), float("nan"))
@@ -301,7 +300,7 @@ def score_map(method: str, group: str, name: str, comparison: Comparison) -> Map
 
 
 def pooled(scores: Sequence[MapScore], group: str = "all") -> MapScore:
-    """The figures of one method over its pairs of a group."""
+    """One method's figures over its pairs of a group."""
     scores = [pair for pair in scores if group in ("all", pair.group)]
     parts = [pair.reliability for pair in scores if pair.reliability is not None]
     # A pair may have valid cells at a fine level and none at a coarse one.
@@ -322,8 +321,7 @@ def pooled(scores: Sequence[MapScore], group: str = "all") -> MapScore:
 
 
 def jaccard(prediction: np.ndarray, truth: np.ndarray) -> float:
-    """Intersection over union of two bool masks of the same shape, in [0, 1]; 1 if both are
-    empty."""
+    """Intersection over union of two bool masks of one shape, in [0, 1]; 1 if both are empty."""
     union = int((prediction | truth).sum())
     return int((prediction & truth).sum()) / union if union else 1.0
 
@@ -332,17 +330,17 @@ def _mean(values: Sequence[float] | np.ndarray) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
 
 
-Scores = Mapping[str, Sequence[MapScore]]  # by method, each over the same pairs
+Scores = Mapping[str, Sequence[MapScore]]  # by method, all over the same pairs
 
 
 def groups_of(scores: Scores) -> list[str]:
-    """The groups of the pairs, in their first order."""
+    """The groups of the pairs, in order of first appearance."""
     return list(dict.fromkeys(pair.group for pair in next(iter(scores.values()))))
 
 
 def report_text(scores: Scores) -> str:
-    """A line a group and method, and over all pairs; and for each method that has a mask, the share
-    of right matches by matchability."""
+    """A table with a line for each group and method, and for all pairs; then, for each method with
+    a mask, the share of right matches by matchability."""
     table = [["group", "method", *(column[0] for column in _COLUMNS)]]
     for group in [*groups_of(scores), "all"]:
         for method, pairs in scores.items():
@@ -363,7 +361,7 @@ def report_text(scores: Scores) -> str:
 def plot_pck(scores: Scores) -> Figure:
     """PCK: the share of pixels whose error is at most a share alpha of the image's side.
 
-    A panel a group, in it a curve a method.
+    Each group has a panel, with a curve for each method.
     """
     groups = groups_of(scores)
     figure = new_figure(4.0 * len(groups), 4.4)
@@ -381,7 +379,7 @@ def plot_pck(scores: Scores) -> Figure:
 
 
 def report_data(scores: Scores) -> dict[str, Any]:
-    """All figures, with null for one that is NaN: of each group and of all pairs by each method."""
+    """The figures of each method, for each group and for all pairs; None in place of NaN."""
     methods = []
     for method, pairs in scores.items():
         total = pooled(pairs)

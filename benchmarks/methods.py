@@ -1,9 +1,9 @@
-"""Methods by name: what matches, with which options and which cameras.
+"""Methods by name: a matcher with its options and its cameras.
 
-A method is `NAME[/all][:K=K][:K_scale=F]`, as `dgcm-lite0:K=auto:shared`. NAME is that of a matcher
-(see `load_matcher`), `dis`, or that of stored matches. `NAME/all` takes every pixel
-that the map of NAME sends into image 1, whatever its matchability, and refines nothing. K and
-K_scale are those of `CameraTrial`.
+A method is `NAME[/all][:K=K][:K_scale=F]`, such as `dgcm-lite0:K=auto:shared`. NAME is a matcher
+(see `load_matcher`), `dis`, or the name of stored matches. `NAME/all` takes every pixel whose point
+on the map of NAME lies in image 1, whatever its matchability, without refinement. K and K_scale are
+the fields of `CameraTrial`.
 """
 
 import re
@@ -25,15 +25,15 @@ from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.options import check_options, option
 
 EVERYWHERE = "/all"
-_SETTING = re.compile(r":(K|K_scale)=")  # a path and K=auto:two hold colons, too
+_SETTING = re.compile(r":(K|K_scale)=")  # paths and K=auto:two have colons, too
 
 
 @dataclass(frozen=True)
 class CameraTrial:
-    """The cameras that methods have; errors are those of the list's K, whatever they have.
+    """The cameras that methods get. Errors are always computed with the list's K.
 
-    Raises InputError, naming the field, on a value out of range, and for a K that is withheld and
-    changed.
+    Raises InputError, naming the field, on a value out of range, and for a K that is both withheld
+    and scaled.
     """
 
     k: Literal["list", "auto", "auto:shared", "auto:two"] | None = option(
@@ -53,13 +53,13 @@ class CameraTrial:
 
     @property
     def reports(self) -> bool:
-        """Whether it is a trial at all."""
+        """Whether a field is set, so that focal lengths and warnings are reported."""
         return self != CameraTrial()
 
     def cameras(self, pair: PosedPair) -> tuple[Camera, Camera]:
-        """What a method gets of a pair, with the warnings that a user would get.
+        """The cameras that a method gets for a pair, with the warnings that a user would get.
 
-        Raises InputError if a user would be refused the cameras.
+        Raises InputError if a user's command would reject the cameras.
         """
         if not self.reports:
             return pair.camera1, pair.camera2
@@ -83,7 +83,7 @@ class Method:
     matcher: MatcherOptions
     estimation: EstimationOptions
     cameras: CameraTrial
-    everywhere: bool = False  # whether every pixel counts, whatever the matchability
+    everywhere: bool = False  # whether it takes every pixel, whatever the matchability
 
 
 def parse_methods(
@@ -93,17 +93,17 @@ def parse_methods(
     stored: Sequence[str] = (),
     cameras: CameraTrial | None = None,
 ) -> list[Method]:
-    """The methods that names stand for.
+    """Parse the names of methods.
 
     Args:
         names: as described at the top of this file.
-        matcher, estimation: of all methods; only networks are refined.
-        stored: names of stored matches, before any other of that name; those that no method
-            names become methods, last.
-        cameras: what a name leaves open of the method's cameras.
+        matcher, estimation: options of all methods; only networks are refined.
+        stored: names of stored matches, which take precedence over other matchers. Those without a
+            method in `names` become methods, last.
+        cameras: the cameras, where a name does not set them.
 
-    Raises InputError for none, and for one that is given twice, has an option out of range, or
-    is `/all` of key points.
+    Raises InputError without methods, for a method that is named twice or has an option out of
+    range, and for `/all` with a matcher of key points.
     """
     matcher, methods = matcher or MatcherOptions(), list[Method]()
     named = {_SETTING.split(name)[0].removesuffix(EVERYWHERE) for name in names}
@@ -137,10 +137,10 @@ def load_matchers(
     runtime: RuntimeName = "auto",
     stored: Mapping[str, Mapping[Names, Path]] | None = None,
 ) -> list[Matcher]:
-    """Load what each method matches with; a network is read once.
+    """Load the matcher of each method; a network is read once.
 
-    stored: files of stored matches by name. Methods share nothing that is computed of an image,
-    so that the seconds of each are its own.
+    stored: files of stored matches by name. Methods share nothing computed from an image, so that
+    each method's seconds cover its whole work.
 
     Raises WeightsError if weights cannot be loaded, InputError for an option that does not fit.
     """

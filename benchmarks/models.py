@@ -1,4 +1,4 @@
-"""Models of known cameras: reconstructions compared with them, and their images placed in them."""
+"""Models with known cameras: compare reconstructions with them, and locate their images."""
 
 from __future__ import annotations
 
@@ -33,33 +33,32 @@ from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.training.posed_frames import read_rgbd
 
 COLMAP_SIFT = "colmap-sift"
-# The figures of a model compared with the truth; NaN where nothing is known, as of a model with too
-# few images.
+# The figures of a model compared with the truth; NaN if unknown, for example without enough images.
 COLUMNS: Columns = {
     "images": ("images", 0),
     "registered": ("registered", 0),
-    "R med deg": ("rotation_median_deg", 3),  # of the relative rotations of all registered pairs
-    "position rms": ("position_rms", 5),  # after a similarity, the truth's unit
+    "R med deg": ("rotation_median_deg", 3),  # of relative rotations, all registered pairs
+    "position rms": ("position_rms", 5),  # after a similarity, in the truth's unit
     "med": ("position_median", 5),
-    "% of extent": ("position_percent", 3),  # rms over the largest distance of two cameras
+    "% of extent": ("position_percent", 3),  # rms over the largest distance between cameras
     "points": ("points", 0),
     "track length": ("mean_track_length", 2),
     "reprojection px": ("reprojection_error_px", 3),
-    "f off %": ("focal_percent", 3),  # mean error of the images' focal lengths
+    "f off %": ("focal_percent", 3),  # mean error of focal length over the images
     "pairs": ("pairs", 0),  # matched
     "poses": ("poses", 0),  # pairs with a pose
-    # Percent; of max(rotation, folded translation), infinite without a pose
+    # Percent, of max(rotation, folded translation); infinite error without a pose
     "AUC@5": ("pair_auc5", 1),
     "seconds": ("seconds", 0),
 }
-_CLAIMS = (0.5, 0.9, 0.99)  # probabilities of which the precision is reported
+_CLAIMS = (0.5, 0.9, 0.99)  # least probabilities for which the precision is reported
 
 
 def true_model(path: Path, images: Path | None) -> Model:
-    """A model as of `load_model`; of a list of pairs in SuperGlue's format, see `views_of_list`; or
-    of a folder of posed RGB-D, see `read_rgbd`.
+    """Read a model (see `load_model`), a list of pairs in SuperGlue's format (see `views_of_list`),
+    or a folder of posed RGB-D images (see `read_rgbd`).
 
-    images: of a list by default the folder of its name; of a model images/ beside or in it.
+    images: default for a list: the folder with its name; for a model: images/ in or beside it.
     """
     if path.is_file() and path.suffix == ".txt":
         return views_of_list(path, images or path.parent / path.stem.removesuffix("_pairs"))
@@ -72,13 +71,13 @@ def true_model(path: Path, images: Path | None) -> Model:
 
 
 def views_of_list(path: Path, folder: Path) -> Model:
-    """The views of a SuperGlue list whose translations have one unit, chained from pair to pair.
+    """Chain the poses of a SuperGlue list from pair to pair; all translations must have one unit.
 
-    folder: of the images; names are those of the list relative to it. Raises InputError if the
-    pairs do not connect all images.
+    folder: the images' folder; the model's names are relative to it. Raises InputError if the pairs
+    do not connect all images.
     """
     cameras: dict[str, Camera] = {}
-    steps: dict[str, list[tuple[str, np.ndarray]]] = {}  # by image, others with their poses in it
+    steps: dict[str, list[tuple[str, np.ndarray]]] = {}  # by image: other, other_from_image
     for pair in read_pairs(path):
         name1, name2 = _name_in(folder, pair.path1), _name_in(folder, pair.path2)
         step = np.vstack([np.column_stack([pair.R, pair.t]), [0, 0, 0, 1]])
@@ -88,7 +87,7 @@ def views_of_list(path: Path, folder: Path) -> Model:
         cameras.setdefault(name2, pair.camera2)
     reached = [min(steps)]
     poses = {reached[0]: np.eye(4)}
-    for name in reached:  # grows on the way
+    for name in reached:  # grows in the loop
         for other, step in steps[name]:
             if other not in poses:
                 poses[other] = step @ poses[name]
@@ -115,10 +114,10 @@ def run_method(
     estimation: EstimationOptions,
     options: BatchOptions,
 ) -> Summary:
-    """The figures of COLUMNS of the views' reconstruction by `colmap-sift`, or by a matcher.
+    """Reconstruct the views with `colmap-sift` or a matcher; return the figures of COLUMNS.
 
-    Both map with the same options, and K is known. The folder keeps a matcher's batch, which
-    `resume` goes on with.
+    All methods use the true K and the same mapping options. The folder keeps a matcher's batch,
+    which `resume` continues.
     """
     out.mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
@@ -147,14 +146,14 @@ def run_method(
             (model, *_), *_ = reconstruct(batch, out, reconstruction)
         figures |= model_figures(model, views)
     except MappingError:
-        pass  # figures without a model
+        pass  # the figures of a model stay NaN
     return figures | {"seconds": time.perf_counter() - start}
 
 
 def sift_database(database: Path, views: Model, threads: int) -> None:
-    """Write a new database of SIFT key points and all verified pairs, with pycolmap's defaults.
+    """Write a database of SIFT key points and all verified pairs, with pycolmap's defaults.
 
-    The focal lengths count as known. Raises InputError if COLMAP cannot hold a camera.
+    The focal lengths count as known. Raises InputError if COLMAP has no model for a camera.
     """
     extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
     extraction.num_threads = matching.num_threads = threads
@@ -208,7 +207,7 @@ def model_figures(model: Model, views: Model) -> dict[str, Any]:
         rotation_error_deg(_relative(model, *pair)[0], _relative(views, *pair)[0])
         for pair in combinations(names, 2)
     ]
-    # Distances of the positions after the best similarity.
+    # Distances between estimated and true positions, after the best similarity.
     centres, true = (np.stack([of.centre(name) for name in names]) for of in (model, views))
     similarity = pycolmap.estimate_sim3d(centres, true)
     positions = np.full(len(names), np.nan)
@@ -224,22 +223,23 @@ def model_figures(model: Model, views: Model) -> dict[str, Any]:
 
 
 def _relative(model: Model, name1: str, name2: str) -> tuple[np.ndarray, np.ndarray]:
-    """R (3, 3) and t (3,) of an image relative to another."""
+    """R (3, 3) and t (3,) of cam2_from_cam1."""
     pose1, pose2 = model.poses[name1], model.poses[name2]
     R = pose2[:, :3] @ pose1[:, :3].T
     return R, pose2[:, 3] - R @ pose1[:, 3]
 
 
 def thinned(items: Sequence[str], count: int | None) -> list[str]:
-    """So many of the items, evenly chosen; all without a number."""
+    """`count` of the items, evenly chosen; all if `count` is None."""
     most = len(items) if count is None else min(count, len(items))
     return [items[int(i)] for i in np.linspace(0, len(items) - 1, most)]
 
 
 def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
-    """The figures of an image of the model as a query, without those near it in their order.
+    """Locate an image of the model; return its figures, NaN if unknown.
 
-    NaN for what is not known. Positions are in the model's unit.
+    The database images are those at least `apart` away in the order of names. Positions are in the
+    model's unit.
     """
     model, start = locator.model, time.perf_counter()
     names = sorted(model.poses)
@@ -250,9 +250,9 @@ def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
         "name": name,
         "status": location.status,
         "probability": np.nan if location.probability is None else location.probability,
-        "database_images": len(location.database_images),  # that were matched
+        "database_images": len(location.database_images),  # matched ones
         "seconds": time.perf_counter() - start,
-        "pair_seconds": location.seconds["match"],  # of these
+        "pair_seconds": location.seconds["match"],  # part of the above
         "rotation_deg": np.nan,
         "position": np.nan,
         "position_percent": np.nan,  # of the extent
@@ -267,7 +267,7 @@ def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
 
 
 def location_report(queries: Sequence[Mapping[str, Any]]) -> list[tuple[str, str]]:
-    """What is measured of queries, each as of `placed`, and its figures."""
+    """Name and value of each figure over queries; each query is a result of `placed`."""
     column = {name: np.array([query[name] for query in queries]) for name in queries[0]}
     rotation, position, located = (
         column["rotation_deg"],

@@ -1,8 +1,8 @@
-"""Matchers that the network is compared with: dense optical flow, and maps, flows and matches that
-another program computed, a file for each pair.
+"""Matchers to compare the network with: dense optical flow, and maps, flows and matches computed by
+another program, one file for each pair.
 
-A stored flow or map is defined on the pixels of image 2 and points into image 1. A map of any size
-W x H is one over both images resized to W x H. docs/paper.md describes the formats.
+A stored flow or map is defined on the pixels of image 2 and points into image 1. A map may have any
+size W x H; it holds for both images resized to W x H. docs/paper.md describes the formats.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,8 +22,8 @@ from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.system.arrays import ARRAY_BYTES, read_array, read_arrays
 from dgc_pose.system.files import read_as, read_bytes
 
-FLOW = "dis"  # in lists of methods
-LONGEST_SIDE = 640  # pixels; larger images are shrunk to it before the flow is computed
+FLOW = "dis"  # name of the method
+LONGEST_SIDE = 640  # pixels; the flow of larger images is computed at this size
 _LEAST_SIDE = 16  # pixels
 
 
@@ -38,8 +38,8 @@ class FlowMatcher(Matcher):
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """The map over the pixels of image 2, or of its shrunk copy, and the matches selected.
 
-        Both images are brought to one size. Matchability is 1 if the forward and the backward flow
-        agree (see `agreement`), and 0 otherwise.
+        Both images are resized to one size. Matchability is 1 where the forward and the backward
+        flow agree (see `agreement`), and 0 elsewhere.
         """
         share = min(1.0, LONGEST_SIDE / max(image2.size))
         width, height = (max(round(share * side), _LEAST_SIDE) for side in image2.size)
@@ -64,8 +64,8 @@ class FlowMatcher(Matcher):
 def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
     """Whether a flow (H, W, 2) and the backward flow at its end points cancel: (H, W) float32.
 
-    1 if |f + b|^2 < 0.01 (|f|^2 + |b|^2) + 0.5, in pixels (Sundaram et al. 2010, equation 5); 0
-    otherwise, and 0 if the flow leaves the image.
+    1 if |f + b|^2 < 0.01 (|f|^2 + |b|^2) + 0.5, in pixels (Sundaram et al. 2010, equation 5), and
+    the flow stays in the image; else 0.
     """
     height, width = forward.shape[:2]
     ends = (pixel_grid((width, height)) + forward).astype(np.float32)
@@ -79,7 +79,7 @@ def agreement(forward: np.ndarray, backward: np.ndarray) -> np.ndarray:
 def scaled_map(
     points1: np.ndarray, matchability: np.ndarray, size1: tuple[int, int], size2: tuple[int, int]
 ) -> CorrespondenceMap:
-    """A map over both images resized to W x H, as a map over images of sizes 1 and 2.
+    """Convert a map between images resized to W x H to a map between images of sizes 1 and 2.
 
     points1: (H, W, 2) pixels of image 1 at W x H, one for each pixel of image 2 at W x H.
     """
@@ -98,12 +98,12 @@ Names = tuple[str, str]  # `Image.name`s of a pair
 _ENDINGS = (".flo", ".npz", ".npy")
 _FLO_MAGIC = 202021.25
 _FLO_UNKNOWN = 1e9
-_ERROR_PX = 1.0  # of points without an error_px, pixels of the images as stored
+_ERROR_PX = 1.0  # default of error_px of stored points, pixels of the images as stored
 
 
 def pair_files(folder: Path, pairs: Sequence[Pair]) -> dict[Names, Path]:
     """The file of each pair of a list, by the paths of its images: `a-1.png_a-2.png.flo` for
-    `a/1.png a/2.png`. Raises InputError, with the path, unless there is one for each pair.
+    `a/1.png a/2.png`. Raises InputError, with the path, if a pair has no file or several.
     """
     files = {}
     for pair in pairs:
@@ -119,13 +119,13 @@ def pair_files(folder: Path, pairs: Sequence[Pair]) -> dict[Names, Path]:
 
 
 class FileMatcher(Matcher):
-    """The files of a program, see `pair_files`."""
+    """Reads the matches from another program's files (see `pair_files`)."""
 
     def __init__(self, name: str, files: Mapping[Names, Path], options: MatchingOptions) -> None:
         self.name, self.files, self.options = name, files, options
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        """The stored map with the matches selected from it, or the stored points without a map; in
+        """The stored map and the matches selected from it, or the stored points and no map, in
         pixels of the images.
 
         Raises InputError, with the path, if the file is malformed.
@@ -137,7 +137,7 @@ class FileMatcher(Matcher):
             else:
                 arrays = {"flow": read_array(path) if path.suffix == ".npy" else _read_flo(path)}
         try:
-            with np.errstate(over="ignore", invalid="ignore"):  # of values out of any range
+            with np.errstate(over="ignore", invalid="ignore"):  # values may overflow
                 if "flow" in arrays or "map" in arrays:
                     stored = _map(arrays, image1, image2)
                     return MatchResult(select_matches(stored, self.options), stored)
@@ -147,7 +147,7 @@ class FileMatcher(Matcher):
 
 
 def _read_flo(path: Path) -> np.ndarray:
-    """Middlebury's flow (H, W, 2) float64, NaN if unknown."""
+    """Read Middlebury's flow: (H, W, 2) float64, NaN if unknown."""
     data = read_bytes(path, ARRAY_BYTES // 2)
     if np.frombuffer(data[:4], "<f4") != np.float32(_FLO_MAGIC):
         raise ValueError("a .flo begins with 202021.25")
@@ -185,7 +185,7 @@ def _map(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> Corr
         )
     else:
         stored = scaled_map(points1, matchability, image1.size, image2.size)
-    # No finer than the pixels of image 2.
+    # The map is no finer than the pixels of image 2.
     shares = np.divide(known.shape[::-1], image2.size)
     return stored.thinned(max(1, *(round(share) for share in shares.tolist())))
 
@@ -206,12 +206,12 @@ def _points(arrays: Mapping[str, np.ndarray], image1: Image, image2: Image) -> M
 
 
 def _from_stored(points: np.ndarray, image: Image) -> np.ndarray:
-    """Points in pixels of an image as stored, in pixels of the image itself."""
+    """Convert points from pixels of an image as stored to pixels of the image as read."""
     return rescale(points, image.stored_size or image.size, image.size)
 
 
 def _planes(array: np.ndarray) -> np.ndarray:
-    """(H, W, 2) float64."""
+    """Check the shape (H, W, 2); return float64."""
     if array.ndim != 3 or array.shape[-1] != 2 or array.size == 0:
         raise ValueError(f"expected the shape (H, W, 2), not {array.shape}")
     return array.astype(np.float64)

@@ -1,4 +1,4 @@
-"""Pairs of images with cameras and the true pose, for the evaluation of poses; those of DTU."""
+"""Pairs of images with cameras and the true pose, to evaluate poses; the pairs of DTU."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.system.files import read_as, read_text
 
-Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in the names of images
-# Two of DTU's positions, from 1, a line: all whose views differ by a rotation of 5 to 40 degrees
-# and share 0.4 of the space at the object, in random order and spread over the rotations. DTU has
-# these 49 positions in each scan, with one calibration.
+Light = Literal["0", "1", "2", "3", "4", "5", "6", "max"]  # as in DTU's file names
+# Each line has two of DTU's positions, from 1: all pairs whose views differ by a rotation of 5 to
+# 40 degrees and share 0.4 of the space at the object, in random order, spread over the rotations.
+# Each of DTU's scans has these 49 positions, with one calibration.
 _VIEWS = Path(__file__).with_name("dtu_views.txt")
-_FIRST_SCAN, _STEP = 65, 24  # the scan that begins with the first line; by so many lines the next
+_FIRST_SCAN, _STEP = 65, 24  # scan 65 begins with the first line, each next scan 24 lines later
 _EXPECTED = "Calibration/cal18/pos_001.txt and Rectified/scan1/rect_001_3_r5000.png"
 
 
 @dataclass(frozen=True, eq=False)
 class PosedPair:
-    """Two images with what is known of them: x2 = R x1 + t."""
+    """Two images, their cameras and the true pose: x2 = R x1 + t."""
 
     image1: Image
     image2: Image
-    camera1: Camera  # of the images as the methods see them
+    camera1: Camera  # of the image as the methods get it
     camera2: Camera
     R: np.ndarray | None  # (3, 3); None for images of two scenes
-    t: np.ndarray | None  # (3,), any length; None as well for a camera that only rotated
+    t: np.ndarray | None  # (3,), any length; also None for a pure rotation
 
 
 class ListedPairs:
-    """Pairs of image files. An image that was read recently is not read again."""
+    """Pairs of image files. A cache keeps images that were read recently."""
 
     def __init__(self, pairs: Sequence[Pair], *, size: tuple[int, int] | None = None) -> None:
-        """size: (width, height) that the images are brought to; None leaves them as stored.
+        """size: (width, height) to resize the images to; None keeps their size.
 
-        Raises ImageError, with the path, if an image is missing: before the work, not within it.
+        Raises ImageError, with the path, if any image is missing.
         """
         for pair in pairs:
             for path in (pair.path1, pair.path2):
@@ -67,8 +67,8 @@ class ListedPairs:
         return PosedPair(image1, image2, camera1, camera2, R, t)
 
     def _shown(self, path: Path, camera: Camera) -> tuple[Image, Camera, np.ndarray]:
-        """An upright image and its camera, and the turn (3, 3) to its axes from those of a list,
-        which is of the pixels as stored."""
+        """An upright image, its camera, and the rotation (3, 3) to its axes from the axes of the
+        list, which describes the stored pixels."""
         image, turn = self._images.read(Path(), str(path), size=self._size), np.eye(3)
         full = image.stored_size or image.size
         turn[:2, :2] = exif_turn(image.exif.orientation)
@@ -82,11 +82,11 @@ class ListedPairs:
 
 
 def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pair]:
-    """So many pairs, t in millimetres, evenly of the scans below the root, or all of one scan.
+    """`count` pairs, t in millimetres, spread evenly over the scans below the root, or of one scan.
 
-    root: holds `Calibration/cal18/pos_NNN.txt` and `Rectified` or `Cleaned/scanN`; the sample set
-    has them in a folder `MVS Data`. Pairs without an image or a calibration are left out: there may
-    be fewer. Raises InputError, with the path, if there is none, or if a calibration is malformed.
+    root: contains `Calibration/cal18/pos_NNN.txt` and `Rectified` or `Cleaned/scanN`, in the sample
+    set within a folder `MVS Data`. Pairs without an image or a calibration are skipped: there may
+    be fewer. Raises InputError, with the path, without pairs or if a calibration is malformed.
     """
     root = root / "MVS Data" if (root / "MVS Data/Calibration").is_dir() else root
     folders = [path for kind in ("Rectified", "Cleaned") for path in (root / kind).glob("scan*")]
@@ -101,7 +101,7 @@ def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pa
             view1, view2 = find(position1), find(position2)
             if view1 is not None and view2 is not None:
                 listed.append((rank, number, view1, view2))
-    # Evenly: the first ones of each scan. Then scan by scan.
+    # The first pairs of each scan, so that all scans have as many; then scan by scan.
     chosen = sorted(listed, key=lambda entry: entry[:2])[:count]
     if not chosen:
         which = "a scan" if scan is None else f"scan{scan}"
@@ -120,7 +120,7 @@ def dtu_pairs(root: Path, scan: int | None, light: Light, count: int) -> list[Pa
 
 
 def _view_files(root: Path, scan: int, light: Light, position: int) -> tuple[Path, Path] | None:
-    """The image of a view and its calibration; None if one is not there."""
+    """The image of a view and its calibration; None if either is missing."""
     folder, start = root / "Rectified" / f"scan{scan}", "rect"
     if not folder.is_dir():
         folder, start = root / "Cleaned" / f"scan{scan}", "clean"
@@ -133,12 +133,11 @@ def _view_files(root: Path, scan: int, light: Light, position: int) -> tuple[Pat
 
 
 def read_projection(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """K (3, 3), R (3, 3) and t (3,) of cam_from_world, of one `pos_NNN.txt`: the matrix P (3, 4),
-    world (mm) to pixel, of any scale but zero.
+    """K (3, 3), R (3, 3) and t (3,) of cam_from_world from a file `pos_NNN.txt`, which contains
+    P (3, 4), world (mm) to pixel, of any scale but zero.
 
-    P ~ K [R | t] is split by RQ, with diag(K) > 0, K[2, 2] = 1 and det(R) = +1. Raises InputError,
-    with the path, unless the file holds 12 finite numbers that are a camera; OSError if it cannot
-    be read.
+    RQ splits P ~ K [R | t], with diag(K) > 0, K[2, 2] = 1 and det(R) = +1. Raises InputError, with
+    the path, unless the file has 12 finite numbers that form a camera; OSError if it is unreadable.
     """
     with read_as("a calibration", path):
         P = np.array(read_text(path, "a calibration").split(), np.float64).reshape(3, 4)

@@ -1,4 +1,4 @@
-"""The figures of each method over all pairs: as data, as a table, and as curves."""
+"""The figures of each method over all pairs, as data, a table and curves."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from dgc_pose.system.files import naming_path
 from dgc_pose.system.texts import aligned, finite_or_none
 from dgc_pose.viz.figure import new_figure
 
-# One method over all pairs: the figures of `summarise` by name, which are the keys of summary.json.
+# One method's figures over all pairs, from `summarise`, by name: the keys of summary.json.
 Summary = Mapping[str, Any]
-Columns = Mapping[str, tuple[str, int]]  # by heading a figure of a summary, and its decimals
+Columns = Mapping[str, tuple[str, int]]  # by heading: a figure of a summary, its decimals
 COLUMNS: Columns = {
     "pairs": ("pairs", 0),
     "failures": ("failures", 0),
@@ -58,10 +58,10 @@ CAMERA_COLUMNS: Columns = {
     "their f error": ("sure_median_focal_error_percent", 2),
     "their in 2 std": ("sure_focal_within_percent", 0),
 }
-_SURE_STD = 0.05  # of ln f: focal lengths of a smaller deviation are sure
+_SURE_STD = 0.05  # of ln f: a focal length with a smaller deviation is sure
 
 _DEGREES, _PIXELS = (5.0, 10.0, 20.0, 30.0, 60.0, 90.0, 180.0), (5.0, 10.0, 20.0, 50.0, 100.0)
-# By field of a record what a panel is called, its unit, and where its axis may end
+# By field of a record: quantity of the panel, its unit, and the candidates for the axis limit
 _PANELS = {
     "rotation_error_deg": ("rotation error", "°", _DEGREES),
     "translation_error_deg": ("translation error", "°", _DEGREES),
@@ -71,11 +71,11 @@ _PANELS = {
 
 
 def reliability(confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> np.ndarray:
-    """Counts (3, B) over equal bins of confidence in [0, 1]: of the matches, of the correct ones,
-    and the sum of their confidences (Guo et al., 2017). Those of several parts can be added.
+    """For B equal bins of confidence in [0, 1]: number of matches, number of correct matches, and
+    sum of confidences (Guo et al., 2017); (3, B). Results of several parts can be added.
 
-    confidence: of any shape, in [0, 1]; correct: bool of the same shape. Bin b has the confidences
-    in [b / B, (b + 1) / B), the last one also 1.
+    confidence: any shape, in [0, 1]; correct: bool of the same shape. Bin b has the confidences in
+    [b / B, (b + 1) / B); the last bin also has 1.
     """
     values = confidence.astype(np.float64).ravel()
     index = np.minimum((values * bins).astype(np.intp), bins - 1)
@@ -84,22 +84,22 @@ def reliability(confidence: np.ndarray, correct: np.ndarray, bins: int = 10) -> 
 
 
 def shares(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Share (B,) of correct matches in each bin of `reliability`, and the mean confidence; NaN if
-    the bin is empty."""
+    """Share (B,) of correct matches and mean confidence (B,) in each bin of `reliability`; NaN for
+    an empty bin."""
     with np.errstate(invalid="ignore"):
         return counts[1] / counts[0], counts[2] / counts[0]
 
 
 def calibration_error(counts: np.ndarray) -> float:
-    """Expected calibration error in [0, 1] of `reliability`: |mean confidence - share correct| of
-    the bins, weighted by their counts. NaN without matches."""
+    """Expected calibration error in [0, 1] of `reliability`: the mean of |mean confidence - share
+    correct| over the bins, weighted by their counts. NaN without matches."""
     total = counts[0].sum()
     return float(np.abs(counts[2] - counts[1]).sum() / total) if total else np.nan
 
 
 def columns(scores: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
-    """The numbers of the records as arrays (N,), by method, in the order in which they come, and by
-    field."""
+    """The numeric fields of the records as arrays (N,), by method in order of first appearance, and
+    by field."""
     methods: dict[str, list[Mapping[str, Any]]] = {}
     for score in scores:
         methods.setdefault(score["method"], []).append(score)
@@ -115,7 +115,7 @@ def columns(scores: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, np.ndarr
 
 def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
     """The figures of one method from the `columns` of its records; NaN for a share of nothing, and
-    for what the method does not say."""
+    for values that the method does not give."""
     rotation, translation = column["rotation_error_deg"], column["translation_error_deg"]
     folded = column["translation_folded_deg"]
     worse = np.maximum(rotation, folded)
@@ -124,11 +124,11 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
     right = claimed & (np.maximum(rotation, translation) <= RIGHT_DEG)
     expected = right & np.isfinite(column["rotation_90_deg"])
     probability = column["probability"]
-    if not np.isfinite(probability[claimed]).any():  # that of a pair without a pose is 0
+    if not np.isfinite(probability[claimed]).any():  # a pair without a pose has probability 0
         probability = np.full(len(rotation), np.nan)
     probable = np.isfinite(probability)
     calibration = reliability(probability[probable], right[probable])
-    # The focal lengths of all claimed poses, two a pair
+    # The focal lengths of all claimed poses, two for each pair
     error, std = (
         np.concatenate([column[f"focal{n}_{name}"][claimed] for n in (1, 2)])
         for name in ("error", "std")
@@ -139,14 +139,14 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         "method": method,
         "pairs": len(rotation),
         "failures": int((~claimed).sum()),  # pairs without a pose
-        # Over all pairs, a failure as infinite
+        # Over all pairs; a failure counts as infinite
         "median_rotation_deg": float(np.median(rotation)),
         "median_translation_deg": float(np.median(translation)),
         "median_translation_folded_deg": float(np.median(folded)),
-        # Percent; of max(rotation, folded translation), a failure as infinite
+        # Percent, of max(rotation, folded translation); a failure counts as infinite
         **{f"auc{limit}": pose_auc(worse, limit) for limit in (5, 10, 20)},
         "seconds_per_pair": float(np.mean(match + estimate)),  # without reading the images
-        # Medians over the pairs of the pairs' median D_e, pixels of the images that the methods saw
+        # Medians over pairs of a pair's median D_e, in pixels of the images that the methods get
         "median_epipolar_px": float(np.median(column["epipolar_all_px"])),
         "median_epipolar_confident_px": float(np.median(column["epipolar_confident_px"])),
         "matches_per_pair": float(np.mean(column["num_matches"])),
@@ -154,11 +154,11 @@ def summarise(method: str, column: Mapping[str, np.ndarray]) -> Summary:
         "pose_seconds_per_pair": float(np.mean(estimate)),
         "claimed": int(claimed.sum()),  # poses
         "wrong": int((claimed & ~right).sum()),  # over 10 degrees off in R or t (0 to 180)
-        "doubted": int(doubted.sum()),  # of all pairs: by the pose a K may be wrong
+        "doubted": int(doubted.sum()),  # of all pairs: a K may be wrong
         "told_percent": _share(doubted | ~claimed),
-        # Expected calibration error, over the pairs that have a probability
+        # Expected calibration error, over the pairs with a probability
         "probability_error_percent": 100 * calibration_error(calibration),
-        # Right poses that expect an error: whether that of R, of t, is within
+        # Share of right poses whose error is within the expected one, where there is one
         "rotation_within_percent": _share((rotation <= column["rotation_90_deg"])[expected]),
         "translation_within_percent": _share(
             (translation <= column["translation_90_deg"])[expected]
@@ -180,7 +180,7 @@ def _median_percent(log_errors: np.ndarray) -> float:
 
 
 def summary_table(summaries: Sequence[Summary], columns: Columns = COLUMNS) -> str:
-    """A line a method; angles in degrees, AUC in percent, "-" for infinity and NaN."""
+    """A table, a line for each method; angles in degrees, AUC in percent, "-" if not finite."""
     rows = [
         [summary["method"], *(decimals(summary[name], digits) for name, digits in columns.values())]
         for summary in summaries
@@ -189,7 +189,7 @@ def summary_table(summaries: Sequence[Summary], columns: Columns = COLUMNS) -> s
 
 
 def heading(options: EstimationOptions) -> str:
-    """What the table's columns mean, and the estimator that all methods went through."""
+    """The estimator that all methods share, and the meaning of the table's columns."""
     threshold = f"{THRESHOLD_FACTOR:g} x the matcher's error"
     if options.threshold_px is not None:
         threshold = f"{options.threshold_px:g} px"
@@ -205,12 +205,12 @@ def heading(options: EstimationOptions) -> str:
 
 
 def decimals(value: float, digits: int) -> str:
-    """The value with so many decimals; "-" for NaN and infinity."""
+    """The value with `digits` decimals; "-" for NaN and infinity."""
     return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def finite_data(data: Any) -> Any:
-    """Data for `json_text`: None in place of every NaN and infinity, however deep."""
+    """Data for `json_text`: None in place of NaN and infinity at any depth."""
     if isinstance(data, Mapping):
         return {key: finite_data(value) for key, value in data.items()}
     if isinstance(data, list | tuple):
@@ -227,18 +227,18 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def split_names(text: str) -> list[str]:
-    """The names in a comma-separated list, without blanks around them; empty ones are dropped."""
+    """The names in a comma-separated list, stripped of blanks, without empty ones."""
     return [name for name in (part.strip() for part in text.split(",")) if name]
 
 
 def plot_errors(methods: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
-    """The paper's cumulative histograms (section 4.4): rotation error, translation error from 0 to
-    180 degrees, and a pair's median D_e over the map and over the matches of the pose.
+    """Plot the paper's cumulative histograms (section 4.4): rotation error, translation error (0 to
+    180 degrees), and a pair's median D_e over the map and over the matches of the pose.
 
-    methods: by method, by field of a record, its values (N,); infinite ones count as pairs, and a
-    method with NaN is left out of a panel. The median is in the legend, and `NAME/all` has the
-    colour of `NAME`, and is dashed. An axis ends at the least of its limits that is not below nine
-    tenths of the finite errors of all methods, or at the last one.
+    methods: values (N,) by method, then by field of a record. Infinite values count as pairs; a
+    panel skips methods with NaN. The legend has the median. `NAME/all` is dashed, in the colour of
+    `NAME`. An axis ends at the smallest of its limits that is at least the 0.9 quantile of all
+    methods' finite errors, else at the largest limit.
     """
     figure = new_figure(12.0, 9.0)
     panels = zip(figure.subplots(2, 2).ravel(), _PANELS.items(), strict=True)

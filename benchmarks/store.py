@@ -1,4 +1,4 @@
-"""A run on disk, as JSON Lines: its settings, then each piece of work as soon as it is done."""
+"""A run on disk as JSON Lines: its settings, then each piece of work once it is done."""
 
 import json
 from collections.abc import Callable, Iterator, Mapping
@@ -14,17 +14,17 @@ from dgc_pose.system.files import naming_path, only_writer, read_as, read_bytes,
 def open_run(
     path: Path | None, settings: Mapping[str, Any], *, resume: bool = False
 ) -> Iterator[tuple[list[Any], Callable[[Any], None]]]:
-    """The work that is done, and a function that puts the next piece on disk and among it.
+    """The pieces of work done so far, and a function that adds a piece to them and to the file.
 
-    Raises InputError if another run is writing there, if the run that is gone on with had other
-    settings, or if the file is none of a run.
+    Raises InputError if another process writes there, if the resumed run had other settings, or if
+    the file is not a run.
 
     Args:
-        path: the file, whose folder is made if missing; None keeps the work in memory alone.
-        settings: all that the work depends on; JSON, as each piece is. NaN and infinity may be in a
-            piece.
-        resume: go on with the run that is there, without a line that a kill cut short. Else the
-            file is begun anew.
+        path: the file, whose folder is made if missing; None keeps the work only in memory.
+        settings: everything the work depends on, as JSON. Pieces are JSON too, and may contain NaN
+            and infinity.
+        resume: continue the run in the file, without a last line that a kill cut short. Otherwise
+            the file is overwritten.
     """
     done: list[Any] = []
     if path is None:
@@ -51,8 +51,8 @@ def open_run(
 
 
 def read_run(path: Path) -> tuple[dict[str, Any], list[Any]]:
-    """The settings and the work of a run; nothing of a file that a kill cut short at once. Raises
-    InputError for another file, OSError."""
+    """The settings and the work of a run; both are empty if a kill cut the first line short. Raises
+    InputError if the file is not a run; OSError."""
     with read_as("a run", path):
         whole = read_bytes(path).rpartition(b"\n")[0].decode()
         settings, *done = [json.loads(line) for line in whole.splitlines()] or [{}]

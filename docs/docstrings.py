@@ -1,7 +1,7 @@
 """For the API reference: fields and properties as a table, doctest lines as code.
 
-A Griffe extension, loaded by mkdocs.yml. The fields are the section "Attributes" of the docstring;
-fields that are options of the commands have their help text.
+A Griffe extension, loaded by mkdocs.yml. The docstring's section "Attributes" describes the fields;
+the table adds the help text of fields that are options of the commands.
 """
 
 import importlib
@@ -15,7 +15,7 @@ from dgc_pose.system.options import option_info
 
 _ENTRY = re.compile(r"^    (?:    )?(\w+): (.*(?:\n {8,}\S.*)*)", re.MULTILINE)
 _SECTION = "\n\nAttributes:\n"
-_DOCTEST = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)  # with what is printed, to an empty line
+_DOCTEST = re.compile(r"^>>> .*(?:\n.+)*", re.MULTILINE)  # with its output, to an empty line
 
 
 class Attributes(griffe.Extension):
@@ -39,7 +39,7 @@ class Attributes(griffe.Extension):
                 lines.append(f"    {name}: {' '.join(filter(None, words))}")
             elif "property" in attribute.labels and attribute.docstring is not None:
                 lines.append(f"    {name}: {' '.join(attribute.docstring.value.split())}")
-                attribute.docstring = None  # else the property would be listed once more
+                attribute.docstring = None  # else the page lists the property twice
         cls.docstring.value = text + _SECTION + "\n".join(lines)
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
@@ -56,6 +56,6 @@ def _default(of: Field[Any]) -> str:
 
 
 def _as_code(lines: re.Match[str]) -> str:
-    """Doctest lines as a fenced block, without doctest's own directives."""
+    """Doctest lines as a fenced block, without doctest's directives."""
     code = re.sub(r" *# doctest:.*", "", lines[0]).rstrip("\n")
     return f"```pycon\n{code}\n```\n"

@@ -1,10 +1,10 @@
-"""Write what the documentation shows of the tool's own output on the bundled pairs.
+"""Update the output of dgc-pose that the documentation shows, on the bundled pairs.
 
     make figures
 
-A line `<!-- output of: dgc-pose COMMAND -->` stands above each block of such output, in README.md
-and docs/*.md; a block whose words are out of date is replaced, as tests/test_docs.py demands.
-docs/demo.png, the upper part of a plot, is drawn anew.
+In README.md and docs/*.md, a line `<!-- output of: dgc-pose COMMAND -->` precedes each block of
+output. This script replaces the blocks whose words are out of date (tests/test_docs.py checks them)
+and draws docs/demo.png, the upper part of a plot.
 """
 
 import re
@@ -18,14 +18,14 @@ from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-TOP = 0.345  # of the plot's height: the headline and the matches
+TOP = 0.345  # share of the plot's height with the headline and the matches
 WIDTH = 1200  # of the picture, pixels
-PALETTE = 256  # colours of the picture: a quarter of the bytes
+PALETTE = 256  # colours of the picture, which makes it four times smaller
 BLOCK = re.compile(r"(<!-- output of: (dgc-pose [^\n]+) -->\n+```\w*\n)(.*?)(?=\n```)", re.DOTALL)
 
 
 def output(command: str) -> str:
-    """What a command prints, with paths as seen from the repository."""
+    """The output of a command, with paths relative to the repository."""
     words = [sys.executable, "-m", "dgc_pose", *shlex.split(command)[1:]]
     text = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True).stdout
     lines = text.replace(f"{ROOT}/", "").strip("\n").splitlines()
@@ -33,8 +33,8 @@ def output(command: str) -> str:
 
 
 def words(text: str) -> str:
-    """A text without its numbers, whose last digits differ between processors, and the spaces in
-    front of them, which depend on their signs."""
+    """A text without its numbers and the spaces before them: last digits differ between processors,
+    and spaces depend on the signs."""
     return re.sub(r" *-?\d+(?:\.\d+)?", " #", text)
 
 

@@ -1,7 +1,7 @@
 """Hooks of mkdocs, loaded by mkdocs.yml.
 
-In a page `<!-- commands: SECTION -->` stands for the commands of a section of `dgc-pose --help`,
-each with its help as a terminal shows it, and `<!-- sections -->` for a table of all.
+In a page, the commands of a section of `dgc-pose --help`, with their help texts, replace
+`<!-- commands: SECTION -->`. A table of all commands replaces `<!-- sections -->`.
 """
 
 import html
@@ -26,7 +26,7 @@ def on_page_markdown(markdown: str, **_: Any) -> str:
 
 
 def _table() -> str:
-    """Each command with a link to its help."""
+    """A table of the commands, with links to their help."""
     lines = ["| section | command | what it does |", "|---|---|---|"]
     for section, commands in SECTIONS.items():
         page = f"cli-{section.lower().replace(' ', '-')}.md"
@@ -38,7 +38,7 @@ def _table() -> str:
 
 
 def _reference(name: str) -> str:
-    """A command under a heading."""
+    """The help of a command under a heading."""
     settings = {**main.context_settings, "terminal_width": WIDTH}
     parent = click.Context(main, info_name="dgc-pose", **settings)
     command = main.get_command(parent, name)
@@ -48,10 +48,10 @@ def _reference(name: str) -> str:
 
 
 def on_page_content(content: str, *, page: Any, **_: Any) -> str:
-    """A notebook's page with the texts of its figures, for who cannot see them, in order.
+    """Add the alternative texts of a notebook's figures to its page.
 
-    Jupyter keeps them in the metadata of the cells' outputs; the template of nbconvert that
-    mkdocs-jupyter uses says that there are none.
+    Jupyter keeps the texts in the metadata of the cells' outputs; the nbconvert template of
+    mkdocs-jupyter ignores them.
     """
     path = Path(page.file.abs_src_path)
     if path.suffix == ".ipynb":

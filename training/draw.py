@@ -1,4 +1,4 @@
-"""Seeded random draws on the device that uses them, and the light that views get by them."""
+"""Seeded random draws on the device that uses them, and random light for views."""
 
 import hashlib
 import math
@@ -11,12 +11,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 T = TypeVar("T")
-_RADIUS = 3  # pixels, of a blur's kernel
+_RADIUS = 3  # of a blur's kernel, pixels
 
 
 class Draw:
-    """Random tensors on a device; the seed is a hash of words, so that a resumed run has no state
-    to restore.
+    """Random tensors on a device. The seed is a hash of words, so that a resumed run has no random
+    state to restore.
 
     The same words give the same numbers on the same kind of device.
     """
@@ -26,7 +26,7 @@ class Draw:
         seed = int.from_bytes(digest[:7], "big")
         self.device = torch.device(device)
         self._generator = torch.Generator(self.device).manual_seed(seed)
-        self._random = random.Random(seed)  # of the processor, which waits for no GPU
+        self._random = random.Random(seed)  # on the CPU, without waiting for the GPU
 
     def uniform(self, *shape: int, low: float = 0.0, high: float = 1.0) -> Tensor:
         numbers = torch.rand(shape, generator=self._generator, device=self.device)
@@ -39,7 +39,7 @@ class Draw:
         return torch.randn(shape, generator=self._generator, device=self.device)
 
     def integers(self, *shape: int, count: int) -> Tensor:
-        """In [0, count), int64."""
+        """int64 in [0, count)."""
         return torch.randint(count, shape, generator=self._generator, device=self.device)
 
     def chance(self, *shape: int, share: float) -> Tensor:
@@ -47,13 +47,13 @@ class Draw:
         return self.uniform(*shape) < share
 
     def choice(self, values: Sequence[T]) -> T:
-        """One of the values, chosen on the processor."""
+        """One of the values, chosen on the CPU."""
         return self._random.choice(values)
 
 
 def other_light(images: Tensor, draw: Draw) -> Tensor:
-    """Views (B, 3, H, W) in [0, 1], each with an exposure, a blur, a resolution and noise of its
-    own, in [0, 1]."""
+    """Give each view (B, 3, H, W), in [0, 1], random exposure, blur, resolution and noise; the
+    result is in [0, 1]."""
     count = len(images)
     images = _exposed(images, draw)
     kernels = _kernels(count, draw)[:, None].expand(-1, 3, -1, -1).reshape(3 * count, 1, 7, 7)
@@ -90,7 +90,7 @@ def _exposed(images: Tensor, draw: Draw) -> Tensor:
 
 
 def _kernels(count: int, draw: Draw) -> Tensor:
-    """Blurs (B, 7, 7) that sum to one: out of focus, a stroke about the middle, or none."""
+    """Blur kernels (B, 7, 7) that sum to one: defocus, a stroke through the middle, or no blur."""
     offsets = torch.arange(-_RADIUS, _RADIUS + 1, device=draw.device)
     x, y = offsets, offsets[:, None]
     sigma = draw.uniform(count, 1, 1, low=0.3, high=1.4)

@@ -1,10 +1,10 @@
 """The convolutions as ONNX graphs without weights; `python -m dgc_pose.training.export_graphs`.
 
-Graphs for the pyramid, for what needs no weights, and for each decoder. They name the weights,
-which stay in the safetensors file: a graph is made once for a preset, and serves all weights of it.
+There are graphs for the pyramid, for the steps without weights, and for each decoder. They name the
+weights, which stay in the safetensors file: one set of graphs serves all weights of a preset.
 
-Needs torch, onnx and onnxscript. The graphs are to be made anew if the network of a preset changes;
-tests/runtime/test_engines.py fails until they are.
+Needs torch, onnx and onnxscript. Export the graphs again if the network of a preset changes;
+tests/runtime/test_engines.py fails until then.
 """
 
 import json
@@ -25,11 +25,11 @@ from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.torch_engine import for_inference
 
 _OPSET = 20
-_CELLS = (8, 11)  # rows and columns at stride 16 of the example that a graph is traced with
+_CELLS = (8, 11)  # rows and columns at stride 16 of the example that graphs are traced with
 
 
 class _Part(nn.Module):
-    """A function of a part of a network, whose weights keep their names, and of tensors."""
+    """A function of a part of a network and tensors; the part's weights keep their names."""
 
     def __init__(self, function: Callable[..., Any], **part: nn.Module) -> None:
         super().__init__()
@@ -47,7 +47,7 @@ def _levels(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
 
 
 def _native(pyramid: EfficientPyramid, pixels: Tensor) -> list[Tensor]:
-    """The coarsest three levels of such an image, of unit length, channels last, fine to coarse."""
+    """The coarsest three levels of an image, unit length, channels last, fine to coarse."""
     levels = pyramid.coarse(_input(pixels))
     return [F.normalize(level[0].permute(1, 2, 0), dim=-1) for level in levels]
 
@@ -59,12 +59,12 @@ def _input(pixels: Tensor) -> Tensor:
 
 
 def _decode(decoder: nn.Module, features: list[Tensor], previous: Tensor, cell: Tensor) -> Tensor:
-    """A level's state from the previous one at the same size."""
+    """A level's state from the previous level's state at the same size."""
     return previous + decoder(torch.cat([*features, previous], 1)) * cell
 
 
 def export(folder: Path) -> None:
-    """Write the graphs of the preset that has them into a folder."""
+    """Write the graphs of the default preset into a folder."""
     config = preset(DEFAULT_WEIGHTS)
     stored = DGCNet(config).eval()
     net = for_inference(stored)
@@ -129,14 +129,14 @@ def _graph(module: nn.Module, inputs: tuple[Any, ...], shapes: tuple[Any, ...]) 
 
 
 def _without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
-    """Remove the values of the initializers that are among `names`, and return those."""
+    """Remove the values of the initializers in `names`; return the names of those removed."""
     removed = [tensor for tensor in model.graph.initializer if tensor.name in names]
     for tensor in removed:
         tensor.ClearField("raw_data")
         tensor.ClearField("float_data")
         tensor.data_location = onnx.TensorProto.EXTERNAL
         del tensor.external_data[:]
-        # The engine hands the values over; a place must be named all the same.
+        # The engine supplies the values, but ONNX requires a location.
         entry = tensor.external_data.add()
         entry.key, entry.value = "location", "weights"
     return [tensor.name for tensor in removed]

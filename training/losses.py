@@ -1,5 +1,5 @@
-"""The stages of a run, the encoder and then the decoders on it, and their losses: of matches
-between cells for the encoder, of map and mask at each level for the decoders."""
+"""The stages of a run and their losses: first the encoder, by matches between cells; then the
+decoders on it, by map and mask at each level."""
 
 from __future__ import annotations
 
@@ -26,27 +26,28 @@ from dgc_pose.training.views import MapPairs, Shape, level_known, level_truth
 StageName = Literal["encoder", "decoders"]
 Loss = tuple[Tensor, dict[str, Tensor]]  # with figures
 
-# Views of each stage's batches in turn. One batch has as many pixels as the next.
+# Shapes of the views in each stage's batches, in turn. All batches have about as many pixels.
 SHAPES: dict[StageName, tuple[Shape, ...]] = {
     "encoder": ((224, 224), (208, 272), (272, 208), (352, 352), (160, 384)),
     "decoders": ((240, 240), (208, 272), (272, 208), (176, 336), (128, 448), (320, 176)),
 }
-_ROUNDS = 3  # of the consensus that the encoder is trained through
-_QUERIES, _WINDOW_QUERIES = 256, 160  # target cells a pair, of stride 4 and for the refinement
+_ROUNDS = 3  # of the consensus in the encoder's loss
+_QUERIES, _WINDOW_QUERIES = 256, 160  # target cells per pair, at stride 4 and for the refinement
 _LARGEST_SCALE = 60.0  # inverse temperature
-# Features are compared without their length, which drifts; long ones overflow half precision.
+# The losses ignore the features' length, so that it drifts; long features overflow half precision.
 _LONGEST, _DRIFT = 220.0, 0.1
-_ROBUST_CELLS = 4.0  # larger errors of a map count by their logarithm
-_LEAST_LOG = -14.0  # of a probability: one wrong truth weighs no more
+_ROBUST_CELLS = 4.0  # larger errors of a map count logarithmically
+_LEAST_LOG = -14.0  # of a probability; limits the weight of a wrong truth
 _RADIUS, _SHARPNESS = 3, 20.0  # cells and inverse temperature of the engine's refinement
 _JITTER = 1.5  # cells, of the window about the truth
 
 
 class EncoderStage(nn.Module):
-    """The pyramid of a network of views of any shape, by the matches of its features.
+    """Trains the pyramid of a network for views of any shape, by the matches of its features.
 
-    InfoNCE, in both directions, at stride 16 with stride 8, through the consensus over both scales,
-    at strides 8 and 4; and the cross-entropy of the refinement at stride 4. Levels 0 and 1 stay.
+    The losses are InfoNCE in both directions (at stride 16 with stride 8, after the consensus over
+    both scales, and at strides 8 and 4) and the cross-entropy of the refinement at stride 4. Levels
+    0 and 1 stay as they are.
     """
 
     def __init__(self, net: DGCNet) -> None:
@@ -57,11 +58,11 @@ class EncoderStage(nn.Module):
         for level in (self.net.pyramid.level_0, self.net.pyramid.level_1):
             level.requires_grad_(False)
         scales = net.get_buffer("correlation_scales").log()
-        # Of the correlated levels, then of strides 8 and 4 alone.
+        # For the correlated levels, then for strides 8 and 4 on their own.
         self.log_scales = nn.Parameter(torch.cat([scales, scales.new_full((2,), 3)]))
 
     def forward(self, pairs: MapPairs, draw: Draw, progress: float) -> Loss:
-        """The loss of a batch, and the shares of cells found."""
+        """The loss of a batch, and the shares of target cells with a right match."""
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         ratio = SECOND_SIZE / INPUT_SIZE
         size = [STRIDE * max(2, round(side * ratio / STRIDE)) for side in images.shape[2:]]
@@ -100,25 +101,25 @@ class EncoderStage(nn.Module):
         return total, figures
 
     def _coarse(self, images: Tensor) -> list[Tensor]:
-        """Levels 2 to 4, in single precision."""
+        """Levels 2 to 4 of images, in single precision."""
         images = images.contiguous(memory_format=torch.channels_last)
         return [level.float().contiguous() for level in self.net.coarse_features(images)]
 
     def finished(self) -> DGCNet:
-        """The network with the inverse temperatures that were learnt."""
+        """The network with the learnt inverse temperatures."""
         scales = self.log_scales.detach()[: len(CORRELATED)].exp()
         self.net.get_buffer("correlation_scales").copy_(scales.clamp(max=_LARGEST_SCALE))
         return self.net
 
 
 class DecoderStage(nn.Module):
-    """All decoders at once on the frozen pyramid.
+    """Trains all decoders at once on the frozen pyramid.
 
-    For views of any shape each is fed with its predecessor's detached map, and a share of the pairs
-    gets the true map plus smooth noise instead, so that the fine decoders learn before the coarse
-    ones have; that share falls over the stage. For the paper's networks nothing is detached, and
-    the losses are the paper's. The two finest levels, which cost the most time, are decoded on a
-    random quarter of the view.
+    In a network for views of any shape, each decoder gets its predecessor's detached map. A share
+    of the pairs gets the true map plus smooth noise instead, so that the fine decoders learn before
+    the coarse ones are good; this share falls over the stage. In the paper's networks nothing is
+    detached, and the losses are the paper's. The two finest levels, which take the most time, are
+    decoded on a random quarter of the view.
     """
 
     def __init__(self, net: DGCNet) -> None:
@@ -132,7 +133,7 @@ class DecoderStage(nn.Module):
         return self
 
     def forward(self, pairs: MapPairs, draw: Draw, progress: float) -> Loss:
-        """Map and mask losses of a batch; each level's mean error in pixels."""
+        """The map and mask losses of a batch, and each level's mean error in pixels."""
         shape = pairs.map.shape[1], pairs.map.shape[2]
         images = normalise(torch.cat([pairs.image1, pairs.image2]))
         with torch.no_grad():
@@ -148,7 +149,7 @@ class DecoderStage(nn.Module):
             rows, columns = _window(level, shape, corner)
             side = shape[0] >> level
             parts = *level_truth(pairs.map, pairs.valid, side), level_known(pairs.known, side)
-            # Of the part of the level that is decoded; pixels of the views
+            # The truth for the decoded part of the level, in pixels of the views
             truth = MapPairs(*pairs[:2], *(part[:, rows, columns] for part in parts))
             if level < COARSEST:
                 previous = upsample(state.detach() if own else state)
@@ -170,7 +171,7 @@ class DecoderStage(nn.Module):
         """The loss of a level's state, and its mean error in pixels."""
         config, size = self.net.config, _grid(truth.image1)[::-1]
         points = to_pixels(state[:, :2].movedim(1, -1), size, config.align_corners)
-        # 0 elsewhere, so that undefined values of the truth reach no gradient.
+        # 0 elsewhere, so that undefined values of the truth do not reach the gradient.
         error = torch.where(truth.valid[..., None], points - truth.map, 0)
         distance = error.detach().norm(dim=-1)
         if config.any_shape:
@@ -180,8 +181,8 @@ class DecoderStage(nn.Module):
             normalised = 2 * error / error.new_tensor(size)
             total = masked_mean(normalised.abs().sum(-1), truth.valid)
         if config.matchability == "decoder":
-            # Matchable: visible, with an error that the next level (or, at the finest, an
-            # estimator) can use.
+            # Matchable: visible, with an error small enough for the next level (or, at the
+            # finest level, for an estimator).
             good = truth.valid & (distance < max(4.0, 1.5 * 2**level))
             total = total + mask_loss(state[:, 2:], good, truth.known)
         return total, masked_mean(distance, truth.valid)
@@ -189,7 +190,7 @@ class DecoderStage(nn.Module):
     def _noisy_truth(self, level: int, previous: Tensor, truth: MapPairs, draw: Draw) -> Tensor:
         """The true map plus smooth noise of up to two cells, with the previous mask channel.
 
-        The previous map plus that noise for cells of unknown truth.
+        Where the truth is unknown, the previous map takes its place.
         """
         align_corners, size = self.net.config.align_corners, _grid(truth.image1)[::-1]
         batch, _, *sides = previous.shape
@@ -208,7 +209,7 @@ class DecoderStage(nn.Module):
 
 
 def _similarity(source: Tensor, target: Tensor, scale: Tensor) -> Tensor:
-    """Scaled products (B, h * w, Q) of source cells (B, C, h, w), column-major, and (B, C, Q)."""
+    """Scaled products (B, h * w, Q) of source cells (B, C, h, w), column-major, with (B, C, Q)."""
     return scale * source.transpose(2, 3).flatten(2).mT @ target
 
 
@@ -217,8 +218,8 @@ def _grid(features: Tensor) -> tuple[int, int]:
 
 
 def _window(level: int, shape: Shape, corner: list[int]) -> tuple[slice, slice]:
-    """The part of a level that is decoded: all; of the two finest the half from `corner`, rows and
-    columns of level 1."""
+    """The decoded part of a level: all of it, or at the two finest levels half the rows and columns
+    from `corner`, which is in cells of level 1."""
     if level > 1:
         return slice(None), slice(None)
     rows, columns = (
@@ -229,7 +230,7 @@ def _window(level: int, shape: Shape, corner: list[int]) -> tuple[slice, slice]:
 
 
 def masked_mean(values: Tensor, inside: Tensor) -> Tensor:
-    """The mean of the `values` that are `inside`, whatever the others are; 0 if there are none."""
+    """The mean of the `values` that are `inside`, even if others are NaN; 0 without any."""
     return torch.where(inside, values, 0).sum() / inside.sum().clamp(min=1)
 
 
@@ -238,9 +239,9 @@ def likelihood_loss(
 ) -> tuple[Tensor, Tensor]:
     """The mean negative log-likelihood of the true matches, and the share of right cells.
 
-    log_likely: (B, h * w, Q), of every source cell, column-major, for Q target cells; truth:
-    (B, Q, 2), their true points in source pixels, each shared bilinearly by the four cells around
-    it; valid: (B, Q); grid: h and w. Right is a best cell within 1.5 cells of the truth.
+    log_likely: (B, h * w, Q), for source cells, column-major, and Q target cells; truth: (B, Q, 2),
+    true points in source pixels, each divided bilinearly among the four cells around it; valid:
+    (B, Q); grid: h and w. The best cell is right within 1.5 cells of the truth.
     """
     rows, columns = grid
     cells = (torch.where(valid[..., None], truth, 0) + 0.5) / stride - 0.5
@@ -262,11 +263,11 @@ def likelihood_loss(
 def window_loss(
     source: Tensor, target: Tensor, truth: Tensor, valid: Tensor, draw: Draw, queries: int
 ) -> Tensor:
-    """The cross-entropy of the refinement's soft-argmax, in a window about the truth.
+    """The cross-entropy of the refinement's soft-argmax, in a window around the truth.
 
-    source, target: unit features (B, C, h, w) of stride 4. Both are averaged over 2x2, the source's
-    at every cell, as the engine does. truth: true points (B, h w / 4, 2), pixels, of the target's
-    cells of stride 8, of which random `queries` count; valid: (B, h w / 4).
+    source, target: unit features (B, C, h, w) of stride 4. As in the engine, both are averaged over
+    2x2 cells, in the source at stride 1. truth: true points (B, h w / 4, 2), pixels, of the
+    target's cells of stride 8, of which `queries` random ones count; valid: (B, h w / 4).
     """
     means, wanted = F.avg_pool2d(source, 2, 1), F.avg_pool2d(target, 2).flatten(2)
     rows, columns = means.shape[2:]
@@ -291,7 +292,7 @@ def window_loss(
 def random_cells(
     truth: Tensor, valid: Tensor, count: int, draw: Draw
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Indices (B, n) of random cells of (B, N), `count` at most, valid ones first, and their true
+    """Choose at most `count` random cells, valid ones first: their indices (B, n) in (B, N), true
     points (B, n, 2) and validity (B, n)."""
     order = draw.uniform(*valid.shape) + valid.float()
     chosen = order.topk(min(count, valid.shape[1]), 1).indices
@@ -301,8 +302,8 @@ def random_cells(
 def map_loss(error_cells: Tensor, valid: Tensor) -> Tensor:
     """Mean over valid cells of c log(1 + e / c), e = |dx| + |dy|.
 
-    error_cells: (B, H, W, 2), in cells of the level. A level cannot correct large errors of the
-    level before it, which should not dominate.
+    error_cells: (B, H, W, 2), in cells of the level. Large errors count less because a level cannot
+    correct those of the level before.
     """
     error = error_cells.abs().sum(-1)
     return masked_mean(_ROBUST_CELLS * torch.log1p(error / _ROBUST_CELLS), valid)

@@ -1,4 +1,4 @@
-"""What a training run does: network, length, pairs, starting weights."""
+"""The options of a training run: network, length, pairs, initial weights."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from dgc_pose.system.options import MAX_SEED, check_options, option
 
 
 class Shares(NamedTuple):
-    """How many of the pairs are of each kind; a kind without data has none."""
+    """The share of each kind of pairs; a kind without data gets no pairs."""
 
     photos: float = 0.20  # warped photographs
-    light: float = 0.08  # of one place in other light, warped
+    light: float = 0.08  # warped photographs of one place in different light
     rooms: float = 0.20  # ray-cast
     posed: float = 0.52  # posed photographs of known depth
 
@@ -23,7 +23,7 @@ class Shares(NamedTuple):
 
     @classmethod
     def parse(cls, text: str) -> Shares:
-        """From percentages, as "20,8,20,52". Raises InputError for any other text."""
+        """Parse percentages such as "20,8,20,52". Raises InputError for any other text."""
         try:
             shares = [float(part) / 100 for part in text.split(",")]
         except ValueError:
@@ -71,7 +71,7 @@ class TrainingOptions:
 
     def __post_init__(self) -> None:
         check_options(self)
-        own = self.config.any_shape  # raises InputError for a name of no network
+        own = self.config.any_shape  # raises InputError for an unknown network
         if (self.seconds is None) == (self.steps is None):
             raise InputError("a run needs its length, in seconds or in steps, and one of them only")
         if own and self.encoder is not None:

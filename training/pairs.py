@@ -1,5 +1,4 @@
-"""Batches of random pairs of all kinds, made on the device of the network; and pairs of warped
-photographs."""
+"""Batches of random pairs of all kinds, made on the network's device, and warped photographs."""
 
 from __future__ import annotations
 
@@ -30,33 +29,33 @@ from dgc_pose.training.views import (
     rotation_2d,
 )
 
-TRAINING = "training"  # what trains; all else validates
+TRAINING = "training"  # name of the source for training; all others validate
 _STARTS = range(1000)
-_FARTHEST = 20.0  # times farther than its middle, where a view's plane ends
+_FARTHEST = 20.0  # a view's plane ends at this depth, in units of the depth of its middle
 _OCCLUDED = 0.3  # share of the views with an occluder
-_BENT = 0.4  # share of the pairs with a smooth bend beside the projective maps
-_AWAY = 1e4  # pixels, coordinate of points beyond a view's horizon
+_BENT = 0.4  # share of the pairs with a smooth bend besides the projective maps
+_AWAY = 1e4  # pixels; coordinate of points beyond a view's horizon, and bound of all others
 
 
 @dataclass(frozen=True)
 class PairSource:
-    """What pairs are made of, on the device of the network."""
+    """The data that pairs are made of, on the network's device."""
 
     photos: Photos
     posed: FramePairs | None = None
     shares: Shares = Shares()
 
     def make(self, count: int, shape: Shape, draw: Draw) -> MapPairs:
-        """So many pairs of views of `shape`, in light of their own, one kind after the other.
+        """Make `count` pairs of views of `shape`, each view in random light, ordered by kind.
 
-        Raises InputError if the shares leave no kind that there is data for.
+        Raises InputError if no kind with a share has data.
         """
         photos, posed = self.photos, self.posed
         there = True, len(photos.places) > 0, True, posed is not None
         ends = np.cumsum(np.multiply(self.shares, there))
         if not ends[-1]:
             raise InputError("shares: there is no data for the kinds of pairs that have a share")
-        # Evenly from a random start, so that small batches have all kinds, too.
+        # Evenly spaced from a random start, so that small batches have all kinds, too.
         places = (np.arange(count) + draw.choice(_STARTS) / len(_STARTS)) * ends[-1] / count
         kinds = ends.searchsorted(places, "right")
         warped, relit, rooms, cut = np.bincount(kinds, minlength=4).tolist()
@@ -84,12 +83,12 @@ def load_data(
     shares: Shares,
     device: torch.device | str = "cpu",
 ) -> dict[str, PairSource]:
-    """What trains, by the name TRAINING, and what validates: photographs, rooms and, with scenes
-    held back, posed photographs.
+    """Load the source for training, with the name TRAINING, and the sources for validation: photos,
+    rooms and, if `held` names scenes, posed photographs.
 
-    photos, light: see `load_photos`; posed: folders for `read_scenes`; depths: see `load_posed`;
-    held: names of the scenes that validate. Raises as these and `frame_pairs` do; InputError for a
-    scene that is not there or there twice.
+    photos, light: see `load_photos`; posed: folders for `read_scenes`; depths: `kept` of
+    `load_posed`; held: names of the scenes for validation. Raises the errors of these functions and
+    of `frame_pairs`; InputError for a scene that is missing or found twice.
     """
     frames: dict[str, list[PosedFrame]] = {}
     for root in posed:
@@ -119,9 +118,10 @@ def load_data(
 def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bool) -> MapPairs:
     """Random pairs of views of `shape`.
 
-    light: of two aligned photographs of one place, in other light or exposure; else both of one.
-    A view is projective: foreshortened down to 0.35, rolled, enlarged up to twice. The truth is not
-    known where the target shows what lies outside of its photograph.
+    light: whether the views show two aligned photographs of one place, in different light or
+    exposure; else both show one photograph. A view is projective: foreshortened down to 0.35,
+    rolled, enlarged up to twice. The truth is unknown where the target reaches beyond its
+    photograph.
     """
     bank = photos.bank
     if light:
@@ -149,8 +149,8 @@ def warped_pairs(photos: Photos, count: int, shape: Shape, draw: Draw, light: bo
 
 
 def _random_views(size: Tensor, shape: Shape, draw: Draw) -> list[Tensor]:
-    """Homographies (B, 3, 3) from pixels of the source and of the target view to pixels of the
-    photographs, whose width and height are `size` (B, 2)."""
+    """Homographies (B, 3, 3) from pixels of the source view and of the target view to pixels of the
+    photographs. size: (B, 2), width and height of the photographs."""
     count, extent = len(size), size.new_tensor(shape[::-1]) / root_area(shape)
     most = (size / extent).amin(1) / 2
     side2 = most * draw.log_uniform(count, low=0.5, high=1.0)
@@ -162,7 +162,7 @@ def _random_views(size: Tensor, shape: Shape, draw: Draw) -> list[Tensor]:
     slanted = draw.chance(count, share=0.75)
     views = []
     for side, centre in ((side1, centre2 + apart), (side2, centre2)):
-        # Of either view, half of the slanted pairs are strongly foreshortened.
+        # In half of the slanted pairs, this view is strongly foreshortened.
         strong = slanted & draw.chance(count, share=0.5)
         squeeze = draw.uniform(count, low=0.35, high=0.95)
         squeeze = torch.where(strong, squeeze, draw.uniform(count, low=0.8))
@@ -185,8 +185,8 @@ def _random_views(size: Tensor, shape: Shape, draw: Draw) -> list[Tensor]:
 
 
 def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Points (B, H, W, 2) through homographies (B, 3, 3), and their third coordinates (B, H, W),
-    positive on the view's side of the horizon."""
+    """Map points (B, H, W, 2) by homographies (B, 3, 3); also return the third coordinates
+    (B, H, W), which are positive on the view's side of the horizon."""
     moved = torch.einsum("bij,bhwj->bhwi", matrix, F.pad(points, (0, 1), value=1.0))
     depth = moved[..., 2]
     return moved[..., :2] / depth.clamp(min=1e-3)[..., None], depth
@@ -195,8 +195,8 @@ def _apply(matrix: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
 def occluded(
     photos: Photos, images: Tensor, draw: Draw, share: float = _OCCLUDED
 ) -> tuple[Tensor, Tensor]:
-    """A `share` of the views (B, H, W, 3) behind a blot cut from another photograph, and the blots'
-    masks (B, H, W)."""
+    """Cover part of a `share` of the views (B, H, W, 3) with a blot cut from another photograph;
+    also return the blots' masks (B, H, W)."""
     count, shape = len(images), (images.shape[1], images.shape[2])
     place = (pixel_grid(shape, draw.device) - middle_of(shape, draw.device)) * 2 / root_area(shape)
     offset = place - draw.uniform(count, 1, 1, 2, low=-0.9, high=0.9)

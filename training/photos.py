@@ -1,4 +1,4 @@
-"""Photographs, decoded once, in one row on the device; sampled at any points of any of them."""
+"""Photographs, decoded once and stored on the device in one tensor, sampled at any points."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from dgc_pose.images.folder import search_images
 from dgc_pose.images.image import load_image, resize_by
 from dgc_pose.training.draw import Draw
 
-SIDE = 300  # pixels of the shorter side in memory, at most
+SIDE = 300  # pixels, largest length of the shorter side in memory
 LEVELS = 4  # of the mip pyramid: the image, and three halvings
 _log = logging.getLogger(__name__)
-_SHARPNESS = 1.2  # a level is left when its texels are this much smaller than a sample
-_HELD_BACK = 20  # one photograph in so many is held back for validation
+_SHARPNESS = 1.2  # factor of the spacing of samples that selects the mip level
+_HELD_BACK = 20  # one photograph in 20 is held back for validation
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class ImageBank:
 
     @classmethod
     def of(cls, images: Iterable[np.ndarray], device: torch.device | str = "cpu") -> ImageBank:
-        """The bank of images (h, w, 3) uint8, RGB."""
+        """Make a bank of images (h, w, 3) uint8, RGB."""
         levels, sizes = [], []
         for image in images:
             for _ in range(LEVELS):
@@ -58,7 +58,7 @@ class ImageBank:
     def sample(self, image: Tensor, points: Tensor, spacing: Tensor) -> Tensor:
         """Bilinear colours (..., 3) in [0, 1] at points (..., 2), pixels; mirrored at the edges.
 
-        image: (...) int64; spacing: (...), the pixels between two samples, which choose the mip
+        image: (...) int64; spacing: (...), pixels between two samples, which determine the mip
         level. Both broadcast with the points.
         """
         level = (_SHARPNESS * spacing).clamp(min=1).log2().long().clamp(max=LEVELS - 1)
@@ -76,29 +76,29 @@ class ImageBank:
         return torch.lerp(above, below, v) / 255
 
     def view(self, image: Tensor, points: Tensor) -> Tensor:
-        """Views (B, H, W, 3) of images (B,) at points (B, H, W, 2), pixels, each about as far from
-        the next."""
+        """Views (B, H, W, 3) of images (B,) at points (B, H, W, 2), pixels, which are about evenly
+        spaced."""
         return self.sample(image[:, None, None], points, spacing(points))
 
     def _colours(self, index: Tensor) -> Tensor:
-        """Texels, unpacked: (..., 3) float32 in [0, 255]."""
+        """Unpacked texels (..., 3) float32 in [0, 255]."""
         packed = self.texels[index]
         return torch.stack([packed & 255, packed >> 8 & 255, packed >> 16], -1).float()
 
 
 def spacing(points: Tensor) -> Tensor:
-    """The mean distance (B, 1, 1) of neighbours among points (B, H, W, 2)."""
+    """The mean distance (B, 1, 1) between neighbours in a grid of points (B, H, W, 2)."""
     steps = points[:, 1:, 1:] - points[:, :-1, :-1]
     return steps.norm(dim=-1).mean((1, 2))[:, None, None] / math.sqrt(2)
 
 
 @dataclass(frozen=True)
 class Photos:
-    """Photographs on a device: single ones, then those of places in other light."""
+    """Photographs on a device: single ones, then photographs of places in different light."""
 
     bank: ImageBank
-    single: int  # the first ones of the bank
-    places: Tensor  # (P, 2) int64, the first photograph of a place and how many there are
+    single: int  # number of single photographs, the first of the bank
+    places: Tensor  # (P, 2) int64, a place's first photograph and number of photographs
 
     @classmethod
     def of(
@@ -107,7 +107,7 @@ class Photos:
         places: Sequence[Sequence[np.ndarray]] = (),
         device: torch.device | str = "cpu",
     ) -> Photos:
-        """Of images (h, w, 3) uint8, RGB; those of a place are aligned and of one size."""
+        """From images (h, w, 3) uint8, RGB; the images of a place are aligned and have one size."""
         counts = torch.tensor([len(place) for place in places], dtype=torch.int64)
         first = len(images) + counts.cumsum(0) - counts
         every = [*images, *(image for place in places for image in place)]
@@ -115,7 +115,7 @@ class Photos:
         return cls(ImageBank.of(every, device), len(images), table)
 
     def places_drawn(self, count: int, draw: Draw) -> tuple[Tensor, Tensor]:
-        """Two photographs (B,) each of one place."""
+        """For each of `count` random places, two photographs, (B,) each."""
         first, photographs = self.places[draw.integers(count, count=len(self.places))].unbind(1)
         offsets = (draw.uniform(2, count) * photographs).long().minimum(photographs - 1)
         return first + offsets[0], first + offsets[1]
@@ -124,12 +124,12 @@ class Photos:
 def load_photos(
     root: Path, light: Path | None = None, device: torch.device | str = "cpu"
 ) -> tuple[Photos, Photos]:
-    """All photographs below a folder, made smaller: those that train, and those held back.
+    """Load all photographs below a folder, resized: those for training, and those held back.
 
-    light: a folder of folders, each with aligned photographs of one place in other light, which
-    train. A photograph's name alone decides whether it is held back: one that validates a run never
-    trains another, unless the folder is so small that this would leave none of either. Raises
-    ImageError for fewer than two photographs, or if a folder holds no place.
+    light: a folder of folders for training, each with aligned photographs of one place in different
+    light. Only a photograph's name decides whether it is held back, so that it never trains another
+    run, unless the folder is so small that one of the two groups would be empty. Raises ImageError
+    for fewer than two photographs, or if `light` or one of its folders has no place.
     """
     training, held_back = _split(root)
     folders = [] if light is None else sorted(path for path in light.iterdir() if path.is_dir())
@@ -144,13 +144,13 @@ def load_photos(
 
 
 def load_held_back(root: Path, side: int = SIDE) -> Photos:
-    """The photographs that `load_photos` holds back, without decoding the others; the shorter side
-    has `side` pixels at most. Raises as `load_photos` does."""
+    """Load only the photographs that `load_photos` holds back, with a shorter side of at most
+    `side` pixels. Raises the errors of `load_photos`."""
     return Photos.of(_decoded(_split(root)[1], side))
 
 
 def _split(root: Path) -> tuple[list[Path], list[Path]]:
-    """The photographs below a folder, sorted: those that train, those held back."""
+    """The photographs below a folder, sorted: those for training, those held back."""
     numbers = {
         path: int(hashlib.sha256(path.name.encode()).hexdigest()[:8], 16) for path in _images(root)
     }
@@ -158,7 +158,7 @@ def _split(root: Path) -> tuple[list[Path], list[Path]]:
         raise ImageError(f"{root}: one trains and one is held back, and it holds {len(numbers)}")
     ranked = sorted(numbers, key=lambda path: (numbers[path] % _HELD_BACK != 0, numbers[path]))
     count = sum(number % _HELD_BACK == 0 for number in numbers.values())
-    count = min(max(1, count), len(ranked) - 1)  # of a few names none may be, or all
+    count = min(max(1, count), len(ranked) - 1)  # of few names, none or all may be
     return sorted(ranked[count:]), sorted(ranked[:count])
 
 
@@ -170,13 +170,13 @@ def _images(root: Path) -> list[Path]:
 
 
 def _decoded(paths: list[Path], side: int) -> list[np.ndarray]:
-    """Those that can be read. Raises ImageError if none can."""
+    """Decode the readable images, resized. Raises ImageError if none is readable."""
     images, damaged = list[np.ndarray](), list[ImageError]()
     for path in tqdm(paths, desc="photographs", unit="", disable=None, leave=False):
         try:
             pixels = load_image(path).pixels
             images.append(resize_by(pixels, min(1.0, side / min(pixels.shape[:2]))))
-        except ImageError as error:  # one in thousands is no reason to stop
+        except ImageError as error:  # one damaged file of thousands does not stop the run
             damaged.append(error)
     if damaged and not images:
         raise damaged[0]

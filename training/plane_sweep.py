@@ -1,4 +1,4 @@
-"""Depth maps of posed photographs: planes swept through the depths, compared by correlation."""
+"""Depth maps of posed photographs, by a plane sweep with normalised correlation."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from torch import Tensor
 from dgc_pose.training.photos import ImageBank
 from dgc_pose.training.views import Cameras, angle_deg, inside, pixel_grid
 
-_SIDE, _PLANES = 256, 72  # longest side, pixels, and planes, even in the inverse depth
-_MOST = 5  # neighbours that a frame is compared with
-_ANGLE_DEG, _ANGLE_SPREAD = 10.0, 8.0  # between the rays of neighbours, the best and around it
+_SIDE, _PLANES = 256, 72  # longest side, pixels; number of planes, even in inverse depth
+_MOST = 5  # neighbours to compare a frame with
+_ANGLE_DEG, _ANGLE_SPREAD = 10.0, 8.0  # between rays of neighbours: the best angle, its spread
 _LEAST_ANGLE_DEG = 1.5
 _LEAST_FIT = 0.05  # of a neighbour
-_WINDOW = 7  # pixels a side that are correlated
-_VARIANCE, _NOISE = 6e-5, 2e-5  # of a window: the least, and what is added to it
-_CORRELATION, _MARGIN = 0.55, 0.03  # the least, and above those of planes elsewhere
-_AGREES = 0.02  # of the depth, with a neighbour's
-_DENSITY = 0.3  # least share of the pixels around one that are kept: alone it is chance
+_WINDOW = 7  # side of the correlated window, pixels
+_VARIANCE, _NOISE = 6e-5, 2e-5  # of a window: least variance, and variance added to it
+_CORRELATION, _MARGIN = 0.55, 0.03  # least correlation, and least lead over planes elsewhere
+_AGREES = 0.02  # largest relative difference of a neighbour's depth that agrees
+_DENSITY = 0.3  # least share of kept pixels around a kept one: isolated pixels are chance
 
 
 def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]:
-    """Depths (h, w) of the bank's images, views of one scene, smaller than these; 0 where no plane
-    stands out or the neighbours' depths disagree.
+    """Sweep the bank's images, views of one scene: depths (h, w), smaller than the images, 0 where
+    no plane stands out or the neighbours' depths disagree.
 
-    reach: (n, 2), nearest and farthest depth of each.
+    reach: (n, 2), nearest and farthest depth of each image.
     """
     sizes = bank.sizes[:, 0].float()
     near = _neighbours(sizes, views, reach)
@@ -44,7 +44,7 @@ def swept_depths(bank: ImageBank, views: Cameras, reach: Tensor) -> list[Tensor]
 
 
 def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
-    """For each frame those of the same content and scale, some ten degrees away, the best first."""
+    """For each frame, neighbours of similar content and scale about 10 degrees away, best first."""
     step = torch.linspace(0.1, 0.9, 6, device=size.device)
     grid = torch.stack(torch.meshgrid(step, step, indexing="xy"), -1).view(1, -1, 2)
     middle = (2 / reach.reciprocal().sum(1))[:, None].expand(-1, grid.shape[1])
@@ -64,7 +64,7 @@ def _neighbours(size: Tensor, views: Cameras, reach: Tensor) -> list[list[int]]:
 
 
 def _swept(greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: Tensor) -> Tensor:
-    """The depth (h, w) of the plane whose correlation, the mean of the best three, is highest."""
+    """The depth (h, w) of the plane with the highest mean correlation of its best 3 neighbours."""
     grey = greys[k]
     if len(near) < 2:
         return torch.zeros_like(grey)
@@ -88,7 +88,7 @@ def _swept(greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: 
     best, index = scored.max(0)
     near_best = ((index + step).clamp(0, _PLANES - 1)[None] for step in (-1, 1))
     below, above = (scored.gather(0, plane)[0] for plane in near_best)
-    # The peak of a parabola through three planes, which are even in the inverse depth.
+    # The peak of a parabola through three planes, evenly spaced in inverse depth.
     shift = 0.5 * (above - below) / (2 * best - below - above).clamp(min=1e-4)
     found = 1 / (inverse[index] + shift.clamp(-0.5, 0.5) * (inverse[1] - inverse[0]))
     elsewhere = (torch.arange(_PLANES, device=grey.device)[:, None, None] - index).abs() > 4
@@ -98,11 +98,11 @@ def _swept(greys: list[Tensor], views: Cameras, k: int, near: list[int], reach: 
 
 
 def _agreed(depths: list[Tensor], views: Cameras, k: int, near: list[int]) -> Tensor:
-    """The depths (h, w) of a frame that neighbours confirm: one of few, two of more than three."""
+    """A frame's depths (h, w) confirmed by 1 neighbour, or by 2 if it has more than 3; else 0."""
     depth = depths[k]
     pixels = pixel_grid(depth.shape, depth.device)[None]
     place = views[[k]].unproject(pixels, depth[None])
-    confirming = torch.zeros_like(depth)  # number of neighbours, of each pixel
+    confirming = torch.zeros_like(depth)  # number of neighbours for each pixel
     for j in near:
         seen, expected = (part[0] for part in views[[j]].project(place))
         x, y = (axis.round().long() for axis in seen.unbind(-1))

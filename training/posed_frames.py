@@ -1,4 +1,4 @@
-"""Photographs with poses, and depth if a sensor has it, from the folders of docs/training.md."""
+"""Photographs with poses, and with a sensor's depth if any, from folders (docs/training.md)."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from dgc_pose.images.folder import search_images
 from dgc_pose.model import load_model
 from dgc_pose.system.files import read_as, read_text
 
-_NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths that a frame's reach is of
-_MARGIN = 1.25  # beyond these
+_NEAREST, _FARTHEST = 0.02, 0.98  # quantiles of the points' depths, for a frame's reach
+_MARGIN = 1.25  # factor by which the reach extends beyond these quantiles
 
 
 @dataclass(frozen=True, eq=False)
 class PosedFrame:
-    """A view whose pose is known. Pixels have (0, 0) at the top-left one's centre.
+    """A view with a known pose. Pixel (0, 0) is the centre of the top-left pixel.
 
-    Raises InputError, with the image, for a pose that is none or a K with a skew.
+    Raises InputError, with the image, if the pose is not rigid or K has a skew.
     """
 
     image: Path
     camera: Camera  # of the upright image
     cam_from_world: np.ndarray  # (4, 4) float64
-    depth: Path | None = None  # z along the optical axis; 0: unknown
-    step: float = 1e-3  # units of length, of the stored depth
-    reach: tuple[float, float] | None = None  # nearest and farthest depth, for want of a sensor's
+    depth: Path | None = None  # image of z along the optical axis; 0: unknown
+    step: float = 1e-3  # unit of the stored depth, in units of length
+    reach: tuple[float, float] | None = None  # nearest and farthest depth; None: by a sensor
 
     def __post_init__(self) -> None:
         R, last = self.cam_from_world[:3, :3], self.cam_from_world[3]
@@ -45,9 +45,9 @@ class PosedFrame:
             raise InputError(f"{self.image}: its K must be fx 0 cx, 0 fy cy, 0 0 1, without skew")
 
     def read_depth(self) -> np.ndarray:
-        """(h, w) float32 of the image's size, units of length, 0 if unknown.
+        """Read the depth, resized to the image: (h, w) float32, units of length, 0 if unknown.
 
-        Raises ImageError, with the path, if it cannot be read; InputError if its shape is another.
+        Raises ImageError, with the path, if it is unreadable; InputError if its shape differs.
         """
         assert self.depth is not None
         stored, size = read_pixels(self.depth), image_size(self.image)
@@ -61,11 +61,11 @@ class PosedFrame:
 
 
 def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
-    """The frames of a scene's folder, or of all scenes in a folder, by the folders' names.
+    """Read the frames of a scene's folder, or of all scenes in a folder, by folder name.
 
-    Raises InputError, with the path, if there are none or a file is malformed; ImageError; OSError.
+    Raises InputError, with the path, without scenes or if a file is malformed; ImageError; OSError.
     """
-    root = Path(root).resolve()  # the working folder, too, has a name
+    root = Path(root).resolve()  # gives the working folder its name
     folders = [root] if (root / "images").is_dir() else sorted(root.iterdir())
     scenes = {f.name: read_scene(f) for f in folders if (f / "images").is_dir()}
     if not scenes:
@@ -74,7 +74,7 @@ def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
 
 
 def read_scene(root: Path) -> list[PosedFrame]:
-    """The frames of a scene's folder, two and more, in order. Raises as `read_scenes` does."""
+    """Read the frames of a scene's folder, two or more, in order. Raises as `read_scenes` does."""
     if (root / "poses.txt").exists():
         frames = read_rgbd(root)
     elif (root / "cameras.txt").exists() and not (root / "images.txt").exists():
@@ -87,7 +87,7 @@ def read_scene(root: Path) -> list[PosedFrame]:
 
 
 def _read_model(root: Path) -> list[PosedFrame]:
-    """Those of a COLMAP model that show points, whose depths bound the search."""
+    """The frames of a COLMAP model that see points; the points' depths give their reach."""
     model, frames = load_model(root, root / "images"), []
     for name in sorted(model.seen):
         pose = np.vstack([model.poses[name], (0, 0, 0, 1)])
@@ -101,8 +101,8 @@ def _read_model(root: Path) -> list[PosedFrame]:
 
 
 def read_rgbd(root: str | Path) -> list[PosedFrame]:
-    """The frames of a posed RGB-D folder, in order. Raises InputError, with the path, if the
-    numbers of its files differ or a matrix is malformed; OSError."""
+    """Read the frames of a posed RGB-D folder, in order. Raises InputError, with the path, if the
+    numbers of files or poses differ or a matrix is malformed; OSError."""
     root, path = Path(root), Path(root) / "poses.txt"
     folders = root / "images", root / "depth"
     images, depths = ([f / name for name in search_images(f).names] for f in folders)

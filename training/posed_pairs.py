@@ -1,5 +1,5 @@
-"""Posed photographs of known depth on a device, and pairs of views cut from them, whose maps follow
-from the target's depth and the poses."""
+"""Posed photographs with depths on a device, and pairs of views cut from them. The target's depth
+and the poses give the true maps."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from dgc_pose.training.views import (
     rotation_2d,
 )
 
-_LONGEST = 512  # pixels of a frame's longer side in memory, at most
-_PROBE = (16, 20)  # rows and columns of points by which a frame's overlap with others is estimated
-_AGREES = 0.05  # of the depth, for such a point
-_VISIBLE = 0.03  # of the depth expected in the source: within this of it, the pixel is visible
-_HIDDEN = 0.07  # nearer by more, the pixel is occluded; else it is not known
+_LONGEST = 512  # pixels, largest length of a frame's longer side in memory
+_PROBE = (16, 20)  # rows and columns of points for estimating the overlap of frames
+_AGREES = 0.05  # largest relative difference of depths that agree at such a point
+_VISIBLE = 0.03  # a pixel is visible if the source's depth is this close to the expected, relative
+_HIDDEN = 0.07  # a pixel is hidden if the source's depth is nearer by more than this; else unknown
 _LEAST_OVERLAP, _LEAST_RIGHT, _LEAST_POINTS = 0.2, 0.3, 12
 _MOST_ROLL_DEG = 50.0
-_MOST_COUNTED = 2000  # pairs: of more a scene's weight does not rise
+_MOST_COUNTED = 2000  # pairs; more do not increase a scene's weight
 
 
 @dataclass(frozen=True)
@@ -51,16 +51,16 @@ class PosedScenes:
     """The frames of all scenes. A scene's unit of length is about its depth."""
 
     names: tuple[str, ...]  # of the scenes
-    scene: Tensor  # (N,) int64, of each frame
-    bank: ImageBank  # of the frames, without lens distortion
+    scene: Tensor  # (N,) int64, scene of each frame
+    bank: ImageBank  # frames without lens distortion
     cameras: Cameras  # of the bank's images
-    depth: Tensor  # (T,) float32, row by row, along the optical axis, 0: unknown
-    start: Tensor  # (N,) int64, a frame's first depth
-    size: Tensor  # (N, 2) int64, width and height of its depths, which cover the image
+    depth: Tensor  # (T,) float32, along the optical axis, row by row; 0: unknown
+    start: Tensor  # (N,) int64, index of each frame's first depth
+    size: Tensor  # (N, 2) int64, width and height of each depth map, which covers the image
 
     def depth_at(self, frame: Tensor, points: Tensor) -> Tensor:
-        """Depths (B, ...) of frames (B,) at points (B, ..., 2), pixels of the bank's images: those
-        of the nearest pixel, 0 outside and if unknown."""
+        """Depths (B, ...) of frames (B,) at points (B, ..., 2), pixels of the bank's images, from
+        the nearest pixel of the depth map; 0 if outside or unknown."""
         wide = (len(frame),) + (1,) * (points.ndim - 2)
         size, image = (part[frame].view(*wide, 2) for part in (self.size, self.bank.sizes[:, 0]))
         x, y = ((points + 0.5) * (size / image)).floor().unbind(-1)
@@ -72,16 +72,16 @@ class PosedScenes:
 
 @dataclass(frozen=True)
 class FramePairs:
-    """Pairs of frames that share enough, of one or more scenes."""
+    """Pairs of frames with enough overlap, from one or more scenes."""
 
     scenes: PosedScenes
     frames: Tensor  # (P, 2) int64, source and target
-    middles: Tensor  # (P, 2, 2), of what both show, pixels of the source and of the target
-    chance: Tensor  # (P,) float64, summed up, that a pair is drawn with
+    middles: Tensor  # (P, 2, 2), middles of the common part, pixels of the source and the target
+    chance: Tensor  # (P,) float64, cumulative sum of the weights with which pairs are drawn
 
     @property
     def names(self) -> list[str]:
-        """Of the scenes that have pairs."""
+        """The names of the scenes with pairs."""
         numbers = self.scenes.scene[self.frames.unique()].unique()
         return [self.scenes.names[number] for number in numbers.tolist()]
 
@@ -89,16 +89,16 @@ class FramePairs:
 def load_posed(
     scenes: Mapping[str, Sequence[PosedFrame]], device: torch.device | str, kept: Path
 ) -> PosedScenes:
-    """Read the frames of scenes; a plane sweep finds the depths of those without a sensor's.
+    """Read the frames of scenes; a plane sweep finds their depths if there is no sensor.
 
-    kept: a folder for the depths that are swept, a file a scene and its frames, poses and reach.
-    Raises ImageError if a file cannot be read, InputError for a depth of another shape.
+    kept: a folder for swept depths, with a file per scene, named by a hash of its frames. Raises
+    ImageError if a file is unreadable, InputError if the shape of a depth differs from its image.
     """
     images, K, poses, depths = list[np.ndarray](), list[Tensor](), list[Tensor](), list[Tensor]()
     for name, frames in tqdm(scenes.items(), desc="scenes", unit="", disable=None, leave=False):
         pixels, pinholes, sensed, reaches = zip(*map(_prepared, frames), strict=True)
         reach, pose = np.array(reaches), np.stack([f.cam_from_world[:3] for f in frames])
-        # In single precision: about the cameras, and in units of the depth.
+        # Origin among the cameras, and units of the depth: for single precision.
         unit = np.median(np.sqrt(reach.prod(1)))
         middle = -np.einsum("nij,ni->nj", pose[..., :3], pose[..., 3]).mean(0)
         pose[..., 3] = (pose[..., 3] + pose[..., :3] @ middle) / unit
@@ -108,7 +108,7 @@ def load_posed(
         if frames[0].depth is not None:
             depths += [torch.from_numpy(depth / np.float32(unit)).to(device) for depth in sensed]
             continue
-        digest = hashlib.sha256(repr(frames).encode()).hexdigest()[:16]  # other poses, other depths
+        digest = hashlib.sha256(repr(frames).encode()).hexdigest()[:16]  # new poses need new depths
         path = kept / f"{name}-{digest}.pt"
         if not path.exists():
             bounds = torch.from_numpy(reach / unit).float().to(device)
@@ -132,8 +132,8 @@ def load_posed(
 def _prepared(
     frame: PosedFrame,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[float, float]]:
-    """Pixels, fx fy cx cy, depths (h, w), 0 if unknown, and reach of a frame without its lens
-    distortion, `_LONGEST` pixels at most."""
+    """Undistort a frame and resize it to at most `_LONGEST` pixels: its pixels, fx fy cx cy, depths
+    (h, w), 0 if unknown, and reach."""
     pixels = load_image(frame.image).pixels
     height, width = pixels.shape[:2]
     camera = replace(frame.camera, size=(width, height))
@@ -154,8 +154,8 @@ def _prepared(
 
 
 def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs:
-    """The pairs of some scenes: an overlap of 0.2 and more, the more often the more the view
-    changes; a scene weighs as the root of the number of its pairs. Raises InputError without any.
+    """The pairs of frames of some scenes with an overlap above 0.2. A pair's weight grows with the
+    change of view, a scene's with the root of its number of pairs. Raises InputError without pairs.
     """
     chosen = [k for k, name in enumerate(scenes.names) if name in names]
     parts = [_scene_pairs(scenes, (scenes.scene == k).nonzero()[:, 0]) for k in chosen]
@@ -175,7 +175,7 @@ def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, T
     depth, cameras = scenes.depth_at(frames, points), scenes.cameras[frames]
     known, place = depth > 0, cameras.unproject(points, depth)
     pairs, middles, weights = [], [], []
-    for k, frame in enumerate(frames):  # of the source
+    for k, frame in enumerate(frames):  # the source
         seen, away = cameras[[k] * count].project(place)
         there = scenes.depth_at(frame.expand(count), seen)
         ahead = known & (away > 0)
@@ -204,12 +204,12 @@ def _scene_pairs(scenes: PosedScenes, frames: Tensor) -> tuple[Tensor, Tensor, T
 
 
 def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapPairs:
-    """Random pairs of views of `shape`, cut from the frames: rolled, scaled down to 0.55 of the
-    frame, about what both show.
+    """Random pairs of views of `shape`, cut from the frames around their common part, rolled and
+    scaled down to 0.55 of the frame.
 
     A pixel of the target is visible if it projects into the source view and the source's depth
-    agrees there. It is not visible if it projects outside, or well behind the source's depth. It is
-    not known if the depth of either is missing, or the two contradict each other.
+    agrees there. It is hidden if it projects outside, or well behind the source's depth. It is
+    unknown if either depth is missing or the two contradict each other.
     """
     scenes, place = pairs.scenes, draw.uniform(count).double() * pairs.chance[-1]
     chosen = torch.searchsorted(pairs.chance, place).clamp(max=len(pairs.frames) - 1)
@@ -240,9 +240,9 @@ def posed_pairs(pairs: FramePairs, count: int, shape: Shape, draw: Draw) -> MapP
 
 
 def _random_cuts(size: Tensor, middle: Tensor, shape: Shape, draw: Draw) -> tuple[Tensor, Tensor]:
-    """Views as maps A u + b from their pixels to the frames': A (B, 2, 2), b (B, 2).
+    """Random views as maps A u + b from their pixels to the frames' pixels: A (B, 2, 2), b (B, 2).
 
-    size: (B, 2), width and height of the frames; middle: (B, 2), pixels, about which a view lies.
+    size: (B, 2), width and height of the frames; middle: (B, 2), pixels; views lie around it.
     """
     count, extent = len(size), size.new_tensor(shape[::-1]) / root_area(shape)
     side = (size / extent).amin(1) * draw.log_uniform(count, low=0.55, high=1.0)

@@ -1,4 +1,4 @@
-"""Random rooms and yards of textured boxes and ellipsoids, and pairs of views of them by rays."""
+"""Random rooms and yards of textured boxes and ellipsoids, and ray-cast pairs of their views."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from dgc_pose.training.views import (
     root_area,
 )
 
-FACES = 6  # -x +x -y +y -z +z; of an ellipsoid the sectors about these axes
-LAYERS = 2  # of photographs on a face, of other spans: their repetitions do not coincide
-_NEAR = 0.05  # units of length; nothing nearer to a camera is seen
-_SAME = 1e-3  # of the depth: a surface this much nearer does not hide a point
+FACES = 6  # -x +x -y +y -z +z; for an ellipsoid, the sectors around these axes
+LAYERS = 2  # photographs on a face, with different spans: their repetitions do not coincide
+_NEAR = 0.05  # units of length; surfaces nearer to a camera are invisible
+_SAME = 1e-3  # relative depth by which a surface may be nearer without hiding a point
 _ROLL_DEG = 7.0  # standard deviation, of each camera
-_TINY = 1e-9  # in place of a direction's zero
-_PROBE = 24  # rays a side that the views' overlap is estimated by
+_TINY = 1e-9  # replaces zeros of directions
+_PROBE = 24  # rays per side for estimating the overlap of views
 _WALLS = ((1.6, 4.5), (1.1, 2.0), (1.6, 4.5))  # half of a room's width, height and depth
-_LOOK = ((-0.5, 0.5), (-0.16, 0.48), (-0.5, 0.5))  # of these, what cameras look at
-# The range of each layer, units of length that a photograph's shorter side covers
+_LOOK = ((-0.5, 0.5), (-0.16, 0.48), (-0.5, 0.5))  # points that cameras look at, in these units
+# For each layer, the range of the length that a photograph's shorter side covers, units of length
 Spans = tuple[tuple[float, float], ...]
 
 
@@ -40,16 +40,16 @@ Spans = tuple[tuple[float, float], ...]
 class RoomOptions:
     boxes: int = 11
     ellipsoids: int = 3
-    orbit_deg: tuple[float, float] = (4.0, 75.0)  # between the cameras, about what they look at
-    enough: float = 0.22  # share of the target that the source sees; pairs of more are no better
-    tries: int = 3  # pairs drawn for each that is kept
+    orbit_deg: tuple[float, float] = (4.0, 75.0)  # angle between the cameras, around their target
+    enough: float = 0.22  # share of the target that the source sees; more does not count
+    tries: int = 3  # pairs drawn for each kept pair
     spans: Spans = ((0.8, 3.0), (0.35, 1.2))
 
 
 def room_pairs(
     photos: Photos, count: int, shape: Shape, draw: Draw, options: RoomOptions = RoomOptions()
 ) -> RoomPairs:
-    """Random pairs: of all that are drawn those whose views share the most, up to enough."""
+    """Random pairs: the `count` drawn ones whose views overlap most, up to `options.enough`."""
     rooms, look = random_rooms(options.tries * count, photos, draw, options)
     source, target = _orbiting(rooms, look, shape, draw, options)
     shared = overlap(rooms, source, target, shape).clamp(max=options.enough)
@@ -58,7 +58,7 @@ def room_pairs(
 
 
 def overlap(rooms: Rooms, source: Cameras, target: Cameras, shape: Shape) -> Tensor:
-    """The share (B,) of the target's view that the source sees; both of `shape`."""
+    """The share (B,) of the target's view that the source sees; both views have `shape`."""
     grid = pixel_grid((_PROBE, _PROBE), rooms.half.device).flatten(0, 1) + 0.5
     points = grid * grid.new_tensor(shape[::-1]) / _PROBE - 0.5
     points = points.expand(len(target.K), -1, -1)
@@ -70,7 +70,7 @@ def overlap(rooms: Rooms, source: Cameras, target: Cameras, shape: Shape) -> Ten
 def random_rooms(
     count: int, photos: Photos, draw: Draw, options: RoomOptions = RoomOptions()
 ) -> tuple[Rooms, Tensor]:
-    """Random rooms, a quarter of them yards, and what their cameras look at, (B, 3)."""
+    """Random rooms, a quarter of them yards, and the points that their cameras look at, (B, 3)."""
     solids = options.boxes + options.ellipsoids
     walls = torch.stack([draw.uniform(count, low=low, high=high) for low, high in _WALLS], -1)
     yard = draw.chance(count, 1, share=0.25)
@@ -99,8 +99,8 @@ def random_rooms(
 def random_textures(
     count: int, primitives: int, photos: Photos, draw: Draw, of_layers: Spans
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Photographs, spans, origins, weights and gains, as `Rooms` has them; half of the primitives
-    have one photograph on all faces."""
+    """Random photographs, spans, origins, weights and gains for `Rooms`; half of the primitives
+    have the same photograph on all faces."""
     faces = count, primitives, FACES
     photo = draw.integers(*faces, LAYERS, count=photos.single)
     photo = torch.where(draw.chance(count, primitives, 1, 1, share=0.5), photo[:, :, :1], photo)
@@ -117,7 +117,7 @@ def random_textures(
 def _orbiting(
     rooms: Rooms, look: Tensor, shape: Shape, draw: Draw, options: RoomOptions
 ) -> list[Cameras]:
-    """Two random cameras a room, inside of it, that look at about the points `look` (B, 3)."""
+    """Two random cameras inside each room that look roughly at the points `look` (B, 3)."""
     count = len(look)
     focal = root_area(shape) * draw.uniform(count, 1, low=0.75, high=1.4)
     K = torch.cat([focal, focal, middle_of(shape, draw.device).expand(count, 2)], 1)
@@ -144,21 +144,20 @@ def _orbiting(
 
 
 class Rooms(NamedTuple):
-    """B rooms of P primitives: a box seen from inside, boxes, then ellipsoids. World y points
-    down."""
+    """B rooms of P primitives: a box seen from inside, boxes, ellipsoids. World y points down."""
 
     axes: Tensor  # (B, P, 3, 3), world from primitive
-    half: Tensor  # (B, P, 3), half sizes along these, units of length
+    half: Tensor  # (B, P, 3), half sizes along the axes, units of length
     centre: Tensor  # (B, P, 3), world
-    photo: Tensor  # (B, P, FACES, LAYERS) int64, of the bank
-    span: Tensor  # (B, P, FACES, LAYERS), units of length that its shorter side covers
-    origin: Tensor  # (B, P, FACES, LAYERS, 2), of the photograph's sides, in the face's middle
-    weight: Tensor  # (B, P, FACES, LAYERS), of the colours; they sum to 1
+    photo: Tensor  # (B, P, FACES, LAYERS) int64, index in the bank
+    span: Tensor  # (B, P, FACES, LAYERS), length that the photograph's shorter side covers
+    origin: Tensor  # (B, P, FACES, LAYERS, 2), point at the face's middle, over the photo's sides
+    weight: Tensor  # (B, P, FACES, LAYERS), of the layers' colours; sum 1
     gain: Tensor  # (B, P, FACES, 3), of the colours
-    ellipsoids: int  # the last ones of the primitives
+    ellipsoids: int  # number of ellipsoids, the last primitives
 
     def chosen(self, which: Tensor) -> Rooms:
-        """Some of the rooms, by their indices."""
+        """Some of the rooms, by index."""
         return Rooms._make([*(part[which] for part in self[:-1]), self.ellipsoids])
 
 
@@ -172,14 +171,14 @@ class RoomPairs:
 
 
 def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tensor]:
-    """Where rays first meet a surface: their parameters (B, N) and the primitives (B, N).
+    """Where rays first hit a surface: ray parameters (B, N) and primitives (B, N).
 
-    origin: (B, 3); rays: (B, N, 3), of unit length along the optical axis, both in the world.
+    origin: (B, 3); rays: (B, N, 3), with z = 1 in the camera; both in world coordinates.
     """
     nearest = torch.full_like(rays[..., 0], torch.inf)
     which, count = torch.zeros_like(nearest, dtype=torch.int64), rooms.half.shape[1]
     for k in range(count):
-        unit = rooms.axes[:, k] / rooms.half[:, k, None]  # to a cube or a ball of half size 1
+        unit = rooms.axes[:, k] / rooms.half[:, k, None]  # maps to a cube or a ball of half size 1
         start = ((origin - rooms.centre[:, k])[:, None] @ unit).expand_as(rays)
         step = rays @ unit
         is_ball = k >= count - rooms.ellipsoids
@@ -190,7 +189,7 @@ def first_hits(rooms: Rooms, origin: Tensor, rays: Tensor) -> tuple[Tensor, Tens
 
 
 def _cube(start: Tensor, step: Tensor, from_inside: bool) -> Tensor:
-    """Parameters (B, N) at which rays enter the unit cube, or leave it; else infinite."""
+    """Parameters (B, N) at which rays enter (`from_inside`: leave) the unit cube, or infinity."""
     step = torch.where(step.abs() < _TINY, _TINY, step)
     ends = torch.stack([(-1 - start) / step, (1 - start) / step])
     enter, leave = ends.amin(0).amax(-1), ends.amax(0).amin(-1)
@@ -200,9 +199,9 @@ def _cube(start: Tensor, step: Tensor, from_inside: bool) -> Tensor:
 
 
 def _ball(start: Tensor, step: Tensor) -> Tensor:
-    """Parameters (B, N) at which rays enter the unit ball; else infinite.
+    """Parameters (B, N) at which rays enter the unit ball, or infinity.
 
-    With the cross product: b^2 - a c loses half of the digits for a small ball far away.
+    Uses the cross product, since b^2 - a c loses half of the digits for a small ball far away.
     """
     square = step.square().sum(-1)
     rest = square - torch.linalg.cross(start, step).square().sum(-1)
@@ -211,8 +210,8 @@ def _ball(start: Tensor, step: Tensor) -> Tensor:
 
 
 def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tuple[Tensor, Tensor]:
-    """The views (B, 3, H, W) of rooms, RGB in [0, 1], textured with photographs of the bank, and
-    their depths (B, H, W)."""
+    """Render rooms, textured with photographs of the bank: views (B, 3, H, W), RGB in [0, 1], and
+    depths (B, H, W)."""
     pixels = pixel_grid(shape, bank.texels.device).flatten(0, 1).expand(len(cameras.K), -1, -1)
     rays = cameras.rays(pixels) @ cameras.pose[..., :3]
     depth, which = first_hits(rooms, cameras.centre, rays)
@@ -228,7 +227,7 @@ def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tup
     for layer in range(LAYERS):
         photo = rooms.photo[at][..., layer]
         size = bank.size(photo)
-        scale = size.amin(-1) / rooms.span[at][..., layer]  # pixels a unit of length
+        scale = size.amin(-1) / rooms.span[at][..., layer]  # pixels per unit of length
         points = rooms.origin[at][..., layer, :] * size + on_face * scale[..., None]
         spacing = depth / cameras.K[:, :1] * scale
         colours += rooms.weight[at][..., layer, None] * bank.sample(photo, points, spacing)
@@ -239,8 +238,8 @@ def render(rooms: Rooms, cameras: Cameras, shape: Shape, bank: ImageBank) -> tup
 def correspond(
     rooms: Rooms, source: Cameras, target: Cameras, depth: Tensor, points: Tensor, shape: Shape
 ) -> tuple[Tensor, Tensor]:
-    """Where the source, of `shape`, sees the points (B, N, 2), pixels, of the target at depths
-    (B, N): their pixels (B, N, 2), exact, and which of them it sees (B, N)."""
+    """Project points (B, N, 2), pixels of the target at depths (B, N), to the source, of `shape`:
+    exact pixels (B, N, 2), and whether the source sees each point (B, N)."""
     place = target.unproject(points, depth)
     found, away = source.project(place)
     rays = (place - source.centre[:, None]) / away.clamp(min=_NEAR)[..., None]
@@ -256,7 +255,7 @@ def render_pairs(
     bank: ImageBank,
     source_shape: Shape | None = None,
 ) -> RoomPairs:
-    """Pairs of views of `shape`, or the source's of another one, with their exact maps."""
+    """Render pairs of views of `shape` (source: `source_shape` if given) with their exact maps."""
     shape1 = source_shape or shape
     image1, depth1 = render(rooms, source, shape1, bank)
     image2, depth2 = render(rooms, target, shape, bank)

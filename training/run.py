@@ -1,4 +1,4 @@
-"""A training run: stages by the clock, checkpoints that a killed run resumes from, a log."""
+"""A training run: timed stages, checkpoints from which a killed run resumes, a log."""
 
 import copy
 import json
@@ -29,18 +29,18 @@ from dgc_pose.version import version
 
 CHECKPOINT, LOG = "checkpoint.pt", "log.jsonl"
 _SQUARE = (INPUT_SIZE, INPUT_SIZE)
-_STEPS_A_ROW = 10  # of the log; between rows nothing is read from a GPU
+_STEPS_A_ROW = 10  # steps per row of the log; only for a row is data read from the GPU
 _SAVE_SECONDS = 60.0  # between checkpoints
-_BATCH = 4  # pairs of 240x240 pixels a step, on a CPU
+_BATCH = 4  # pairs of 240x240 pixels per step, on a CPU
 _GPU_BATCH: dict[StageName, int] = {"encoder": 84, "decoders": 64}
-_VALIDATION, _VALIDATION_BATCH = 4, 8  # batches of each kind that validate, and pairs of each
+_VALIDATION, _VALIDATION_BATCH = 4, 8  # validation batches of each kind, and pairs per batch
 _LARGEST_GRADIENT = 3.0  # norm over all parameters
 _RATE, _WEIGHT_DECAY, _BETAS = 1e-3, 1e-4, (0.9, 0.98)
 _WARM_UP, _LAST_RATE = 0.02, 0.02  # share of the stage; share of the highest rate
-_DECAY = 0.999  # at most, of the exponential moving average of the weights
-# The layers that ImageNet taught learn more slowly.
+_DECAY = 0.999  # largest decay of the exponential moving average of the weights
+# Layers pretrained on ImageNet learn more slowly.
 _BACKBONE, _BACKBONE_RATE = ("net.pyramid.stem.", "net.pyramid.blocks."), 0.35
-# What a checkpoint holds beside the options: values, and what has a state of its own
+# A checkpoint contains the options, these values, and the states of these objects.
 _VALUES = "elapsed", "step", "stages", "rows", "stage"
 _STATES = "module", "average", "optimizer"
 
@@ -51,10 +51,10 @@ Validation = Mapping[str, Sequence[MapPairs]]
 class Trainer:
     """Trains one network by `TrainingOptions`, in the folder `out`.
 
-    `out` then holds checkpoint.pt (everything a resumed run needs), the figures as log.jsonl and,
-    at the end, `<network>.safetensors` with its card, `<network>.md`. Raises InputError if `out`
-    already holds a run and `resume` is False, or options differ from those of the run that is
-    resumed; WeightsError if a checkpoint is damaged, or weights to initialise from are unusable.
+    The run writes to `out`: checkpoint.pt (everything a resumed run needs), the figures as
+    log.jsonl and, at the end, `<network>.safetensors` with its card, `<network>.md`. Raises
+    InputError if `out` already contains a run and `resume` is False, or if options differ from the
+    resumed run's; WeightsError if a checkpoint is damaged or initial weights are unusable.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Trainer:
         self.out.mkdir(parents=True, exist_ok=True)
         self.elapsed = 0.0  # seconds of the run, over all its sessions
         self.step = 0
-        self.stages: dict[str, Row] = {}  # of those begun: steps, pairs, seconds and figures
+        self.stages: dict[str, Row] = {}  # stages begun: steps, pairs, seconds and figures
         self.rows: list[Row] = []  # of the log
         if resumes:
             self._load(net)
@@ -96,14 +96,14 @@ class Trainer:
 
     @property
     def progress(self) -> float:
-        """The share of the whole run that is done, 0 to 1 and more."""
+        """The finished share of the whole run; 1 or more at its end."""
         if self.options.steps is not None:
             return self.step / self.options.steps
         assert self.options.seconds is not None
         return self.elapsed / self.options.seconds
 
     def run(self, data: Mapping[str, PairSource]) -> DGCNet:
-        """Train to the end, and write the weights, which are the averaged ones, and their card.
+        """Train to the end; write the averaged weights and their card.
 
         data: see `load_data`; on the run's device. A line of figures goes to standard error every
         few steps. Raises DgcPoseError if training has diverged.
@@ -116,7 +116,7 @@ class Trainer:
             validation[kind] = [data[kind].make(_VALIDATION_BATCH, shape, draw) for _ in batches]
         saved, origin = self.elapsed, time.perf_counter() - self.elapsed
         if self.step == 0 and self.options.init is not None:
-            self._write({}, validation)  # the first steps may spoil what later ones regain
+            self._write({}, validation)  # scores before the first steps, which may lower them
         while self.progress < 1:
             figures = self.train_step(data[TRAINING])
             before, self.elapsed = self.elapsed, time.perf_counter() - origin
@@ -134,7 +134,7 @@ class Trainer:
         return net
 
     def train_step(self, training: PairSource) -> dict[str, Tensor]:
-        """One optimiser step; its figures, still on the device."""
+        """Take one optimiser step; return its figures, still on the device."""
         name, within = self._place()
         if name != self.stage:
             self._enter(name, self.average.finished())
@@ -162,8 +162,8 @@ class Trainer:
         return {"rate": torch.tensor(rate), "loss": loss.detach(), "gradient": norm, **figures}
 
     def save(self) -> None:
-        """Write the log, and the checkpoint, as tensors and plain values: after a kill between them
-        the next checkpoint comes with a whole log, too."""
+        """Write the log, then the checkpoint as tensors and plain values. The rows are in both, so
+        that after a kill between the two, the next save writes a whole log."""
         write_text(self.out / LOG, "".join(json.dumps(row) + "\n" for row in self.rows))
         state: Row = {"options": self._fixed_options()}
         state |= {name: getattr(self, name) for name in _VALUES}
@@ -189,7 +189,7 @@ class Trainer:
             raise InputError(length, f"would lead from the decoders of {path} back to the encoder")
 
     def _fixed_options(self) -> dict[str, str]:
-        """What a resumed run has as before: all but its length."""
+        """The options that a resumed run must share with its checkpoint: all but the length."""
         options = vars(self.options).items()
         return {name: str(value) for name, value in options if name not in ("seconds", "steps")}
 
@@ -203,14 +203,14 @@ class Trainer:
         self.average = copy.deepcopy(self.module).eval().requires_grad_(False)
 
     def _place(self) -> tuple[StageName, float]:
-        """The stage by the run's progress, and the progress within that stage."""
+        """The stage at the run's progress, and the progress within this stage."""
         share = self.options.encoder_share if self.options.config.any_shape else 0.0
         if self.progress < share or share == 1:
             return "encoder", self.progress / share
         return "decoders", (self.progress - share) / (1 - share)
 
     def _write(self, figures: Mapping[str, Tensor], validation: Validation) -> None:
-        """A row of the log, with figures of the averaged weights by what validates. Raises
+        """Add a row to the log, with validation figures of the averaged weights. Raises
         DgcPoseError if a step has diverged, before it is saved."""
         numbers = {name: float(value) for name, value in figures.items()}
         if not math.isfinite(numbers.get("loss", 0) + numbers.get("gradient", 0)):
@@ -233,7 +233,7 @@ class Trainer:
         self.rows.append(row)
 
     def _card(self, training: PairSource) -> str:
-        """Of the weights: what they were trained on, how, and on what machine. Markdown."""
+        """The weights' card in Markdown: training data, options, results and machine."""
         photos, posed, cuda = training.photos, "none", self.device.type == "cuda"
         if (pairs := training.posed) is not None:
             scenes = f"{len(pairs.names)} scenes ({', '.join(pairs.names)})"
@@ -260,10 +260,10 @@ def _text(figures: Mapping[str, float]) -> str:
 
 
 def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
-    """Load ImageNet's VGG-16 (.pth or .safetensors) in torchvision's layout (BSD-3-Clause), whose
-    later layers are left out, into the net's encoder. It is not needed to run.
+    """Load ImageNet's VGG-16 (.pth or .safetensors) in torchvision's layout (BSD-3-Clause), without
+    its later layers, into the net's encoder.
 
-    Raises WeightsError if the file holds other weights.
+    Raises WeightsError if the file contains other weights.
     """
     assert isinstance(net.pyramid, Pyramid)
     path, layers = Path(weights), nn.ModuleDict({"features": vgg_layers(net.pyramid)})
@@ -274,15 +274,15 @@ def initialise_encoder(weights: str | Path, net: DGCNet) -> None:
 
 
 def vgg_layers(pyramid: Pyramid) -> nn.Sequential:
-    """The pyramid's layers, all levels', as torchvision numbers those of VGG-16's `features`."""
+    """The layers of all levels of the pyramid, numbered like torchvision's VGG-16 `features`."""
     return nn.Sequential(*(layer for level in pyramid.children() for layer in level.children()))
 
 
 def save_weights(net: DGCNet, path: str | Path) -> None:
-    """Write a network as safetensors, its preset's name in the header, in half precision.
+    """Write a network as safetensors in half precision, with its preset's name in the header.
 
-    The statistics of batch norms are in single precision, as is what half precision cannot hold: a
-    variance may lie beyond its range.
+    Statistics of batch norms, whose variance may exceed half precision's range, and tensors with
+    values beyond this range stay in single precision.
     """
     state = {}
     for key, value in net.state_dict().items():
@@ -293,12 +293,12 @@ def save_weights(net: DGCNet, path: str | Path) -> None:
             state[key] = value.half() if fits else value
     header = {"preset": net.config.name}
     with replaced(Path(path)) as temporary, naming_path(temporary):
-        # Not save_file, whose files only their owner may read.
+        # Not by save_file: only the owner could read its files.
         temporary.write_bytes(save(state, metadata=header))
 
 
 def optimiser(stage: nn.Module) -> torch.optim.AdamW:
-    """Of a stage's trainable parameters, in groups with their `share` of the rate."""
+    """The optimiser of a stage's trainable parameters, in groups with a `share` of the rate."""
     trained = [(key, value) for key, value in stage.named_parameters() if value.requires_grad]
     rest = [value for key, value in trained if not key.startswith(_BACKBONE)]
     backbone = [value for key, value in trained if key.startswith(_BACKBONE)]
@@ -308,10 +308,10 @@ def optimiser(stage: nn.Module) -> torch.optim.AdamW:
 
 @torch.no_grad()
 def move_average(average: nn.Module, module: nn.Module, steps: int, decay: float = _DECAY) -> None:
-    """Move an exponential moving average of a module's weights and buffers on, after `steps` steps.
+    """Update an exponential moving average of a module's weights and buffers after `steps` steps.
 
-    The decay grows as min(decay, steps / (9 + steps)), so that a run's random initial weights soon
-    lose their influence. Counters are copied.
+    The decay is min(decay, steps / (9 + steps)), so that random initial weights soon lose their
+    influence. Counters are copied.
     """
     share = 1 - min(decay, steps / (9 + steps))
     values = module.state_dict().values()

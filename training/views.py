@@ -1,5 +1,5 @@
-"""Views in torch: their pixels, cameras, and batches of pairs with their true maps, at the finest
-level and at coarser ones. Pixel (0, 0) is the top-left one's centre."""
+"""Views in torch: pixels, cameras, and batches of pairs with their true maps at the finest and at
+coarser levels. Pixel (0, 0) is the centre of the top-left pixel."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from torch.nn.functional import cosine_similarity, normalize
 from dgc_pose.geometry import pixels
 
 Shape = tuple[int, int]  # rows and columns of a view, pixels
-_NEAREST = 1e-6  # depths below are not divided by
-# Cells whose four central pixels map this far apart (pixels) straddle two surfaces: not valid.
+_NEAREST = 1e-6  # least depth to divide by
+# A cell whose four central pixels map this far apart (pixels) straddles two surfaces: invalid.
 _STRADDLES_PX = 6.0
 
 
 class MapPairs(NamedTuple):
-    """A batch of pairs with the truth."""
+    """A batch of pairs with their true maps."""
 
     image1: Tensor  # (B, 3, H, W) source in [0, 1]
     image2: Tensor  # (B, 3, H, W) target in [0, 1]
-    map: Tensor  # (B, H, W, 2) x and y in the source of each target pixel, pixels
-    valid: Tensor  # (B, H, W) bool, the target's pixel is visible in the source
-    # (B, H, W) bool, `valid` is the truth; else neither map nor mask is learnt there
+    map: Tensor  # (B, H, W, 2) x and y of each target pixel in the source, pixels
+    valid: Tensor  # (B, H, W) bool, whether the target's pixel is visible in the source
+    # (B, H, W) bool, whether `valid` is known; elsewhere neither map nor mask is learnt
     known: Tensor
 
 
 def image_arrays(images: Tensor) -> np.ndarray:
-    """Images (B, 3, H, W) in [0, 1] as (B, H, W, 3) uint8."""
+    """Convert images (B, 3, H, W) in [0, 1] to (B, H, W, 3) uint8."""
     return (255 * images.permute(0, 2, 3, 1)).round().byte().contiguous().cpu().numpy()
 
 
 def level_truth(truth: Tensor, valid: Tensor, rows: int) -> tuple[Tensor, Tensor]:
-    """The true map at a level of so many rows, (B, rows, columns, 2) pixels at the cells' centres,
-    and the mask of valid cells.
+    """The true map at a level with `rows` rows: points at the cells' centres, (B, rows, columns, 2)
+    pixels, and the mask of valid cells.
 
     truth: (B, H, W, 2) pixels; valid: (B, H, W). The centre of a cell of s > 1 pixels lies between
-    its four central pixels: its truth is their mean, valid if all are and lie on one surface.
+    its four central pixels. Their mean is its truth, valid if all four are and lie on one surface.
     """
     stride = truth.shape[1] // rows
     if stride == 1:
@@ -53,13 +53,13 @@ def level_truth(truth: Tensor, valid: Tensor, rows: int) -> tuple[Tensor, Tensor
 
 
 def level_known(known: Tensor, rows: int) -> Tensor:
-    """Cells (B, rows, columns) whose central pixels are all known, of known pixels (B, H, W)."""
+    """Whether all central pixels of each cell (B, rows, columns) are `known` (B, H, W)."""
     stride = known.shape[1] // rows
     return known if stride == 1 else _central_pixels(known, stride).all(0)
 
 
 def _central_pixels(values: Tensor, stride: int) -> Tensor:
-    """The four pixels around the cells' centres: (B, H, W, ...) to (4, B, h, w, ...)."""
+    """The four pixels around each cell's centre: (B, H, W, ...) to (4, B, h, w, ...)."""
     two = (stride // 2 - 1, stride // 2)
     return torch.stack([values[:, y::stride, x::stride] for y in two for x in two])
 
@@ -73,8 +73,8 @@ class Cameras:
 
     @classmethod
     def looking(cls, K: Tensor, centre: Tensor, target: Tensor, roll: Tensor) -> Cameras:
-        """Cameras at `centre` (B, 3) that look at `target` (B, 3), y down as the world's, turned
-        about the optical axis by `roll` (B,) radians."""
+        """Cameras at `centre` (B, 3) that look at `target` (B, 3), with y down like the world's,
+        rotated about the optical axis by `roll` (B,) radians."""
         z = normalize(target - centre, dim=-1)
         down = z.new_tensor((0.0, 1.0, 0.0)).expand_as(z)
         x = normalize(torch.linalg.cross(down, z), dim=-1)
@@ -83,7 +83,7 @@ class Cameras:
 
     @classmethod
     def at(cls, K: Tensor, rotation: Tensor, centre: Tensor) -> Cameras:
-        """Cameras of rotations (B, 3, 3), camera from world, whose centres (B, 3) are given."""
+        """Cameras with rotations (B, 3, 3), camera from world, and centres (B, 3)."""
         return cls(K, torch.cat([rotation, -rotation @ centre[..., None]], -1))
 
     @property
@@ -95,18 +95,18 @@ class Cameras:
         return Cameras(self.K[which], self.pose[which])
 
     def seen_by(self, other: Cameras) -> Cameras:
-        """The same cameras in a world whose axes are those of `other`."""
+        """The same cameras, with `other`'s camera coordinates as the world."""
         turn = self.pose[..., :3] @ other.pose[..., :3].mT
         shift = self.pose[..., 3:] - turn @ other.pose[..., 3:]
         return Cameras(self.K, torch.cat([turn, shift], -1))
 
     def rays(self, points: Tensor) -> Tensor:
-        """Directions (B, ..., 3) in the camera, z = 1, of points (B, ..., 2), pixels."""
+        """Directions (B, ..., 3) of points (B, ..., 2), pixels, in camera axes, with z = 1."""
         focal, middle = _wide(self.K, points).split(2, -1)
         return torch.cat([(points - middle) / focal, torch.ones_like(points[..., :1])], -1)
 
     def project(self, points: Tensor) -> tuple[Tensor, Tensor]:
-        """Pixels (B, ..., 2), bounded, and depths (B, ...) of points (B, ..., 3), world."""
+        """Pixels (B, ..., 2), bounded, and depths (B, ...) of world points (B, ..., 3)."""
         turn, shift = self.pose[..., :3], _wide(self.pose[..., 3], points)
         moved = torch.einsum("bij,b...j->b...i", turn, points) + shift
         focal, middle = _wide(self.K, points).split(2, -1)
@@ -121,7 +121,7 @@ class Cameras:
 
 
 def _wide(values: Tensor, like: Tensor) -> Tensor:
-    """(B, n) with as many dimensions as `like` (B, ..., m)."""
+    """Reshape (B, n) to the number of dimensions of `like` (B, ..., m)."""
     return values.view(len(values), *(1,) * (like.ndim - 2), values.shape[-1])
 
 
@@ -157,12 +157,12 @@ def middle_of(shape: Shape, device: torch.device) -> Tensor:
 
 
 def root_area(shape: Shape) -> float:
-    """The side of the square with as many pixels."""
+    """The side of a square with as many pixels as the view."""
     return math.sqrt(shape[0] * shape[1])
 
 
 def inside(points: Tensor, size: Tensor | tuple[int, ...]) -> Tensor:
-    """Which points (..., 2), pixels, lie in an image, its outer edges included.
+    """Whether points (..., 2), pixels, lie in an image, between -0.5 and its size - 0.5.
 
     size: (..., 2), width and height, or the shape of a view.
     """

@@ -1,1 +1,1 @@
-"""The fit of `pose.probability`: pairs, stored matches, evidence, model, report."""
+"""The fit of `pose.probability`: pairs, their evidence, the model, a report."""

@@ -1,9 +1,9 @@
-"""The fit of the probability and of the expected error, by scikit-learn.
+"""The fit of the probability and of the expected error, with scikit-learn.
 
-Logistic regression; features whose weight has the wrong sign are dropped, so that more evidence for
-a pose never counts against it. Regularisation and calibration (Platt 1999) come of log-odds that
-each scene gets from weights fitted on the other scenes. The expected error is a quantile regression
-on right poses of scenes whose reference is exact.
+The probability is a logistic regression. Features whose weight has the wrong sign are dropped, so
+that more evidence for a pose never counts against it. Regularisation and calibration (Platt 1999)
+use log-odds of each scene from weights fitted on the other scenes. The expected error is a quantile
+regression on right poses of scenes whose reference is exact.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,24 +31,24 @@ from dgc_pose.estimation.probability import (
 )
 from dgc_pose.images.decoding import Header
 
-_STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # inverse regularisation, of standardised features
-_MIN_POSES = 20  # right poses and wrong ones that a fit needs
+_STRENGTHS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # inverse regularisation, standardised features
+_MIN_POSES = 20  # least number of right poses, and of wrong ones, for a fit
 _MIN_SCENES = 3
-_WITHIN = 0.9  # share of right poses whose error is to be within the expected one
+_WITHIN = 0.9  # intended share of right poses with an error below the expected one
 _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
-_ALTOGETHER_WRONG_DEG = 30.0  # a pose whose cameras are no evidence
-_CERTAIN = 30.0  # log-odds
-_LEAST_SLOPE = 0.2  # of the calibrated log-odds
+_ALTOGETHER_WRONG_DEG = 30.0  # focal lengths of poses worse than this are not used
+_CERTAIN = 30.0  # log-odds of certainty
+_LEAST_SLOPE = 0.2  # of the calibration
 _RIDGE = 1e-3  # on the weights of the choice
-_LAPSE, _MOST_LAPSE = 0.05, 0.5  # of the choice: where the fit begins, and ends at the latest
+_LAPSE, _MOST_LAPSE = 0.05, 0.5  # lapse of the choice: start value and upper bound
 _SHARPNESSES, _CHANCES = (1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0), (0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
 Samples = Sequence[tuple[Record, Evidence]]
 
 
 def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
-    """The model, as `probability.json` holds it, of the records of the part `fit` with evidence.
+    """Fit the model for `probability.json` to the records of the part `fit` that have evidence.
 
-    Raises InputError if scikit-learn is missing or there are too few right or wrong poses.
+    Raises InputError for too few right poses, wrong poses or scenes.
     """
     samples = [
         (row, row.evidence)
@@ -71,7 +71,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
     odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
-    # With the least negative log-likelihood
+    # The one with the smallest negative log-likelihood
     strength = min(odds, key=lambda c: np.logaddexp(0, np.where(right, -odds[c], odds[c])).mean())
     slope, offset = _platt(odds[strength], right)
     weights, intercept = _logistic(X, right, signs, strength)
@@ -93,8 +93,8 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
 
 
 def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
-    """The weights of `ProbabilityModel.choice`: of greatest likelihood, with a small ridge, over
-    records with a right pose among several.
+    """Fit the weights of `ProbabilityModel.choice`: maximum likelihood with a small ridge, over the
+    records with several poses of which at least one is right.
 
     Raises InputError without such records.
     """
@@ -119,8 +119,8 @@ def fit_choice(rows: Sequence[Record], *, with_map: bool) -> dict[str, float]:
 
 
 def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
-    """The `ErrorModel` of the focal lengths of the records of the part `fit` that fitted them, with
-    poses that are not altogether wrong. Without any the raw errors stay as they are."""
+    """Fit the `ErrorModel` of focal lengths to the records of the part `fit` that estimated a focal
+    length and whose pose is not far off. With too few records, raw errors stay as they are."""
     samples = [
         (row, row.evidence)
         for row in rows
@@ -138,9 +138,9 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
 
 
 def fit_lines(pieces: Iterable[Mapping[str, Any]]) -> dict[str, float]:
-    """`SHARPNESS` and `CHANCE` of `cameras.lines`, with which the true focal lengths of the images
-    of `collect` are most probable after the lines; and how much more than before, the mean of the
-    logarithms."""
+    """Fit `SHARPNESS` and `CHANCE` of `cameras.lines`: they maximise the mean log posterior of the
+    true focal lengths of the images of `collect`, given the lines. `gain`: the increase over the
+    mean log prior."""
     images = {}
     for piece in pieces:
         for true, scores, count in piece["focals"]:
@@ -166,8 +166,8 @@ def fit_lines(pieces: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:
-    """The `SamePlace` of poses that are claimed, by how alike what surrounds their matches is (n,),
-    and whether they are right (n,) or of two places. Certain of too few."""
+    """Fit the `SamePlace` of claimed poses to their `Evidence.surroundings` (n,) and whether each
+    is right (n,) or shows two places. Too few poses give certainty of one place."""
     if min(right.sum(), (~right).sum()) < _MIN_POSES:
         return {"slope": 0.0, "intercept": _CERTAIN}
     fitted = regression(1e6).fit(around[:, None], right)
@@ -178,7 +178,7 @@ def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:
 def _logistic(
     X: np.ndarray, right: np.ndarray, signs: np.ndarray, strength: float
 ) -> tuple[np.ndarray, float]:
-    """Weights (F,) of the features, 0 for those that are dropped, and the intercept."""
+    """Weights (F,) of the features, 0 for dropped ones, and the intercept."""
     used = np.arange(X.shape[1])
     while True:
         mean, deviation = X[:, used].mean(0), np.maximum(X[:, used].std(0), 1e-6)
@@ -194,7 +194,7 @@ def _logistic(
 def _left_out_odds(
     X: np.ndarray, right: np.ndarray, scenes: np.ndarray, signs: np.ndarray, strength: float
 ) -> np.ndarray:
-    """Log-odds (N,) of each pose by the weights that are fitted without its scene."""
+    """Log-odds (N,) of each pose, with weights fitted on the other scenes."""
     odds = np.zeros(len(X))
     for scene in np.unique(scenes):
         out = scenes == scene
@@ -204,9 +204,9 @@ def _left_out_odds(
 
 
 def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
-    """Slope and offset of log-odds that the poses' own scenes had no part in.
+    """Slope and offset that calibrate the log-odds of `_left_out_odds`.
 
-    The targets are smoothed as Platt proposes, so that separable samples give no infinite slope.
+    The targets are smoothed as Platt proposes, so that the slope of separable samples is finite.
     """
     high = (right.sum() + 1) / (right.sum() + 2)
     low = 1 / ((~right).sum() + 2)
@@ -218,10 +218,10 @@ def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
 
 
 def _error_model(samples: Samples, part: str) -> dict[str, float]:
-    """Quantile regression of log (error / raw error) on the raw error.
+    """Quantile regression of log(error / raw error) on `log_error` of the raw error.
 
-    The quantile is the least that holds for nine poses in ten of scenes left out: a scene's own
-    errors have more in common than the fit knows.
+    The quantile is the least that holds for 90 % of the poses in cross-validation over scenes,
+    because the errors within a scene are correlated.
     """
     X, y, scenes = list[list[float]](), list[float](), list[str]()
     for row, evidence in samples:
@@ -244,5 +244,5 @@ def _error_model(samples: Samples, part: str) -> dict[str, float]:
 
 
 def regression(strength: float) -> Any:
-    """Logistic. strength: inverse regularisation."""
+    """Logistic regression. strength: inverse regularisation."""
     return LogisticRegression(C=strength, max_iter=5000)

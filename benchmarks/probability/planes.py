@@ -22,30 +22,30 @@ from dgc_pose.training.room_pairs import (
 )
 from dgc_pose.training.views import Cameras, middle_of, pixel_grid
 
-# Heights of the reliefs, in widths of the plane that view 1 sees
+# Heights of the relief, in units of the width of the plane in view 1
 RELIEFS = (0.0, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
-OTHER_DEG = 10.0  # the second pose differs from the true one by more, in R or t
+OTHER_DEG = 10.0  # least difference of the second pose from the true one, in R or t
 
 _ANGLE_DEG = (15.0, 60.0)  # between the optical axes
 _ROLL_DEG = 5.0  # standard deviation
 _FIELD_DEG = (40.0, 70.0)  # of view
-_TILES = 4  # a side: the plane is a wall of photographs
-_TILE = (0.5, 0.9)  # side of one
+_TILES = 4  # per side: the plane is a wall of photographs
+_TILE = (0.5, 0.9)  # side of a tile
 _BOXES = 6  # on the plane, at most
 _BEHIND = 0.01  # half of the tiles' thickness
-_FILLS = 0.9  # share of each view that the plane fills, at least
-_OVERLAP = 0.4  # share of either view that the other one sees, at least
-_PROBE = 20  # shares are estimated on so many rays squared
-_HALL = 50.0  # half side of the room around it all
+_FILLS = 0.9  # least share of each view that the plane fills
+_OVERLAP = 0.4  # least share of each view that the other one sees
+_PROBE = 20  # rays per side to estimate these shares
+_HALL = 50.0  # half side of the room around the plane
 
 
 def plane_pair(photos: Photos, size: int, draw: Draw, relief: float) -> RoomPairs:
-    """Two views, `size` pixels square, of a plane in z = 0 of the world, covered with photographs
-    and seen from z < 0, each in a light of its own.
+    """Render two views, `size` pixels square, of a plane at z = 0, covered with photographs and
+    seen from z < 0, each in random light.
 
-    relief: height of the boxes on the plane, in widths of the plane that view 1 sees; 0 for none.
-    Cameras and plane are drawn again until its homography has a second pose, more than `OTHER_DEG`
-    off, with all points that both views see in front of both cameras.
+    relief: height of the boxes on the plane, in units of the width of the plane in view 1; 0 for no
+    boxes. Cameras and plane are drawn until the homography has a second pose, more than `OTHER_DEG`
+    away, with all common points in front of both cameras.
     """
     allowed = False
     while not allowed:
@@ -60,7 +60,7 @@ def plane_pair(photos: Photos, size: int, draw: Draw, relief: float) -> RoomPair
 
 
 def _cameras(draw: Draw, size: int) -> tuple[Cameras, Cameras]:
-    """Two cameras that look at about the origin, where the first sees a width of 1."""
+    """Two cameras that look roughly at the origin, where the view of the first is 1 wide."""
     directions = F.normalize(draw.normal(2, 3), dim=-1) - torch.tensor([0.0, 0.0, 2.0])
     field = torch.deg2rad(draw.uniform(2, low=_FIELD_DEG[0], high=_FIELD_DEG[1]))
     focal = 0.5 / (field / 2).tan()
@@ -75,13 +75,13 @@ def _cameras(draw: Draw, size: int) -> tuple[Cameras, Cameras]:
 
 
 def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
-    """Coplanar tiles, and boxes on them, one as high as the relief, in a large hall."""
+    """Coplanar tiles in a large hall, with boxes on them, one of the height `relief`."""
     boxes = 1 + int(draw.integers(1, count=_BOXES)) if relief else 0
     grid = tile * (torch.arange(_TILES) - (_TILES - 1) / 2)
     tiles = torch.stack(torch.meshgrid(grid, grid, indexing="xy"), -1).view(-1, 2)
     height = relief * draw.uniform(boxes, low=0.3)
     height[:1] = relief
-    # From within the tiles up
+    # The boxes begin inside the tiles
     middle = [draw.uniform(boxes, 2, low=-0.5, high=0.5), (_BEHIND - height) / 2]
     sides = [draw.log_uniform(boxes, 2, low=0.05, high=0.2), (height + _BEHIND) / 2]
     centre = torch.cat([F.pad(tiles, (0, 1), value=_BEHIND), torch.column_stack(middle)])
@@ -103,8 +103,8 @@ def _wall(photos: Photos, draw: Draw, tile: float, relief: float) -> Rooms:
 
 
 def _allows_two_poses(flat: Rooms, first: Cameras, second: Cameras, size: int) -> bool:
-    """Whether the plane fills both views, they overlap at the angle asked for, and its homography
-    has another pose with the points in front of both cameras."""
+    """Whether the plane fills both views, these overlap at an angle in `_ANGLE_DEG`, and the
+    homography has another pose with the points in front of both cameras."""
     pose = second.seen_by(first).pose[0].double().numpy()
     R, t = pose[:, :3], pose[:, 3]
     if not _ANGLE_DEG[0] <= math.degrees(math.acos(min(1.0, R[2, 2]))) <= _ANGLE_DEG[1]:

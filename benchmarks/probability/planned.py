@@ -1,20 +1,21 @@
-"""What a fit is made of: entries, each with its part, listed in a JSON file, and their pairs.
+"""The plan of a fit: a JSON list of entries, each with its part, and the pairs of the entries.
 
     {"name": "hololens", "part": "fit", "kind": "list", "path": "rgbd/hololens"}
 
-Paths are relative to the data folder. A scene plays one part alone, so that pairs of one place are
-never on both sides. Kinds:
+Paths are relative to the data folder. Each scene has one part, so that pairs of one place are
+never both fitted and reported. Kinds:
 
-- `list`: the pairs of `lists/NAME.txt.gz` beside the plan, in SuperGlue's format; `path` is the
-  folder that their images are relative to.
-- `pasted`: the same, of which image 2 keeps a part and has other surroundings: two places that have
-  it alike, and no pose in common.
-- `zoomed`: the same as `list`, of which both images are zoomed in, as by a longer lens; of every
-  fourth pair image 2 alone is, as by a zoom that no file states.
-- `unrelated`: two photographs of different places; the names of such a list alone.
-- `rendered`: `path` is a folder of photographs as textures.
-- `planes`: the same, of planes with a relief, whose homographies have two poses.
-- `textureless`: drawn images without structure, alone and beside photographs of `path`.
+- `list`: the pairs of `lists/NAME.txt.gz` beside the plan, in SuperGlue's format; image names are
+  relative to the folder `path`.
+- `pasted`: a `list` whose image 2 keeps a part and gets other surroundings. The pair shows two
+  places that look alike in this part, and has no pose.
+- `zoomed`: a `list` whose images are both zoomed in, as by a longer lens; in every fourth pair only
+  image 2 is, as by a zoom that no file states.
+- `unrelated`: photographs of two places; the list has only their names.
+- `rendered`: rendered rooms; `path` is a folder of photographs for textures.
+- `planes`: like `rendered`, with a plane with a relief, whose homography has two poses.
+- `textureless`: drawn images without structure, paired with each other and with photographs of
+  `path`.
 
 Each pair is made when it is matched.
 """
@@ -47,11 +48,11 @@ BlankKind = Literal["gradient", "noise", "stripes", "sky"]
 BLANKS: tuple[BlankKind, ...] = get_args(BlankKind)
 Alteration = Literal["swapped", "enlarged", "bordered", "turned", "darkened"]
 ALTERATIONS: tuple[Alteration, ...] = get_args(Alteration)
-_LONGER, _ZOOM, _ZOOM_EACH = (1.4, 3.0), (1.1, 1.6), 4  # factors of f; and one pair in so many
+_LONGER, _ZOOM, _ZOOM_EACH = (1.4, 3.0), (1.1, 1.6), 4  # factors of f; every 4th pair has a zoom
 _SCALE, _BORDER, _GAMMA = 1.5, 0.1, 1.8  # the border over the longer side
-_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # of the axes of an image turned clockwise
+_TURN = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # to the axes of an image turned clockwise
 VIEW_SIZE = 640  # pixels a side of a rendered view
-_PLANE_PHOTO = 480  # pixels a side of a photograph on a plane, which a view shows a few of
+_PLANE_PHOTO = 480  # pixels, shorter side of a photograph on a plane: a view shows only a few
 _BLANK_SIZE = (640, 480)
 
 
@@ -59,19 +60,19 @@ _BLANK_SIZE = (640, 480)
 class PlanEntry:
     """One line of a plan."""
 
-    name: str  # of the entry's files; the scene too, but for lists of several
+    name: str  # of the entry's files; also the scene, unless `scene_by_folder`
     part: Part = option()
     kind: EntryKind = option()
     path: Path = Path()  # within the data folder
-    pairs: int = option(60, min=1)  # of the kinds without a list
+    pairs: int = option(60, min=1)  # number of pairs, for kinds without a list
     seed: int = option(0, min=0)
-    scene_by_folder: bool = False  # of a list: the scene is the first folder of an image's name
-    altered: bool = False  # whether each pair is, in one of ALTERATIONS
-    # Scenes whose true poses are a tracker's, off by a degree or more: they part right from wrong,
-    # but not how accurate a pose is.
+    scene_by_folder: bool = False  # for lists: the scene is the first folder of an image's name
+    altered: bool = False  # whether each pair is changed by one of ALTERATIONS, in turn
+    # Scenes whose true poses come from a tracker and are off by a degree or more: they separate
+    # right poses from wrong ones, but do not measure accuracy.
     rough: Sequence[str] = ()
-    # Whether its pairs are estimated without K, too. A plane has no focal length: many of them
-    # would teach little but that.
+    # Whether its pairs are also estimated without K. A plane does not determine the focal length,
+    # so many planes would add little to the fit.
     withheld: bool = True
 
     def __post_init__(self) -> None:
@@ -81,7 +82,7 @@ class PlanEntry:
 def read_plan(path: Path) -> list[PlanEntry]:
     """The entries of a plan.
 
-    Raises InputError, with the path, for a file that is no plan and for a name that is there twice.
+    Raises InputError, with the path, if the file is not a plan or two entries have one name.
     """
     data = read_json(path, "a plan")
     try:
@@ -96,7 +97,7 @@ def read_plan(path: Path) -> list[PlanEntry]:
 
 @dataclass(frozen=True)
 class PlannedPair:
-    """A pair of an entry, not read yet."""
+    """A pair of an entry, which `make` reads or renders."""
 
     entry: PlanEntry
     number: int
@@ -107,12 +108,12 @@ class PlannedPair:
 def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
     """The pairs of an entry.
 
-    data: the folder that the plan's paths are relative to; lists: that of the entries' lists.
-    Raises InputError or ImageError if the data are not as the plan has them.
+    data: the folder that the plan's paths are relative to; lists: the folder of the entries' lists.
+    Raises InputError or ImageError if the data do not match the plan.
     """
     folder, listed = data / entry.path, lists / f"{entry.name}.txt.gz"
     scenes = entry.pairs * [entry.name]
-    make: Callable[[int], PosedPair]  # of a pair by its number
+    make: Callable[[int], PosedPair]  # by the number of the pair
     if entry.kind in ("list", "pasted", "zoomed"):
         pairs = read_pairs(listed, folder)
         of_list = ListedPairs(pairs)
@@ -140,7 +141,7 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
 
 
 def altered(pair: PosedPair, way: Alteration) -> PosedPair:
-    """The pair, whose poses are known, with image 2 first or changed; and what is true of it."""
+    """The pair with image 2 first or changed, with the true cameras and pose of the result."""
     pixels = pair.image2.pixels
     assert pair.R is not None and pair.t is not None
     K, R, t = pair.camera2.K.copy(), pair.R, pair.t
@@ -166,8 +167,8 @@ def altered(pair: PosedPair, way: Alteration) -> PosedPair:
 
 
 def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
-    """A pair of two places that have a part alike: image 2 keeps an ellipse, and around it shows
-    itself mirrored, or image 1 of another pair, by turns."""
+    """A pair of two places that look alike in part: image 2 keeps an ellipse; the rest is its own
+    mirror image (odd numbers) or image 1 of another pair (even numbers)."""
     rng, pair = np.random.default_rng([seed, number]), listed.pair(number)
     pixels = pair.image2.pixels
     height, width = size = pixels.shape[:2]
@@ -190,7 +191,7 @@ def _pasted(listed: ListedPairs, seed: int, number: int) -> PosedPair:
 
 
 def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
-    """A pair of longer lenses, or of a zoom between the images: their middles, enlarged."""
+    """A pair with longer lenses, or a zoom between its images: their middles, enlarged."""
     rng, pair = np.random.default_rng([seed, number]), listed.pair(number)
     factors = np.full(2, np.exp(rng.uniform(*np.log(_LONGER))))
     if number % _ZOOM_EACH == 0:
@@ -211,8 +212,8 @@ def _zoomed(listed: ListedPairs, seed: int, number: int) -> PosedPair:
 
 
 def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
-    """Rooms, or planes with a relief, whose homographies have two poses; see `planes`. The heights
-    of the reliefs come in turn."""
+    """A function that renders pairs of rooms, or of planes (see `planes`) with the heights of the
+    relief in turn."""
     from dgc_pose.benchmarks.probability.planes import RELIEFS, plane_pair
     from dgc_pose.training.draw import Draw
     from dgc_pose.training.photos import SIDE, load_held_back
@@ -242,15 +243,15 @@ def _rendered(folder: Path, entry: PlanEntry) -> Callable[[int], PosedPair]:
 
 
 def _unrelated(paths: Sequence[Sequence[Path]], number: int) -> PosedPair:
-    """Photographs of different places. The cameras that they suggest (see `auto_camera`) are taken
-    as known."""
+    """A pair of photographs of different places. The camera that `auto_camera` estimates for each
+    counts as known."""
     image1, image2 = (load_image(path) for path in paths[number])
     camera1, camera2 = (Camera(auto_camera(image).K, image.size) for image in (image1, image2))
     return PosedPair(image1, image2, camera1, camera2, None, None)
 
 
 def _textureless(photographs: Sequence[Path], seed: int, number: int) -> PosedPair:
-    """Each kind of blank image with itself, with another and with a photograph, in turn."""
+    """A blank image of each kind in turn, paired with itself, another blank or a photograph."""
     rng = np.random.default_rng([seed, number])
     kind, way = BLANKS[number % len(BLANKS)], number // len(BLANKS) % 3
     first = blank(kind, _BLANK_SIZE, rng)
@@ -268,8 +269,8 @@ def _textureless(photographs: Sequence[Path], seed: int, number: int) -> PosedPa
 
 
 def blank(kind: BlankKind, size: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """An image (H, W, 3) uint8, of `size` (width, height), that no pose can be found from; as a
-    camera stores it: as JPEG."""
+    """An image (H, W, 3) uint8, of `size` (width, height), without structure for a pose, after JPEG
+    compression like a camera's."""
     width, height = size
     y, x = np.mgrid[:height, :width] / max(size)
     angle = rng.uniform(0, np.pi)
@@ -281,7 +282,7 @@ def blank(kind: BlankKind, size: tuple[int, int], rng: np.random.Generator) -> n
     elif kind == "stripes":
         wave = np.sin(2 * np.pi * rng.uniform(8, 60) * along)
         grey = 128 + rng.uniform(20, 120) * (wave if rng.random() < 0.5 else np.sign(wave))
-    else:  # burnt-out above, a smooth field below
+    else:  # a saturated sky over a smooth field
         horizon = height * rng.uniform(0.3, 0.7) + 0.05 * width * (x - 0.5)
         grey = np.where(y * max(size) < horizon, 255.0, rng.uniform(20, 120) + 40 * y)
     tint = rng.uniform(0.8, 1.0, 3)

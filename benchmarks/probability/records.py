@@ -1,7 +1,7 @@
-"""From planned pairs to evidence and errors: records of each pair, whatever the verdict.
+"""Records of planned pairs: evidence and errors of each pair, whatever the verdict.
 
-A pair is matched once by each method, and estimated with its K, and with K withheld. A run of
-`open_run` holds the records of a pair a line, and goes on after any kill.
+Each method matches a pair; its pose is estimated with K and with K withheld. A run of `open_run`
+has one line for the records of each pair, and resumes after a kill.
 """
 
 import math
@@ -32,10 +32,10 @@ from dgc_pose.pose import solve_pair
 CameraCase = Literal["exact", "auto"]
 _THOROUGH = EstimationOptions(effort="thorough")
 _SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken both images
-# Principal points farther from the middle, over the longer side, are of no photograph: of drawn
-# cameras. They show nothing of what the deviation of a focal length is worth.
+# Principal points farther from the middle, over the longer side, belong to synthetic cameras. The
+# error of a focal length is not measured on them.
 _USUAL_CENTRE = 0.015
-_EQUAL_FOCAL = 1e-4  # difference of ln f of the K of one camera
+_EQUAL_FOCAL = 1e-4  # largest difference of ln f between two K of one camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class PoseRecord:
 
     likelihood: float  # see `Hypothesis`
     map_agreement: float | None
-    rotation_error_deg: float  # infinite if the images are of two scenes, and without a pose
+    rotation_error_deg: float  # infinite if the images show two scenes, or without a pose
     translation_error_deg: float
 
     @property
@@ -55,18 +55,17 @@ class PoseRecord:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What a pair's evidence is, and how wrong its pose."""
+    """The evidence of a pair, and the errors of its poses."""
 
     entry: PlanEntry
     scene: str
     evidence: Evidence | None  # None without a model
-    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, the best first
+    poses: tuple[PoseRecord, ...] = ()  # all that explain the matches about as well, best first
     cameras: CameraCase = "exact"
-    # The error of ln f of the less certain camera, per cent; NaN if it was not fitted, and without
-    # a pose.
+    # Error of ln f of the less certain camera, per cent; NaN if f was not fitted, or without a pose
     focal_error_percent: float = math.nan
-    # Whether the true K say what an error of a focal length is: not if they are of no photograph,
-    # and not if they differ a little between images of one camera, since they are estimates then.
+    # Whether the true K are exact enough to measure errors of focal length. They are not if the
+    # camera is synthetic, or if the K of one camera differ a little: then they are estimates.
     exact_cameras: bool = True
 
     @property
@@ -75,21 +74,21 @@ class Record:
 
     @property
     def exact(self) -> bool:
-        """Whether the true pose is: see `PlanEntry.rough`."""
+        """Whether the true pose is exact: see `PlanEntry.rough`."""
         return self.scene not in self.entry.rough
 
     @property
     def any_right(self) -> bool:
-        """Whether the pose or another that explains the matches about as well is right."""
+        """Whether any of the poses is right."""
         return any(pose.right for pose in self.poses)
 
 
 def collect(
     pair: PlannedPair, matchers: Mapping[str, Matcher], options: EstimationOptions
 ) -> dict[str, Any]:
-    """The records of a pair by each method, and what the fit of the lines needs, as JSON.
+    """Match a pair with each method; return its records and the data for `fit_lines`, as JSON.
 
-    Raises what making the pair raises.
+    Raises the errors of `pair.make`.
     """
     posed, entry = pair.make(), pair.entry
     images = posed.image1, posed.image2
@@ -105,7 +104,7 @@ def collect(
         if matcher.engine is not None:
             pooled = solve_pair(*images, cameras, matcher, _THOROUGH).matches
             if not np.array_equal(pooled.points1, matches.points1):
-                matches = pooled  # with those searched again: the pose was in doubt
+                matches = pooled  # the pose was in doubt: these include matches searched again
         of_map = found.map_matches
         results[name] = [record(posed, "exact", matches, cameras, of_map, options)]
         if entry.withheld and not matches.key_points:
@@ -133,8 +132,8 @@ def record(
     map_matches: Matches | None,
     options: EstimationOptions,
 ) -> dict[str, Any]:
-    """The fields of a `Record` of one pair, but entry and scene, as JSON. stated: the cameras that
-    the estimation gets."""
+    """The fields of a pair's `Record` as JSON, without entry and scene. stated: the cameras for the
+    estimation."""
     data: dict[str, Any] = {
         "evidence": None,
         "poses": [],
@@ -169,7 +168,7 @@ def record(
 def records(
     pieces: Iterable[Mapping[str, Any]], method: str, entries: Sequence[PlanEntry]
 ) -> list[Record]:
-    """The records of a method from what `collect` returned, of these entries."""
+    """The records of a method and of these entries, from the results of `collect`."""
     by_name, rows = {entry.name: entry for entry in entries}, []
     for piece in pieces:
         for fields in piece["records"][method]:
@@ -185,13 +184,13 @@ def records(
 def _withheld(
     pair: PlannedPair, true: tuple[Camera, Camera], scores: Sequence[tuple[np.ndarray, int]]
 ) -> tuple[Camera, Camera]:
-    """The cameras of images whose K is withheld: half of the pairs that one camera may have taken
-    are stated to be of one."""
+    """The cameras assumed if K is withheld. Half of the pairs that one camera may have taken are
+    stated to be from one camera."""
     camera1, camera2 = true
     assert camera1.size is not None and camera2.size is not None
     alike = abs(math.log(camera1.focal / camera2.focal)) < _SAME_FOCAL
-    # The same half whatever else is estimated
-    alike = alike or pair.entry.kind == "zoomed"  # as their sizes say
+    alike = alike or pair.entry.kind == "zoomed"  # their sizes suggest one camera
+    # A hash of the name chooses the half: it does not depend on the other pairs
     name = f"{pair.entry.name} {pair.number:04d}"
     identity = "both" if alike and zlib.crc32(f"2 {name}".encode()) % 2 == 0 else None
     assumed = [

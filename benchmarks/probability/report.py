@@ -1,4 +1,4 @@
-"""The fit from stored matches, and what it is worth on scenes that have no part in it."""
+"""The fit from collected records, and its evaluation on scenes outside of the fit."""
 
 import json
 import math
@@ -46,11 +46,11 @@ _KINDS: dict[MatchKind, str] = {
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """A record with what is claimed of it."""
+    """A record with the verdict of the fitted model."""
 
     record: Record
     by_probability: bool
-    probability: float  # 0 if by the evidence the translation is not determined
+    probability: float  # 0 if the evidence does not determine the translation
     rotation_90_deg: float
     translation_90_deg: float
     ambiguous: bool = False
@@ -61,7 +61,7 @@ class Judged:
 
 
 def judged(record: Record, model: ProbabilityModel) -> Judged:
-    """The verdict on a record, by the probability."""
+    """The verdict of a model on a record."""
     evidence = record.evidence
     if evidence is None:
         return Judged(record, False, 0.0, math.nan, math.nan)
@@ -88,7 +88,7 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
 
 
 def report_text(poses: Sequence[Judged]) -> str:
-    """The claims on scenes that have no part in the fit, and what they are worth."""
+    """A report on the claims for poses outside of the fit, and on their accuracy."""
     error = 100 * calibration_error(_calibration(poses))
     exact = [p for p in poses if p.by_probability and p.right and p.record.exact]
     R = [p.record.best.rotation_error_deg <= p.rotation_90_deg for p in exact]
@@ -103,7 +103,7 @@ def report_text(poses: Sequence[Judged]) -> str:
 
 
 def claims_table(poses: Sequence[Judged]) -> str:
-    """A row a data set, and all of them."""
+    """A table with a row for each data set, and one for all."""
     headings = ("pairs", "number", "right", "claimed", "wrong", "right refused", "ambiguous")
     rows: list[tuple[str, ...]] = [(*headings, "mean of claims")]
     groups: dict[str, list[Judged]] = {}
@@ -120,14 +120,14 @@ def claims_table(poses: Sequence[Judged]) -> str:
 
 
 def _calibration(poses: Sequence[Judged]) -> np.ndarray:
-    """`reliability` of the probability of the poses that have evidence."""
+    """`reliability` of the probability, over the poses with evidence."""
     known = [pose for pose in poses if pose.record.evidence is not None]
     right = np.array([pose.right for pose in known], bool)
     return reliability(np.array([pose.probability for pose in known]), right)
 
 
 def plot_reliability(reported: Mapping[MatchKind, Sequence[Judged]]) -> Figure:
-    """The share of right poses by bin of their probability, a curve a kind, and the diagonal."""
+    """Plot the share of right poses by bin of probability, a curve for each kind of matches."""
     figure = new_figure(5.5, 5)
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color="grey", linestyle="--", linewidth=1)
@@ -150,8 +150,8 @@ def fit_all(
 ) -> tuple[str, str, Figure]:
     """Fit a model for each kind of matches that the methods make.
 
-    pieces: of `collect`; engines: name and fingerprint of what each method matched with. Returns
-    `probability.json`, the report, and its figure. Raises InputError if there is too little.
+    pieces: results of `collect`; engines: name and fingerprint of each method's matcher. Returns
+    `probability.json`, the report and its figure. Raises InputError if there are too few poses.
     """
     order = {entry.name: number for number, entry in enumerate(entries)}
     pieces = sorted(
@@ -162,7 +162,7 @@ def fit_all(
     by_kind: dict[MatchKind, list[Record]] = {}
     for method, engine in engines.items():
         kinds = _by_kind(records(pieces, method, entries))
-        if kinds.keys() - by_kind.keys():  # of several networks the first
+        if kinds.keys() - by_kind.keys():  # of several networks, the first is used
             used[method] = engine
         by_kind = {**kinds, **by_kind}
     if not by_kind:
@@ -197,8 +197,8 @@ def fit_all(
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
-    """A method's records by their kind of matches and cameras, and a network's as those of no map
-    too. Those without evidence are of every kind of their cameras."""
+    """A method's records by kind of matches and cameras; a network's also without their map. A
+    record without evidence belongs to every kind with its cameras."""
     blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
     kinds: dict[MatchKind, list[Record]] = {}
     for cameras in ("exact", "auto"):
