@@ -84,12 +84,12 @@ class Camera:
         focal_std: Standard deviation of the logarithm of the focal lengths; 0: exact. If it is
             positive, the estimation fits the focal lengths, with K as the prior.
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
-        lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 if
-            `distortion` is None; 0: exact. If it is positive, the estimation fits the coefficient.
+        lens_std: Standard deviation of the first coefficient of a RADIAL lens; 0: exact. If it is
+            positive, the estimation fits the coefficient, from 0 if `distortion` is None.
         focal_source: Source of the focal length: a given K, EXIF data, the size of the image, its
             lines, or the matches.
-        identity: Equal for images taken by one camera, whose K is wrong by a common factor. None:
-            the camera took no other image.
+        identity: Equal for images taken by one camera, whose focal lengths are wrong by the same
+            factor. None: the camera took no other image.
         projection: Projection of a panorama as its file states it; "" for any other image.
         aspect_std: Standard deviation of the logarithm of fy / fx; 0: exact.
         belief: Prior of a focal length that no K states, see `FocalBelief`; K and `focal_std` are

@@ -85,8 +85,8 @@ def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
 
 
 def read_pair_list(path: Path) -> PairList:
-    """Read a list of pairs without their poses: full or shorter lines in SuperGlue's format, with
-    any K; or a .csv whose first two columns are the names, with or without a heading.
+    """Read a list of pairs, without poses: full or shorter lines in SuperGlue's format, including
+    their K; or a .csv whose first two columns are the names, with or without a heading.
 
     A pair listed twice, in either order, counts once. Raises as `read_pairs` does, and InputError
     for an image paired with itself and for two K of one image.

@@ -21,7 +21,7 @@ from dgc_pose.system.parallel import in_threads
 if TYPE_CHECKING:
     import torch
 
-SAME_SHAPE = 0.01  # largest relative difference of aspect ratio to which a mask or map is scaled
+SAME_SHAPE = 0.01  # largest relative difference in aspect ratio between a mask or map and its image
 _LARGE = 4_000_000  # pixels; above, area means take tens of ms unless the sides are halved
 
 

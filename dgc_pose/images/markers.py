@@ -17,7 +17,7 @@ def find_markers(pixels: np.ndarray) -> dict[str, np.ndarray]:
     """Find markers: their corners (4, 2), pixels, clockwise from the marker's top left, by
     dictionary and number, such as "APRILTAG_36h11:7". Skips a marker that appears twice.
 
-    pixels: (H, W[, C]). Some finds are squares of a texture: only trust a marker that several
+    pixels: (H, W[, C]). Some detections are squares of a texture: only trust a marker that several
     images show.
     """
     grey = pixels if pixels.ndim == 2 else pixels[:, :, 1]

@@ -333,9 +333,9 @@ def world_covariance(
     """Covariance (6 + M, 6 + M) of the rotation vector, radians, the centre, in the model's unit,
     and the basis of `prior`; None if the inliers do not determine them.
 
-    Mean of two jackknife estimates: over blocks of the photograph, each in all pairs at once, since
-    errors within a block are correlated; and, with more than two sets of correspondences, over
-    whole sets, since each reference has errors of its own.
+    By a jackknife over blocks of the photograph, each in all pairs at once, since errors within a
+    block are correlated. With more than two sets of correspondences, it is averaged with a
+    jackknife over whole sets, since each reference has errors of its own.
     """
     count = 6 + len(prior)
     information = np.diag([*np.zeros(6), *np.ones(len(prior))])

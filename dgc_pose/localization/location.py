@@ -109,7 +109,7 @@ class Location:
         return None if self.covariance is None else error_radius(self.covariance[3:, 3:])
 
     def to_dict(self) -> dict[str, Any]:
-        """Convert the location to JSON values, as in `dgc-pose locate --json`; None if unknown."""
+        """Convert the location to JSON values, as by `dgc-pose locate --json`; None if unknown."""
         names = (
             *("status", "R", "t", "centre", "direction", "direction_from"),
             *("rotation_error_90_deg", "position_error_90", "covariance", "probability", "camera"),

@@ -197,7 +197,7 @@ class LocationSearch:
         sight = self.model.centre(name) - pose.centre
         distance = max(float(np.linalg.norm(sight)), 1e-12)
         across = np.eye(3) - np.outer(sight, sight) / distance**2
-        facing = max(float(pose.R[2] @ self.model.poses[name][2, :3]), 0.0)  # of axes
+        facing = max(float(pose.R[2] @ self.model.poses[name][2, :3]), 0.0)  # cosine of the axes
         added = across * (facing / (_PAIR_ERROR * distance)) ** 2
         return float(np.trace(np.linalg.pinv(information + added)))
 

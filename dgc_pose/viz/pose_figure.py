@@ -201,7 +201,7 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
 
 
 def _draw_place(panel: Axes, model: Model, location: Location) -> None:
-    """Draw the cameras, as arrows along the optical axes, and points, in x and z of the mean camera."""
+    """Draw the cameras, as arrows along their axes, and points, in x and z of the mean camera."""
     names, poses = [*model.poses], [*model.poses.values()]
     centres = [model.centre(name) for name in names]
     above = mean_axes(poses)[[0, 2]]  # to the right and ahead
