@@ -1,1 +1,1 @@
-"""Cameras: K, lenses, COLMAP's cameras, models and databases."""
+"""Cameras: K, lenses, and COLMAP's cameras, models and databases."""

@@ -1,4 +1,4 @@
-"""Cameras by the names of images, and the camera of an upright image by its K."""
+"""Cameras by image name, and the camera that fits an upright image."""
 
 from __future__ import annotations
 
@@ -24,26 +24,27 @@ if TYPE_CHECKING:
     from dgc_pose.images.decoding import Header
     from dgc_pose.images.image import Image
 
-_PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # of KITTI, Kalibr
-_MAX_ASPECT_DIFFERENCE = 0.01  # of the sizes of an image and of its K: more is a crop
-_MAX_CENTRE_OFFSET = 0.04  # of the principal point from the middle, over the side
-_TURNED_OFFSET = 2 * _MAX_CENTRE_OFFSET  # more is of the image turned, whose middle is nearer
+_PART_FOLDER = re.compile(r"(image_|cam)0*(\d+)")  # KITTI, Kalibr
+_MAX_ASPECT_DIFFERENCE = 0.01  # relative, between image and K; above it, the image is a crop
+# Distances of the principal point from the middle, as shares of the side
+_MAX_CENTRE_OFFSET = 0.04  # K fits the size of the image
+_TURNED_OFFSET = 2 * _MAX_CENTRE_OFFSET  # above: K belongs to the rotated image if it fits there
 _LEAST_FOCAL = 0.1339  # of a pinhole, over the width: a field of view of 150 degrees
-_MAX_USUAL_OFFSET = 0.2  # of the principal point from the middle, as a share of the image's side
-_SAME_ASPECT = 0.03  # of the logarithms of two aspect ratios that are the same
-# Logarithms of the scale between two sizes of the same aspect ratio: less is the same size, and
-# more cannot be the image's.
+_MAX_USUAL_OFFSET = 0.2  # above: warning; a share as before
+_SAME_ASPECT = 0.03  # largest difference of the logarithms of two equal aspect ratios
+# |ln(scale)| between two sizes of equal aspect ratio: up to the first, the sizes are equal; above
+# the second, K cannot belong to the image
 _MAX_SAME_SCALE, _MAX_POSSIBLE_SCALE = 0.1, 0.4
 
 
 @dataclass(frozen=True)
 class KDetails:
-    """The size that a K refers to, and its deviations."""
+    """The image size that a K refers to, and the standard deviations of K."""
 
     size: Size | None = None  # (width, height) of the image that K refers to
     focal_std: float = 0.0  # relative, of the focal lengths
     centre_std: float = 0.0  # of each coordinate of the principal point, pixels of the image
-    lens_std: float = 0.0  # of the radial coefficient of a camera without a lens, see `Camera`
+    lens_std: float = 0.0  # of the radial coefficient, if the camera has no lens; see `Camera`
 
 
 NO_DETAILS = KDetails()
@@ -51,26 +52,26 @@ NO_DETAILS = KDetails()
 
 @dataclass(frozen=True)
 class Calibration:
-    """Cameras by the names of images, and the one of all others."""
+    """Cameras by image name, and a common camera for all other images."""
 
-    where: str = ""  # of errors: the option or file that the cameras come from
+    where: str = ""  # the option or file that the cameras come from, for errors
     by_name: Mapping[str, Camera] = field(default_factory=dict)  # names as written
-    # Of a rig or a pair: "cam1" of Kalibr, "image_2" of KITTI, "K2" of the second image.
+    # Cameras of a rig or a pair: "cam1" (Kalibr), "image_2" (KITTI), "K2" (the second image)
     parts: Mapping[str, Camera] = field(default_factory=dict)
-    common: Camera | None = None  # of all other images
-    # The images have no K. With "shared" one camera took all; with "two" one each.
+    common: Camera | None = None  # for all other images
+    # Set if the images have no K. "shared": one camera took all; "two": each has another camera
     auto: Sharing | None = None
     details: KDetails = NO_DETAILS
     poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # cam_from_world (3, 4), by name
-    rig: tuple[str, ...] = ()  # all cameras of a file that names them; `parts` are the calibrated
+    rig: tuple[str, ...] = ()  # names of all cameras of a rig file; `parts` has the calibrated ones
 
     def camera(
         self, root: Path, name: str, image: Image | Header, part: str | None = None
     ) -> Camera:
         """The camera of an upright image or its header, see `fitted_camera`.
 
-        root: the folder that `name` is relative to. part: of a pair, "K1" or "K2". Raises
-        InputError if there is none, or if it is for another size.
+        root: the folder that `name` is relative to. part: "K1" or "K2" for an image of a pair.
+        Raises InputError if the image has no camera, or if its camera is for another size.
         """
         camera = self.stated(root, name, part)
         if camera is not None:
@@ -88,18 +89,19 @@ class Calibration:
         raise InputError(f"no camera for {name}: state", K, "or", K, "auto")
 
     def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
-        """The camera of an image as the text or file states it; None without one."""
+        """The camera of an image exactly as the text or file states it, or None."""
         return self.named(root, name) or self._of_part(root / name, part) or self.common
 
     def lacks(self, root: Path, name: str) -> bool:
-        """Whether an image may take a camera from elsewhere, such as a list of pairs."""
+        """Whether an image needs a camera from elsewhere, such as a list of pairs."""
         return self.auto is None and self.stated(root, name) is None
 
     def named(self, root: Path, name: str) -> Camera | None:
-        """The camera that the file has for an image: of the longest name that the image's path ends
-        with, or else of the only name with its file name. A name in the file may lack its ending.
+        """The camera that the file names for an image, or None.
 
-        Raises InputError if several names have its file name, and other cameras.
+        The longest name that the image's path ends with counts; failing that, the only name with
+        the same file name. Names in the file may lack the ending. Raises InputError if several
+        names match and their cameras differ.
         """
         path = PurePath(os.path.abspath(root / name))
         alike = self._by_file_name.get(path.name) or self._by_file_name.get(path.stem) or []
@@ -113,7 +115,7 @@ class Calibration:
 
     @cached_property
     def _by_file_name(self) -> dict[str, list[tuple[tuple[str, ...], str]]]:
-        """The folders in each name, and the name."""
+        """(folders, name) of each name in `by_name`, by its file name."""
         names = defaultdict[str, list[tuple[tuple[str, ...], str]]](list)
         for name in self.by_name:
             *folders, file = ["", *(p for p in PurePath(os.path.normpath(name)).parts if p != "..")]
@@ -121,7 +123,7 @@ class Calibration:
         return names
 
     def _of_part(self, path: Path, part: str | None) -> Camera | None:
-        """The camera of a part that is stated, of a folder, or of two in their order."""
+        """The camera of `part`, of a folder of `path`, or of a two-camera rig by its order."""
         if part is not None and part in self.parts:
             return self.parts[part]
         for folder in reversed(path.absolute().parts if self.parts else ()):
@@ -146,11 +148,11 @@ def fitted_camera(
     name: str,
     shown: str = "the image",
 ) -> Camera:
-    """The camera of an upright image by its K: checked, scaled from the size of `details`, turned,
-    and with its deviations.
+    """The camera of an upright image: K checked, scaled from the size in `details`, rotated by
+    EXIF, and with its deviations.
 
-    Raises InputError, naming K and the image by `name` and `shown`, if K states another size, if
-    the image is a crop, and as `checked_camera`.
+    name, shown: of K and of the image in errors. Raises InputError if K states another size than
+    `details`, if the image is a crop, and as `checked_camera` does.
     """
     is_turned = orientation_of(camera, image, details.size) != 1
     size = size_in_file(image) if is_turned else image.size
@@ -177,9 +179,9 @@ def fitted_camera(
 
 
 def upright_camera(camera: Camera, image: Image | Header) -> Camera:
-    """The camera of an upright image by a K that was given, which is turned by `orientation_of`.
+    """The camera of an upright image from a given K, rotated by `orientation_of`.
 
-    It has a warning if the turn changes K, and K may be of the upright image too.
+    The camera gets a warning if the rotation changes K although K may fit the upright image too.
     """
     orientation = orientation_of(camera, image)
     if orientation == 1:
@@ -196,22 +198,22 @@ def upright_camera(camera: Camera, image: Image | Header) -> Camera:
 
 
 def orientation_of(camera: Camera, image: Image | Header, size: Size | None = None) -> int:
-    """The EXIF orientation by which K is turned with its image: that of the image; 1 if K is
-    certainly of the upright image, by its size, or without one by its principal point. size: that
-    K is for, besides that of the camera."""
+    """The EXIF orientation by which K is rotated with its image; 1 if K fits only the upright
+    image, by its size or else by its principal point. size: of the image that K refers to, by
+    default the camera's size."""
     return 1 if _fits(camera, image, size) == (False, True) else image.exif.orientation
 
 
 def _fits(camera: Camera, image: Image | Header, size: Size | None = None) -> tuple[bool, bool]:
-    """Whether K may be of the pixels as stored, and of the upright image."""
+    """Whether K may refer to the stored pixels, and whether to the upright image."""
     if image.exif.orientation not in EXCHANGING:
         return True, True
     return _may_be_of(camera, size_in_file(image), size), _may_be_of(camera, image.size, size)
 
 
 def _may_be_of(camera: Camera, image_size: Size, size: Size | None = None) -> bool:
-    """Whether K may be of an image of `image_size`, rather than of one turned by 90 degrees. size:
-    that K is for, besides that of the camera."""
+    """Whether K may refer to an image of `image_size` rather than to the image rotated by 90
+    degrees. size: of the image that K refers to, by default the camera's size."""
     size = size or camera.size
     if size is not None:
         return (size[0] - size[1]) * (image_size[0] - image_size[1]) >= 0
@@ -219,18 +221,18 @@ def _may_be_of(camera: Camera, image_size: Size, size: Size | None = None) -> bo
 
 
 def _offset(camera: Camera, size: Size) -> float:
-    """The larger distance of the principal point from the middle, along an axis, over its side."""
+    """The distance of the principal point from the middle over the side, on the worse axis."""
     return float(np.abs((camera.K[:2, 2] + 0.5) / size - 0.5).max())
 
 
 def checked_camera(camera: Camera, size: Size, name: str, image: str = "the image") -> Camera:
-    """The camera of an image of `size` (width, height), called `image`, with a warning if its
-    principal point is far from the middle, or that of an image of another size.
+    """The camera of an image of `size` (width, height), with a warning if the principal point is
+    far from the middle or is the middle of an image of another size.
 
-    Raises InputError, naming the argument `name`, if the camera's size differs; if its principal
-    point lies outside the image, or, of a camera without a size, in the middle of the image turned
-    by 90 degrees or of one of far more or fewer pixels; and for a pinhole of a focal length in
-    millimetres, as its field of view shows.
+    name, image: of the argument K and of the image in errors. Raises InputError if the camera's
+    size differs; if the principal point lies outside the image; if a camera without a size has the
+    principal point of the image rotated by 90 degrees, or of an image with far more or fewer
+    pixels; and for a pinhole with a field of view above 150 degrees (a focal length in mm).
     """
     if camera.size is not None and camera.size != size:
         turned = ": K is of the image rotated by 90 degrees" if camera.size == size[::-1] else ""
@@ -240,7 +242,7 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
         )
     centre = camera.K[:2, 2]
     place = f"{name} has its principal point at ({centre[0]:g}, {centre[1]:g})"
-    of_K = 2 * centre + 1  # the size of an image whose middle the principal point is
+    of_K = 2 * centre + 1  # the image size with the principal point in the middle
     if camera.size is None and (of_K > 1).all():
         about = times(np.rint(of_K).astype(int))
         middle = f"{place}, the middle of about {about} pixels; {image} has {times(size)}"
@@ -264,6 +266,6 @@ def checked_camera(camera: Camera, size: Size, name: str, image: str = "the imag
 
 
 def times(size: ArrayLike) -> str:
-    """A size as 640x480."""
+    """Format a size as 640x480."""
     width, height = np.asarray(size).tolist()
     return f"{width}x{height}"

@@ -1,11 +1,12 @@
 """Cameras from the options --K, --K1 and --K2: a text, a file or a value.
 
 - `auto`, `auto:shared` or `auto:two`: no K, see `prior.py`;
-- `fx,fy,cx,cy` or nine numbers, split by commas or blanks, (0, 0) the centre of the top-left pixel;
-- a COLMAP camera `MODEL,width,height,parameters...`, (0.5, 0.5) there;
-- a file of one of the formats of `formats/recognise.py`, or the folder of a COLMAP model;
+- `fx,fy,cx,cy` or nine numbers, split by commas or blanks; pixel (0, 0) is the centre of the
+  top-left pixel;
+- a COLMAP camera `MODEL,width,height,parameters...`, where this centre is (0.5, 0.5);
+- a file in one of the formats of `formats/recognise.py`, or the folder of a COLMAP model;
 - `FILE:PART`, a camera of a rig, such as `camchain.yaml:cam1`;
-- any of these but the first and `,lens`: the lens is not known, and is fitted.
+- any of these except `auto`, followed by `,lens`: the lens is unknown and is fitted.
 """
 
 import os
@@ -24,7 +25,7 @@ from dgc_pose.errors import ArgumentName, InputError, shortened
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import check_type
 
-_LENS = ",lens"  # after a K whose lens is not known
+_LENS = ",lens"  # follows a K with an unknown lens
 _SHARING: Mapping[str, Sharing] = {"auto": "files", "auto:shared": "shared", "auto:two": "two"}
 
 
@@ -37,12 +38,12 @@ def pair_cameras(
     details: KDetails = NO_DETAILS,
     fov: float | None = None,
 ) -> tuple[Camera, Camera]:
-    """The cameras of two images, each from a Camera, an array (3, 3), fx, fy, cx, cy, or a text or
-    path as of --K; or both by the horizontal field of view, degrees.
+    """The cameras of two images.
 
-    None is "auto"; if both are, by `auto_cameras`. Focal lengths that are not stated have the
-    evidence of the lines. names: of the arguments. Raises InputError, naming the argument, if K is
-    unusable, does not fit the image, or is stated beside `fov`.
+    K1, K2: a Camera, an array (3, 3), fx, fy, cx, cy, or a text or path as for --K; None is "auto".
+    Without a K, the lines of the image contribute to the focal length. fov: horizontal field of
+    view of both images, degrees, in place of K. names: of the arguments, for errors. Raises
+    InputError if K is unusable, does not fit the image, or is stated together with `fov`.
     """
     images = image1, image2
     for image, name in zip(images, ("image1", "image2"), strict=True):
@@ -73,7 +74,8 @@ def image_camera(
     details: KDetails = NO_DETAILS,
     part: str | None = None,
 ) -> Camera:
-    """The camera of an image, as `pair_cameras` has it. part: of a pair, "K1" or "K2"."""
+    """The camera of an image, as in `pair_cameras` but without its lines. part: "K1" or "K2" for an
+    image of a pair."""
     value = "auto" if value is None else value
     if isinstance(value, (str, Path)):
         is_auto_of_pair = part is not None and value in _SHARING
@@ -86,10 +88,10 @@ def image_camera(
 
 
 def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
-    """A camera from a text, as on the command line: any of this module's forms of a single camera.
+    """Parse a camera, in any of this module's forms of a single camera.
 
-    files: whether the text may be a path; False for a stranger's text. Raises InputError of one
-    line, naming `name`.
+    files: whether the text may be a path; False for untrusted text. Raises InputError, one line
+    with `name`.
     """
     common = read_calibration(text, name).common if files else _parse_text(text, name)
     if common is None:
@@ -100,9 +102,8 @@ def parse_camera(text: str, name: str = "K", *, files: bool = True) -> Camera:
 def read_calibration(
     text: str | None, name: str = "K", details: KDetails = NO_DETAILS
 ) -> Calibration:
-    """The calibration of the argument K: a text or the path of a file, see this module; None: no
-    camera for any image. Raises InputError, with `name` or the path.
-    """
+    """The calibration of the argument K: a text or a path, see this module. None: no image has a
+    camera. Raises InputError, with `name` or the path."""
     if text is None or text in _SHARING:
         _require_K(details, name)
         return Calibration(name, auto=_SHARING.get(text or ""))
@@ -155,7 +156,7 @@ def _require_K(details: KDetails, name: str) -> None:
 
 
 def camera_data(camera: Camera) -> dict[str, Any]:
-    """A camera for JSON."""
+    """Convert a camera to JSON data."""
     lens = camera.distortion
     return {
         "K": camera.K.tolist(),
@@ -174,12 +175,12 @@ def camera_data(camera: Camera) -> dict[str, Any]:
 
 
 def parse_camera_data(data: Mapping[str, Any]) -> Camera:
-    """The camera of `camera_data`. Raises KeyError, TypeError or ValueError for other data."""
+    """The camera from `camera_data`. Raises KeyError, TypeError or ValueError for other data."""
     if data["focal_source"] not in get_args(FocalSource):
         raise ValueError("a focal_source that is none")
     return replace(
         keyed_camera(data),
         warnings=tuple(data["warnings"]),
         focal_source=data["focal_source"],
-        projection=data.get("projection", ""),  # files of 0.2.0 have none
+        projection=data.get("projection", ""),  # absent in files of 0.2.0
     )

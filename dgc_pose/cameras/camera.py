@@ -1,6 +1,6 @@
 """A camera: its intrinsic matrix K, the image size that K refers to, and its lens distortion.
 
-Pixels have (0, 0) at the centre of the top-left pixel; COLMAP has (0.5, 0.5) there.
+The centre of the top-left pixel is (0, 0); in COLMAP it is (0.5, 0.5).
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
     import pycolmap
 
 FocalSource = Literal["given", "exif", "size", "lines", "matches"]
-# Logarithms of the focal lengths that lines are evidence of, over the longer side.
+# Grid of ln(f over the longer side) at which the likelihood of the lines is evaluated.
 LOG_FOCALS = np.linspace(math.log(0.3), math.log(8.0), 42)
-_LOGS = np.arange(math.log(0.1), math.log(25.0), 0.01)  # of f over the longer side
+_LOGS = np.arange(math.log(0.1), math.log(25.0), 0.01)  # ln(f over the longer side)
 
 
 class Part(NamedTuple):
-    """A normal distribution of ln f, f over the longer side of the image."""
+    """A normal distribution of ln f, with f over the longer side of the image."""
 
-    log_weight: float  # logarithm of its probability, up to a constant
+    log_weight: float  # log-probability of the part, up to a constant
     log_focal: float
     std: float
 
     def given(self, lines: np.ndarray) -> Part:
-        """The part after the lines of images, whose log-likelihoods (G,) are of `LOG_FOCALS`; its
-        weight has the evidence."""
+        """Update the part with the log-likelihoods (G,) of the lines on `LOG_FOCALS`; the weight
+        includes the evidence."""
         odds = np.interp(_LOGS, LOG_FOCALS, lines)
         odds -= ((_LOGS - self.log_focal) / self.std) ** 2 / 2
         density = np.exp(odds - odds.max())
@@ -51,15 +51,15 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FocalBelief:
-    """What is known of ln f before the matches, where no K states f."""
+    """The prior of ln f, for a camera without a given K: a mixture of two parts, and the lines."""
 
-    usual: Part  # by EXIF data, or of most photographs
-    tail: Part  # of other lenses; of a file whose EXIF data are of another image
-    lines: np.ndarray  # (G,) log-likelihoods of `LOG_FOCALS`
+    usual: Part  # from EXIF data, or for most photographs
+    tail: Part  # for other lenses, or for files with the EXIF data of another image
+    lines: np.ndarray  # (G,) log-likelihoods of the image's lines on `LOG_FOCALS`
 
     def parts(self, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
-        """The parts, the likelier first, by the lines (G,) of all images of the camera. Lines of
-        many images of one place err alike: they count by the root of their number."""
+        """Both parts, the likelier first, given the lines (G,) of all images of the camera. Images
+        of one place have correlated errors, so the evidence grows with the root of their number."""
         of_all = np.sum(lines, axis=0) / math.sqrt(max(1.0, len(lines) / 2))
         first, second = sorted(
             (part.given(of_all) for part in (self.usual, self.tail)),
@@ -73,26 +73,27 @@ class Camera:
     """A calibrated camera.
 
     Raises InputError unless K is finite and upper triangular with positive focal lengths and a last
-    row of 0 0 1; and for a `lens_std` of a lens of other coefficients.
+    row of 0 0 1; and for a `lens_std` unless the lens is RADIAL or OPENCV_FISHEYE with two terms.
 
     Attributes:
-        K: Intrinsic matrix (3, 3) float64, pixels; of fx, fy, cx, cy (4,), (1, 3, 3) or (4, 4).
-        size: (width, height) of the image K refers to; None if unknown.
-        distortion: Distortion of the lens; None for a pinhole.
+        K: Intrinsic matrix (3, 3) float64, pixels. Also accepts fx, fy, cx, cy (4,), (1, 3, 3) or
+            (4, 4).
+        size: (width, height) of the image that K refers to; None if unknown.
+        distortion: Lens distortion; None for a pinhole.
         warnings: Sentences about the origin of K, for the user.
-        focal_std: Standard deviation of the logarithm of the focal lengths; 0: they are exact. The
-            estimation fits the focal lengths of a camera with a deviation, with K as the prior.
+        focal_std: Standard deviation of the logarithm of the focal lengths; 0: exact. If it is
+            positive, the estimation fits the focal lengths, with K as the prior.
         centre_std: Standard deviation of each coordinate of the principal point, pixels.
-        lens_std: Standard deviation of the first coefficient of a RADIAL lens, which is 0 without a
-            distortion; 0: the lens is known. The estimation fits it like the focal lengths.
-        focal_source: What the focal length is from: a K that was given, EXIF data, the size of the
-            image, its lines, or the matches.
-        identity: Images whose cameras have the same identity were taken by one camera: K is wrong
-            by the same factor. None: a camera of its image alone.
-        projection: That of a panorama, as its file states it; "": of a perspective or fisheye.
-        aspect_std: Standard deviation of the logarithm of fy / fx; 0: it is exact.
-        belief: What is known of a focal length that no K states, see `FocalBelief`; of which K and
-            `focal_std` are the likeliest part.
+        lens_std: Standard deviation of the first coefficient of a RADIAL lens; 0: exact. If it is
+            positive, the estimation fits the coefficient, from 0 if `distortion` is None.
+        focal_source: Source of the focal length: a given K, EXIF data, the size of the image, its
+            lines, or the matches.
+        identity: Equal for images taken by one camera, whose focal lengths are wrong by the same
+            factor. None: the camera took no other image.
+        projection: Projection of a panorama as its file states it; "" for any other image.
+        aspect_std: Standard deviation of the logarithm of fy / fx; 0: exact.
+        belief: Prior of a focal length that no K states, see `FocalBelief`; K and `focal_std` are
+            its likeliest part.
     """
 
     K: np.ndarray
@@ -150,13 +151,13 @@ class Camera:
         return normalised if self.distortion is None else self.distortion.undo(normalised)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """The inverse of `normalise`: normalised points (N, 2), x / z and y / z, to pixels."""
+        """Normalised points (N, 2), x / z and y / z, to pixels; the inverse of `normalise`."""
         points = np.asarray(points, dtype=np.float64)
         distorted = points if self.distortion is None else self.distortion.apply(points)
         return distorted @ self.K[:2, :2].T + self.K[:2, 2]
 
     def with_focal(self, focal: float) -> Camera:
-        """The camera with another mean focal length, pixels; the ratio of both stays."""
+        """The camera with another mean focal length, pixels, and the same ratio fx / fy."""
         K = self.K.copy()
         K[:2, :2] *= focal / self.focal
         return replace(self, K=K)
@@ -175,10 +176,10 @@ class Camera:
         return replace(self, K=K, size=(int(size[0]), int(size[1])), centre_std=centre_std)
 
     def turned(self, turn: np.ndarray, size: Size) -> Camera:
-        """The camera of an image of `size` (width, height) after a turn (2, 2) of its axes, by
-        `exif_turn`.
+        """The camera after its image of `size` (width, height) is rotated or mirrored.
 
-        Raises InputError if K has a skew or the lens an axis of its own, and there is a turn.
+        turn: of the axes (2, 2), see `exif_turn`. Raises InputError if it is not the identity and
+        K has a skew, or if the lens model has a prism or is a cylinder.
         """
         lens = self.distortion
         of_axis = lens is not None and ("PRISM" in lens.model or lens.projection == "cylinder")
@@ -214,9 +215,10 @@ class TwoViews:
 
 
 def matrix_camera(K: Any, name: str = "K") -> Camera:
-    """The camera of a matrix (3, 3), also as (1, 3, 3) or in (4, 4), of fx, fy, cx, cy (4,), or of
-    a `pycolmap.Camera`. Raises InputError, naming `name`."""
-    theirs: Any = getattr(sys.modules.get("pycolmap"), "Camera", ())  # who has one has imported it
+    """The camera from a matrix (3, 3), (1, 3, 3) or (4, 4), from fx, fy, cx, cy (4,), or from a
+    `pycolmap.Camera`. Raises InputError, naming `name`."""
+    # Does not import pycolmap: a caller with a pycolmap.Camera has imported it
+    theirs: Any = getattr(sys.modules.get("pycolmap"), "Camera", ())
     if not isinstance(K, theirs):
         return Camera(_checked_matrix(K, name))
     try:
@@ -227,11 +229,8 @@ def matrix_camera(K: Any, name: str = "K") -> Camera:
 
 
 def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
-    """A camera with its size as COLMAP's: PINHOLE, the model of its distortion, or RADIAL
-    where the lens is not known.
-
-    Raises InputError, naming the image `name`, if COLMAP's model cannot hold it: a skew.
-    """
+    """Convert a camera with a size to COLMAP: PINHOLE, the model of its distortion, or RADIAL if
+    the lens is unknown. Raises InputError, naming the image `name`, for a K with a skew."""
     from dgc_pose.system.colmap_library import pycolmap
 
     assert camera.size is not None
@@ -248,8 +247,8 @@ def colmap_camera(camera: Camera, name: str) -> pycolmap.Camera:
 
 
 def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:
-    """The camera of an image of `size` (width, height) by its horizontal field of view from edge to
-    edge; the principal point is the middle. Raises InputError, naming `fov`, outside 1 to 150."""
+    """The camera of an image of `size` (width, height) with a horizontal field of view from edge to
+    edge, and the principal point in the middle. Raises InputError outside 1 to 150 degrees."""
     check_type(fov_deg, float, "fov")
     if not 1 <= fov_deg <= 150:
         raise InputError(
@@ -261,7 +260,7 @@ def view_camera(fov_deg: float, size: tuple[int, int]) -> Camera:
 
 
 def _checked_matrix(value: Any, name: str) -> np.ndarray:
-    """A read-only copy (3, 3) float64 of an intrinsic matrix, or the matrix of fx, fy, cx, cy."""
+    """A read-only K (3, 3) float64 from any of the forms of `Camera.K`."""
     K = np.array(as_numpy(value, name), dtype=np.float64)
     if K.ndim == 3 and len(K) == 1:
         K = K[0]

@@ -1,4 +1,4 @@
-"""COLMAP's cameras: parameters and distortion, which pycolmap computes."""
+"""COLMAP's cameras: parameters, and distortion by pycolmap."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
     import pycolmap
 
 
-# Of a point that is undistorted and distorted again, in focal lengths: 0.01 px at a focal of 1000.
+# Error of a point after undistortion and distortion, in focal lengths: 0.01 px at f = 1000 px.
 _MAX_ROUND_TRIP_ERROR = 1e-5
-# Over the focal length: rounding in a calibration, below 0.01 pixels in the image.
+# Skew and fx - fy over the focal length: rounding in a calibration, below 0.01 px in the image.
 _MOST_SKEW, _MOST_FOCAL_DIFFERENCE = 1e-5, 1e-6
-# The models without a lens, for which pycolmap need not be imported.
+# Models without a lens; they need no import of pycolmap.
 _PINHOLES = {"SIMPLE_PINHOLE": ["f", "cx", "cy"], "PINHOLE": ["fx", "fy", "cx", "cy"]}
 RADIAL, FISHEYE, CYLINDER = "RADIAL", "OPENCV_FISHEYE", "CYLINDER"
-# Computed without pycolmap, if no coefficient but the first two is used; and their coefficients.
-# COLMAP has no cylinder.
+# Models computed without pycolmap if all coefficients after the second are zero, with their number
+# of coefficients. COLMAP has no CYLINDER.
 _OWN: Mapping[str, tuple[Projection, int]] = {
     RADIAL: ("plane", 2),
     FISHEYE: ("angles", 4),
     CYLINDER: ("cylinder", 0),
 }
-# A model of one focal length as one of two, and the number of its coefficients.
+# For a model with one focal length: the same with two, and its number of coefficients.
 _TWO_FOCALS = {
     "SIMPLE_RADIAL": ("OPENCV", 4),
     "RADIAL": ("OPENCV", 4),
@@ -75,21 +75,21 @@ class Distortion:
 
     @property
     def projection(self) -> Projection | None:
-        """The projection of a lens of `geometry.radial`; None of one that pycolmap computes."""
+        """The projection in `geometry.radial`; None if pycolmap computes this lens."""
         known = not any(self.coefficients[2:])
         return _OWN[self.model][0] if self.model in _OWN and known else None
 
     @property
     def radial(self) -> tuple[float, float]:
-        """The coefficients of a lens of `geometry.radial`."""
+        """The coefficients for `geometry.radial`."""
         first, second = (*self.coefficients, 0.0, 0.0)[:2]
         return first, second
 
     def undo(self, points: np.ndarray) -> np.ndarray:
-        """Normalised points (N, 2) float64 without their distortion: x / z and y / z.
+        """Undistort normalised points (N, 2), to x / z and y / z float64.
 
-        NaN if the model has no inverse there: for rays at 90 degrees or more from the axis, and for
-        points beyond the radius at which the distorted radius stops growing.
+        NaN where the model has no inverse: for rays at 90 degrees or more from the axis, and beyond
+        the radius at which the distorted radius stops growing.
         """
         if self.projection is not None:
             points = undistorted(np.asarray(points, np.float64), self.radial)
@@ -99,7 +99,7 @@ class Distortion:
         return np.where(undone[:, None], ideal, np.nan)
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """Normalised points (N, 2) float64, x / z and y / z, with the distortion."""
+        """Distort normalised points (N, 2), x / z and y / z, to float64."""
         if self.projection is not None:
             points = projected(np.asarray(points, np.float64), self.projection)
             return distorted(points, self.radial)
@@ -118,10 +118,10 @@ class Distortion:
 
 
 def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distortion | None]:
-    """K (3, 3) and the distortion, None for a pinhole, of COLMAP's parameter list.
+    """K (3, 3) and the distortion (None for a pinhole) from COLMAP's parameter list.
 
     The principal point is half a pixel less than in the list. Raises InputError if COLMAP has no
-    such model, or if it takes another number of parameters.
+    such model, or if the number of parameters does not fit it.
     """
     layout = _PINHOLES.get(model) or _model(model).params_info.split(", ")
     if len(parameters) != len(layout):
@@ -135,10 +135,10 @@ def intrinsics(model: str, parameters: list[float]) -> tuple[np.ndarray, Distort
 
 
 def parameters(K: np.ndarray, distortion: Distortion | None) -> tuple[str, list[float]]:
-    """COLMAP's model and parameters of a camera, the inverse of `intrinsics`.
+    """COLMAP's model and parameters of a camera; the inverse of `intrinsics`.
 
-    PINHOLE without a distortion. A model of one focal length becomes the same with two where K has
-    two. Raises InputError for a K with skew, which COLMAP has not.
+    The model is PINHOLE without a distortion. A model with one focal length is replaced by the one
+    with two if K has two. Raises InputError for a K with a skew, which COLMAP does not support.
     """
     fx, fy, skew = float(K[0, 0]), float(K[1, 1]), float(K[0, 1])
     if abs(skew) > _MOST_SKEW * fx:
@@ -156,7 +156,7 @@ def parameters(K: np.ndarray, distortion: Distortion | None) -> tuple[str, list[
 
 
 def model_of_id(model_id: int) -> tuple[str, int]:
-    """The name and the number of parameters of a model of COLMAP's files. Raises InputError."""
+    """The name and number of parameters of a model in COLMAP's binary files. Raises InputError."""
     from dgc_pose.system.colmap_library import pycolmap
 
     names = {int(value): name for name, value in pycolmap.CameraModelId.__members__.items()}

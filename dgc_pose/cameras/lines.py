@@ -1,10 +1,9 @@
-"""The focal length by the lines of a picture: where people build, most run along three directions
-that are perpendicular to each other (Coughlan and Yuille 1999), whose vanishing points agree with
-few focal lengths.
+"""Focal length from the lines of an image.
 
-The first direction is that of a point in which many lines meet. The two others, perpendicular to it
-and to each other, have one degree of freedom, which is searched for each focal length of a grid
-(Lu et al., WACV 2017).
+In built scenes, most lines run along three perpendicular directions (Coughlan and Yuille 1999).
+Their vanishing points fit few focal lengths. The first direction comes from a point where many
+lines meet. The two others have one degree of freedom: the angle around the first, which is searched
+for each focal length of a grid (Lu et al., WACV 2017).
 """
 
 from __future__ import annotations
@@ -15,24 +14,23 @@ import numpy as np
 from dgc_pose.cameras.camera import LOG_FOCALS
 from dgc_pose.images.image import Image, resize_by
 
-# The likelihood of a focal length, by its score s and the number n of segments, is that of the best
-# one times exp(SHARPNESS sqrt(n) (s - s of the best)), mixed with CHANCE of a uniform one, by
+# Likelihood of a focal length with score s, for n segments: proportional to
+# exp(SHARPNESS sqrt(n) (s - best s)), mixed with a share CHANCE of a uniform likelihood. Fitted by
 # `dgc-pose fit-probability`.
 SHARPNESS, CHANCE = 3.0, 0.03
-_SIDE = 800  # pixels of the longer side that segments are detected at
-_MIN_LENGTH = 15.0  # pixels, of a segment
-_MOST, _LEAST = 160, 8  # segments, the longest; fewer determine nothing
-_WIDTH = 1.5  # pixels, that the end of a segment may be off a line to its vanishing point
-_PAIRS = 400  # of segments, whose lines meet in a point
-_POINTS = 8  # of these, in which most lines meet
-_COMMON = 0.6  # share of the lines of one that another may have too
+_SIDE = 800  # longer side for the detection of segments, pixels
+_MIN_LENGTH = 15.0  # of a segment, pixels
+_MOST, _LEAST = 160, 8  # segments: the longest are used; fewer give no evidence
+_WIDTH = 1.5  # largest distance of a segment's end from a line to its vanishing point, pixels
+_PAIRS = 400  # pairs of segments; the lines of each meet in a candidate point
+_POINTS = 8  # number of candidates kept
+_COMMON = 0.6  # largest share of the lines of a candidate that a better one has too
 _ANGLES = np.radians(np.arange(0.0, 90.0, 2.0))  # of the second direction around the first
 
 
 def log_likelihoods(image: Image) -> np.ndarray:
-    """The logarithm of the likelihood of each of `LOG_FOCALS` (G,), for square pixels and a
-    principal point in the middle; 0 everywhere if the image has few segments, and if its pixels are
-    not square."""
+    """The log-likelihood of each of `LOG_FOCALS` (G,), with the principal point in the middle. 0
+    everywhere if the image has few segments or its pixels are not square."""
     if image.pixel_aspect != 1:
         return np.zeros(len(LOG_FOCALS))
     return calibrated(*focal_scores(image))
@@ -41,15 +39,15 @@ def log_likelihoods(image: Image) -> np.ndarray:
 def calibrated(
     scores: np.ndarray, count: int, sharpness: float = SHARPNESS, chance: float = CHANCE
 ) -> np.ndarray:
-    """The logarithms of the likelihoods (G,) of scores (G,) by a number of segments."""
+    """The log-likelihoods (G,) from scores (G,) and the number of segments."""
     likelihood = np.exp(sharpness * np.sqrt(count) * (scores - scores.max()))
     mixed: np.ndarray = np.log((1 - chance) * likelihood / likelihood.mean() + chance)
     return mixed
 
 
 def focal_scores(image: Image) -> tuple[np.ndarray, int]:
-    """The share of the segments' length that agrees with three perpendicular directions, for each
-    of `LOG_FOCALS` (G,), and the number of segments. Masked pixels have none."""
+    """For each of `LOG_FOCALS`, the share of the segments' length that fits three perpendicular
+    directions (G,); and the number of segments. Masked pixels have no segments."""
     ends, scores = _segments(image), np.zeros(len(LOG_FOCALS))
     if len(ends) < _LEAST:
         return scores, 0
@@ -78,7 +76,7 @@ def focal_scores(image: Image) -> tuple[np.ndarray, int]:
 
 
 def _segments(image: Image) -> np.ndarray:
-    """The ends (N, 2, 2) of the longest segments, pixels of the shrunk image, from its middle."""
+    """The ends (N, 2, 2) of the longest segments, in pixels of the shrunk image from its middle."""
     scale = min(1.0, _SIDE / max(image.size))
     grey = resize_by(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY), scale)
     found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD).detect(grey)[0]
@@ -92,11 +90,11 @@ def _segments(image: Image) -> np.ndarray:
 
 
 def _agreement(points: np.ndarray, normals: np.ndarray, squares: np.ndarray) -> np.ndarray:
-    """How well segments point to each of (P, 3) homogeneous pixels, (P, N): 1 - d^2, at least 0, d
-    the distance of an end from the line through the middle and the point, over `_WIDTH`.
+    """How well each segment points to each of (P, 3) homogeneous pixels: max(1 - d^2, 0) (P, N). d
+    is the distance of its end from the line through its middle and the point, over `_WIDTH`.
 
-    normals (N, 3): of the line, of the length of half the segment. squares (N, 5): of which the
-    squared distance between the middle and the point is a sum.
+    normals: of the segments' lines (N, 3), scaled to half the length of the segment. squares:
+    coefficients (N, 5) of the squared distance between the middle and the point.
     """
     points = (points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32)
     x, y, z = points.T
@@ -111,8 +109,8 @@ def _agreement(points: np.ndarray, normals: np.ndarray, squares: np.ndarray) -> 
 def _meeting_points(
     normals: np.ndarray, lines: tuple[np.ndarray, np.ndarray], share: np.ndarray
 ) -> np.ndarray:
-    """Points (P, 3), homogeneous pixels, in which the lines of most segments meet: each has others
-    than those before."""
+    """Points (P, 3), homogeneous pixels, where the lines of most segments meet. Each shares at most
+    `_COMMON` of its lines with any point before it."""
     by_length = share.astype(float) / share.sum(dtype=float)
     first, second = np.random.default_rng(0).choice(len(share), (2, _PAIRS), p=by_length)
     points = np.cross(normals[first], normals[second])

@@ -1,9 +1,9 @@
-"""Lists of pairs of images: SuperGlue's lines, two names a line, and CSV.
+"""Lists of pairs of images: SuperGlue's format, two names a line, and CSV.
 
-A full line of SuperGlue's has 38 fields: `name1 name2 rot1 rot2 K1[9] K2[9] T[16]`, the matrices
-row by row, T = cam2_from_cam1; a shorter line ends after the names, the rotations or the K. rot1
-and rot2 count quarter turns to be applied to the images before they are matched; lists with such
-rotations are refused, since K and T are of the images as stored.
+A full line in SuperGlue's format has 38 fields: `name1 name2 rot1 rot2 K1[9] K2[9] T[16]`, the
+matrices row by row, T = cam2_from_cam1. A shorter line ends after the names, the rotations or the
+K. rot1 and rot2 count quarter turns to apply to the images before matching. Lists with such
+rotations raise InputError, since K and T refer to the images as stored.
 """
 
 import csv
@@ -28,7 +28,7 @@ Names = tuple[str, str]
 
 _DATA = Path(str(files("dgc_pose"))) / "data"
 _SHORTER = (2, 4, 22)  # fields of a line that ends after the names, the rotations or the K
-_COLUMN = re.compile(r"[^\d./\\]+[01][^\d./\\]*")  # has no file's ending
+_COLUMN = re.compile(r"[^\d./\\]+[01][^\d./\\]*")  # no dot or slash: not a path
 
 
 @dataclass(frozen=True)
@@ -57,17 +57,16 @@ class PairList:
     """The images, pairs and cameras of a list or a COLMAP database."""
 
     names: tuple[str, ...]  # as written
-    pairs: tuple[Names, ...]  # each once; none in a database without matches
-    cameras: Mapping[str, Camera]  # by image name; absent if unknown or without a calibration
+    pairs: tuple[Names, ...]  # each once; empty for a database without matches
+    cameras: Mapping[str, Camera]  # by image name; only calibrated cameras
 
 
 def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
-    """Read a list of SuperGlue's full lines, as text or packed as .gz, whose image names are
-    relative to `root`, by default the list's own folder.
+    """Read a list of full lines in SuperGlue's format, as text or .gz.
 
-    Blank lines and those that begin with # are passed over. Raises InputError, with the path and
-    the line number, for any other line, and for a list without a pair; OSError if the file cannot
-    be read.
+    root: the folder that the image names are relative to, by default the folder of the list. Skips
+    blank lines and lines that begin with #. Raises InputError, with the path and the line number,
+    for any other line, and for a list without a pair; OSError if the file cannot be read.
     """
     path = Path(path)
     folder = path.parent if root is None else Path(root)
@@ -86,11 +85,11 @@ def read_pairs(path: str | Path, root: str | Path | None = None) -> list[Pair]:
 
 
 def read_pair_list(path: Path) -> PairList:
-    """Read a list of pairs without poses: SuperGlue's lines, full or shorter, whose K are read if
-    they are there; or a .csv whose first two columns are the names, with or without a heading.
+    """Read a list of pairs, without poses: full or shorter lines in SuperGlue's format, including
+    their K; or a .csv whose first two columns are the names, with or without a heading.
 
-    A pair that is listed again, in either order, counts once. Raises as `read_pairs` does, and
-    InputError for an image paired with itself.
+    A pair listed twice, in either order, counts once. Raises as `read_pairs` does, and InputError
+    for an image paired with itself and for two K of one image.
     """
     is_table = path.suffix.lower() == ".csv"
     pairs: dict[frozenset[str], Names] = {}
@@ -121,20 +120,18 @@ def read_pair_list(path: Path) -> PairList:
 
 
 def rendered_pair() -> Pair:
-    """The rendered pair that comes with the package, with its exact pose."""
+    """The rendered pair in the package, with its exact pose."""
     return read_pairs(_DATA / "rendered" / "pair.txt")[0]
 
 
 def bundled_photographs() -> tuple[Path, Path]:
-    """The two photographs by a phone that come with the package, K not known."""
+    """The two phone photographs in the package, with unknown K."""
     return _DATA / "photographs" / "image1.jpg", _DATA / "photographs" / "image2.jpg"
 
 
 def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:
-    """Write pairs in SuperGlue's format, their names as they are.
-
-    Raises InputError for a name with a blank in it, which the format cannot hold.
-    """
+    """Write pairs in SuperGlue's format. Raises InputError for an empty name or one with blanks,
+    which the format cannot hold."""
     lines = []
     for pair in pairs:
         for name in (pair.name1, pair.name2):
@@ -148,7 +145,7 @@ def write_pairs(path: str | Path, pairs: Iterable[Pair]) -> None:
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
-    """The lines that are neither blank nor comments, each with its path and number."""
+    """The lines that are neither blank nor comments, each with its place "path:number"."""
     if path.suffix == ".gz":
         with read_as("a packed list of pairs", path), gzip.open(path) as stream:
             text = stream.read(TEXT_BYTES).decode("utf-8-sig")
@@ -160,14 +157,15 @@ def _lines(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _is_heading(first: str, second: str) -> bool:
-    """Whether two names differ in their only digit, 0 and 1 or 1 and 2, as image1_path does."""
+    """Whether two names are column headings such as image1_path and image2_path: they differ only
+    in a digit, 0 and 1 or 1 and 2."""
     alike = {first.replace("0", "1"), first.replace("1", "2")} - {first}
     return _COLUMN.fullmatch(first) is not None and second in alike
 
 
 @contextmanager
 def _naming_line(where: str) -> Iterator[None]:
-    """Around a line that is read: its errors begin with its place."""
+    """Prefix errors in the block with the place of the line."""
     try:
         yield
     except (InputError, ValueError, csv.Error) as error:
@@ -192,6 +190,6 @@ def _pose(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         length = np.linalg.norm(t)
     if not 0 < length < np.inf:
         raise InputError("T has no translation, so its direction cannot be scored")
-    # The nearest rotation: rounding e in a list could show as an angle of sqrt(e) otherwise.
+    # The nearest rotation: otherwise rounding e in a list could become an angle error of sqrt(e).
     U, _, Vt = np.linalg.svd(R)
     return U @ Vt, t

@@ -1,7 +1,7 @@
-"""The camera of an image without a K: a focal length with its deviation, by EXIF data or the size,
-and by the image's lines.
+"""The camera of an image without a K: a focal length and its deviation, from EXIF data or the image
+size, and from the lines of the image.
 
-The principal point is the middle of the image, and the lens is not known.
+The principal point is the middle of the image, and the lens is unknown.
 """
 
 from __future__ import annotations
@@ -29,64 +29,63 @@ if TYPE_CHECKING:
     from dgc_pose.images.image import Image
 
 Sharing = Literal["files", "shared", "two"]
-SHARED = "shared"  # the identity of a camera that took all images, as stated
-# Geometric middle of the focal lengths of photographs, over the longer side, and the deviation of
-# their logarithm; the share, middle and deviation of those that are zoomed in or of long lenses.
+SHARED = "shared"  # the identity of a camera that is stated to have taken all images
+# Geometric mean of the focal lengths of photographs over the longer side, and the standard
+# deviation of their logarithm; then the share, mean and deviation of zoomed-in or long lenses.
 SIZE_FOCAL, SIZE_STD = 0.9, 0.35
 _LONG_SHARE, _LONG_FOCAL, _LONG_STD = 0.15, 2.0, 0.7
-OTHER_STD = 0.55  # of all together, around `SIZE_FOCAL`
-_OTHER_SHARE = 0.03  # of files whose EXIF data are of another crop or lens
-_BY_LINES = 0.8  # of the deviation before, below which the lines determine the focal length
-# Deviations of the first radial coefficient of a lens: of photographs as cameras wrote them, of
-# action cameras, and of pictures without EXIF data, which have mostly been corrected.
+OTHER_STD = 0.55  # of all photographs together, around `SIZE_FOCAL`
+_OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
+_BY_LINES = 0.8  # the lines determine f if they reduce its deviation below this share
+# Standard deviations of the first radial coefficient: photographs as cameras wrote them, action
+# cameras, and images without EXIF data, most of which have been corrected.
 LENS_STD, _ACTION_LENS_STD, _SIZE_LENS_STD = 0.1, 0.3, 0.05
 _ACTION = re.compile(r"gopro|hero\d|action|insta360", re.IGNORECASE)  # make and model
 CENTRE_STD = 0.005  # of the principal point from the middle, over the longer side
 
-_FILM_DIAGONAL_MM = 43.27  # of 36 mm x 24 mm
+_FILM_DIAGONAL_MM = 43.27  # 36 mm x 24 mm
 _BLANK_WIDTH = 1000  # of the image that COLMAP reads, pixels
 
-# Deviations of the logarithm of the focal length in pixels. That on 35 mm film: EXIF leaves open
-# which side of the images it holds for; cameras' makers agreed on the diagonal (CIPA DCG-001), and
-# by the width it would be 4 % less at 4:3. Pixels that the correction of distortion and shake
-# leaves out are a few per cent too. A telephone of 2011 has 5 to 14 % less, a Kodak 1 to 4 % more.
+# Standard deviations of ln(f in pixels). EXIF does not define which side of the image the focal
+# length on 35 mm film refers to. Makers agreed on the diagonal (CIPA DCG-001); by the width, f
+# would be 4 % less at 4:3. The correction of distortion and shake crops a few per cent too. A phone
+# of 2011 has 5 to 14 % less, a Kodak 1 to 4 % more.
 _FILM_FOCAL_STD = 0.08
-_ROUNDING_STD_MM = 0.29  # deviation of a number that is rounded to an integer
+_ROUNDING_STD_MM = 0.29  # of a number rounded to an integer
 # The lens and the resolution of the sensor are nominal; the focus changes the focal length.
 _SENSOR_RESOLUTION_STD = 0.06
-# As before; and the table's width may be of another part of the sensor than the image's.
+# As above; and the table may have the width of another part of the sensor.
 _SENSOR_TABLE_STD = 0.08
-# More for a digital zoom, which some telephones write of one of two steps, and for an image that
-# was cut out of another.
+# Added for a digital zoom, which some phones write for only one of two steps, and for a crop.
 _ZOOM_STD, _CUT_STD = 0.1, 0.05
 
 _PLAUSIBLE_FOCALS = (0.2, 20.0)  # over the longer side: fields of view of 136 to 3 degrees
 _SENSOR_RANGE_MM = (1.5, 80.0)  # widths and diagonals
-_MAX_WIDTH_DIFFERENCE = 0.1  # of the logarithms of two widths of one sensor
-# Sensors are 5:4 to 3:2; images of another shape are mostly parts of one of 4:3.
+_MAX_WIDTH_DIFFERENCE = 0.1  # between the logarithms of two widths of one sensor
+# Sensors are 5:4 to 3:2; most images of another shape are crops of a 4:3 image.
 _SENSOR_ASPECT_RANGE, _USUAL_ASPECT = (1.24, 1.52), 4 / 3
 
 
 class _Whole(NamedTuple):
-    """The image that the camera wrote, of which there may be a part, at the part's scale."""
+    """Size of the image that the camera wrote, at the scale of the image, which may be a crop."""
 
     width: float
     height: float
-    scale: float = 1.0  # to this from the pixels that the camera wrote
+    scale: float = 1.0  # pixels of the image per pixel that the camera wrote
     std: float = 0.0  # of the logarithm of the scale
 
 
 def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
-    """The camera of an image without a K: its focal length by its EXIF data, else by its size.
+    """The camera of an image without a K: the focal length from EXIF data, else from the size.
 
-    EXIF's focal length on 35 mm film comes first; then that of the lens, with the resolution on the
-    sensor or the sensor's width in COLMAP's table. Where they contradict each other, or give the
-    field of view of no photograph, the size is taken, with a warning. fx is fy / `pixel_aspect`.
+    The focal length on 35 mm film comes first; then the focal length of the lens, with the
+    resolution on the sensor or with the sensor's width in COLMAP's table. If the two contradict
+    each other or give an impossible field of view, the size decides, with a warning. fx is fy /
+    `pixel_aspect`.
 
-    sharing: of "files" the `identity` is equal for images that one camera may have taken: of the
-    same size and pixels, in either orientation, whose EXIF data name the same camera, lens, focal
-    length and zoom, or none. Of two images of which one has lost its EXIF data it is not known that
-    one camera took both. "shared": one for all; "two": None.
+    sharing: determines the `identity`. "files": equal for images that one camera may have taken:
+    same size in either orientation, same pixel aspect, and same camera, lens, focal length and zoom
+    in EXIF data, or no EXIF data. "shared": equal for all images. "two": None.
     """
     width, height = image.size
     exif = image.exif
@@ -94,7 +93,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     identity, aspect = f"auto {max(image.size)} x {min(image.size)}", image.pixel_aspect
     identity += "" if aspect == 1 else f", pixels of {aspect ** (1 if width >= height else -1):.4g}"
     square = (width * aspect, float(height))  # the size with square pixels
-    mean = (1 + 1 / aspect) / 2  # of the focal lengths along x and y, over the latter
+    mean = (1 + 1 / aspect) / 2  # of the focal lengths along x and y, over fy
     if any(names):
         identity += "".join(f", {name or '-'}" for name in (*names, exif.digital_zoom))
     source: FocalSource = "size"
@@ -103,7 +102,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     tail = Part(math.log(_LONG_SHARE), math.log(_LONG_FOCAL), _LONG_STD)
     if by_exif := _exif_focal(exif, square):
         source, (focal, std, margin) = "exif", by_exif
-        identity += f", {mean * focal:.1f} px"  # parts of several sizes differ in nothing else
+        identity += f", {mean * focal:.1f} px"  # separates crops of different scale
         usual = Part(math.log(1 - _OTHER_SHARE), math.log(focal / max(square)), std)
         tail = Part(math.log(_OTHER_SHARE), math.log(SIZE_FOCAL), OTHER_STD)
         if exif.size is not None and margin:
@@ -137,7 +136,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
 
 @one_blas_thread()
 def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
-    """Cameras by the lines of their images, see `by_lines`; a camera that is stated stays."""
+    """Update cameras with the lines of their images, see `by_lines`; a given K stays."""
     from dgc_pose.cameras.lines import log_likelihoods
 
     open_ = [image for c, image in zip(cameras, images, strict=True) if c.belief is not None]
@@ -146,12 +145,12 @@ def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camer
 
 
 def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> list[Camera]:
-    """Cameras with the lines of their images, those of one `identity` together: by the likelier
-    part of their belief.
+    """Update cameras with the lines of their images; images of one `identity` share their lines.
 
-    lines: (G,) of each image, see `log_likelihoods`; None where they are not known. A camera
-    without a belief stays. EXIF data that the lines contradict are of another camera: there is a
-    warning.
+    Each camera takes the likelier part of its belief; a camera without a belief stays. A camera
+    whose EXIF data contradict the lines gets a warning.
+
+    lines: log-likelihoods (G,) of each image, see `log_likelihoods`; None if unknown.
     """
     keys = [camera.identity or number for number, camera in enumerate(cameras)]
     together = defaultdict[object, list[np.ndarray]](list)
@@ -169,7 +168,7 @@ def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> l
 def _by_lines(
     camera: Camera, belief: FocalBelief, own: np.ndarray | None, lines: Sequence[np.ndarray]
 ) -> Camera:
-    """own, lines: (G,) of the camera's image, and of all images of the camera."""
+    """own: log-likelihoods (G,) of the camera's image; lines: of all images of the camera."""
     part, _ = belief.parts(lines)
     found, before = of_part(camera, part), belief.usual
     if own is not None:
@@ -187,7 +186,7 @@ def _by_lines(
 
 
 def of_part(camera: Camera, part: Part) -> Camera:
-    """The camera with the focal length of a part of its belief."""
+    """The camera with the focal length and deviation of `part`, a part of its belief."""
     assert camera.size is not None
     (width, height), (fx, fy) = camera.size, camera.K.diagonal()[:2].tolist()
     along_y = math.exp(part.log_focal) * max(width * fy / fx, height)
@@ -195,8 +194,9 @@ def of_part(camera: Camera, part: Part) -> Camera:
 
 
 def _exif_focal(exif: Exif, size: tuple[float, float]) -> tuple[float, float, float] | None:
-    """The focal length of an image of `size` (width, height), pixels; the standard deviation of its
-    logarithm; and how many pixels the image that the camera wrote is larger. None without one."""
+    """The EXIF focal length of an image of `size` (width, height), pixels; the standard deviation
+    of its logarithm; and by how many pixels the image that the camera wrote is larger. None if EXIF
+    has no plausible focal length."""
     if (whole := _whole(exif, size)) is None:
         return None
     for focal, std in _exif_focals(exif, whole):
@@ -211,8 +211,8 @@ def auto_cameras(
 ) -> tuple[Camera, Camera]:
     """`auto_camera` of two images.
 
-    sharing: whether one camera took both: "files" decides by the `identity` of both. Of a "shared"
-    camera the EXIF data of one image are those of the other, if that has none and is as large.
+    sharing: whether one camera took both; "files": if the `identity` is equal. With "shared", an
+    image without a focal length in EXIF takes that of the other image if their sizes are equal.
     """
     camera1, camera2 = auto_camera(image1, sharing), auto_camera(image2, sharing)
     if sharing == "two":
@@ -233,10 +233,10 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
 
 
 def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
-    """None if the image is neither the one that the camera wrote, at any scale, nor a part of it.
+    """The image that the camera wrote, from its size in EXIF data; None if the image is neither a
+    scaled copy nor a crop of it.
 
-    A part is as large as it was, or as large as shows the most of the other image: the scale is the
-    middle of both.
+    The scale of a crop lies between 1 and the smallest possible scale: the geometric mean is used.
     """
     if exif.size is None:
         return _Whole(*size)
@@ -254,21 +254,21 @@ def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:
 
 
 def _exif_focals(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
-    """The focal lengths and their deviations: by that on film; by that of the lens with the
-    sensor's resolution, and with its width in COLMAP's table. Editors leave the resolution of an
-    image that they made smaller: the table overrules it."""
+    """Yield (focal length, deviation): from the focal length on film; from that of the lens with
+    the sensor's resolution, then with its width in COLMAP's table. A resolution that the table
+    contradicts is skipped: editors that shrink an image keep the old resolution."""
     film, lens, zoom = exif.focal_35mm, exif.focal_mm, exif.digital_zoom
     zoom_std = _ZOOM_STD if zoom > 1 else 0.0
     longer, shorter = max(whole.width, whole.height), min(whole.width, whole.height)
     sensor = 0.0 if lens is None or film is None else _FILM_DIAGONAL_MM * lens / film
     if film is not None and (lens is None or _is_sensor(sensor) or _is_sensor(sensor * zoom)):
-        # An image of no sensor's shape: between its diagonal and that of the sensor's image.
+        # No sensor has this shape: take the mean of this diagonal and that of a 4:3 image
         diagonal, shape_std = math.hypot(longer, shorter), 0.0
         if not _SENSOR_ASPECT_RANGE[0] <= longer / shorter <= _SENSOR_ASPECT_RANGE[1]:
             whole_diagonal = max(longer, _USUAL_ASPECT * shorter) * math.hypot(1, 1 / _USUAL_ASPECT)
             shape_std = math.log(whole_diagonal / diagonal) / 2
             diagonal = math.sqrt(diagonal * whole_diagonal)
-        # EXIF leaves open whether the focal length on film has the zoom in it: some makers' does.
+        # Some makers include the zoom in the focal length on film; EXIF does not define it.
         std = math.hypot(
             *(_FILM_FOCAL_STD, _ROUNDING_STD_MM / film, shape_std, zoom_std, math.log(zoom) / 2)
         )
@@ -287,13 +287,12 @@ def _exif_focals(exif: Exif, whole: _Whole) -> Iterator[tuple[float, float]]:
 
 @lru_cache(maxsize=256)
 def _sensor_width_mm(make: str, model: str) -> float | None:
-    """The longer side of a camera's sensor, millimetres, in COLMAP's table; None if it has no such
-    camera."""
+    """The longer side of a camera's sensor, mm, from COLMAP's table; None if it is not there."""
     if not (make and model):
         return None
     from dgc_pose.system.colmap_library import pycolmap
 
-    # The table itself is out of reach: COLMAP gives the focal length of an image file in pixels.
+    # COLMAP's table is not accessible: have COLMAP compute the focal length of an image file.
     exif = PIL.Image.Exif()
     exif[Base.Make], exif[Base.Model] = make, model
     exif.get_ifd(IFD.Exif)[Base.FocalLength] = IFDRational(1, 1)

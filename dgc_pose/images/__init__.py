@@ -1,1 +1,1 @@
-"""Photographs: reading, headers, folders."""
+"""Photographs: reading, headers and folders."""

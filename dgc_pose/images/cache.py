@@ -1,4 +1,4 @@
-"""Images by name and what is computed of images, kept for the pairs that they belong to."""
+"""A cache of images and of the values computed from them, for pairs that share images."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from dgc_pose.geometry.pixels import Size
 from dgc_pose.images.image import Image, load_image, mask_file, masked, resize, resized_mask
 from dgc_pose.system.parallel import in_threads
 
-_LAST = 3  # images: of a pair, and the mirror image of one
-Wanted = tuple[Image, Hashable, Callable[[], Any]]  # an image, a key, and what makes the value
+_LAST = 3  # images: those of a pair, and the mirror image of one
+Wanted = tuple[Image, Hashable, Callable[[], Any]]  # an image, a key, and a function for the value
 
 
 class ImageCache:
-    """Images that were read, and values with `nbytes` that are computed of images, by their keys.
+    """Images that were read, and values with `nbytes` computed from them, by key.
 
-    limit_bytes: the images used least recently are dropped, with all that is computed of them, if
-    all take more; the latest is always kept. None to keep the last three images. beside_bytes: what
-    an image's values take at the least, which is so free before they are computed.
+    limit_bytes: above this total, the cache drops the least recently used images with their values,
+    but never the latest image. None keeps the last three images. beside_bytes: least size counted
+    for the values of an image, which reserves memory before they are computed.
     """
 
     def __init__(self, limit_bytes: int | None = 3 * 2**28, *, beside_bytes: int = 0) -> None:
@@ -35,8 +35,8 @@ class ImageCache:
     def read(
         self, root: Path, name: str, masks: str | Path | None = None, size: Size | None = None
     ) -> Image:
-        """The image `name` of a folder, with its mask in the folder `masks` (see `mask_file`), at a
-        size (width, height). Raises ImageError and InputError as `load_image` and `masked` do."""
+        """Read the image `name` of the folder `root`, with its mask in the folder `masks` (see
+        `mask_file`), resized to `size` (width, height). Raises as `load_image` and `masked` do."""
         key = root, name, masks, size
         image = self._read.get(key)
         if image is None:
@@ -50,12 +50,12 @@ class ImageCache:
         return image
 
     def get(self, image: Image, key: Hashable, make: Callable[[], Any]) -> Any:
-        """A value of an image; computed by `make` if it is not kept."""
+        """The value of an image for a key; `make` computes it if it is not cached."""
         values = self._values(image)
         if key in values:
             return values[key]
         value = make()
-        values = self._values(image)  # other values that were made meanwhile may have dropped it
+        values = self._values(image)  # `make` may have caused the image to be dropped
         before = self._bytes(image)
         values[key] = value
         self._held += self._bytes(image) - before
@@ -64,7 +64,8 @@ class ImageCache:
         return value
 
     def get_all(self, wanted: Sequence[Wanted], *, in_turn: bool) -> list[Any]:
-        """As `get` of each. Those that are not kept are made in threads, or else in turn."""
+        """`get` for each of `wanted`. Missing values are computed in threads, or one after another
+        if `in_turn`."""
         makes = {
             (image, key): make
             for image, key, make in wanted
@@ -75,14 +76,14 @@ class ImageCache:
         return [self.get(image, key, makes.get((image, key), make)) for image, key, make in wanted]
 
     def forget(self, image: Image) -> None:
-        """Drop an image, and all that is computed of it."""
+        """Drop an image and its values."""
         if image in self._kept:
             self._held -= self._bytes(image)
             del self._kept[image]
         self._read = {key: read for key, read in self._read.items() if read is not image}
 
     def _values(self, image: Image) -> dict[Hashable, Any]:
-        """The values of an image, which is the latest now."""
+        """Mark an image as the latest, drop old ones above the limit, and return its values."""
         if image not in self._kept:
             self._kept[image] = {}
             self._held += self._bytes(image)
@@ -92,7 +93,7 @@ class ImageCache:
         return self._kept[image]
 
     def _bytes(self, image: Image) -> int:
-        """What an image takes that is kept, with its values."""
+        """Bytes of a cached image with its values."""
         beside = sum(value.nbytes for value in self._kept[image].values())
         return int(image.pixels.nbytes) + max(beside, self.beside_bytes)
 

@@ -1,8 +1,8 @@
-"""An image file: its header, without decoding a pixel, and its pixels as stored.
+"""An image file: its header, read without decoding pixels, and its pixels as stored.
 
-A file has the format of its first bytes, whatever its name. Pillow reads the headers, OpenCV the
-pixels; pillow-heif, where it is installed, reads HEIC. A decoder takes memory for what a header
-claims, so an image is decoded only after its size is known.
+The first bytes of a file determine its format; the name does not matter. Pillow reads the headers,
+OpenCV the pixels, and pillow-heif, if installed, HEIC. A decoder allocates the memory that a header
+claims, so an image is decoded only after its size has been checked.
 """
 
 import io
@@ -24,14 +24,14 @@ from dgc_pose.errors import ImageError, InputError, is_installed, reason
 from dgc_pose.geometry.pixels import EXCHANGING, Size
 from dgc_pose.system.files import open_file, read_as, read_bytes
 
-# Width times height; more is refused before decoding. Telephones take 16,384 x 12,288.
+# Width times height; larger images are rejected before decoding. Phones take 16,384 x 12,288.
 MAX_PIXELS = 210_000_000
 _TOO_LARGE = f"is too large: at most {MAX_PIXELS} pixels are read"
-PIL.Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2  # Pillow refuses images of more than twice that
+PIL.Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2  # Pillow rejects images above twice this
 _MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
-_END_BYTES = 2**17  # of a file's beginning and end, searched for XMP, and a PNG's for EXIF data
+_END_BYTES = 2**17  # at both ends of a file, searched for XMP, and in a PNG for EXIF data
 _RAW = "RAW"
-# The formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
+# Formats by their first bytes, stricter than Pillow's tests; the names are Pillow's.
 _FORMATS = {
     name: re.compile(start, re.DOTALL)
     for name, start in {
@@ -49,60 +49,60 @@ _FORMATS = {
     }.items()
 }
 _RAW_FILE = "a camera's raw file, or begins with a thumbnail, and neither is read"
-_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of resolutions; 2 where a file has none
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of EXIF resolutions; 2 if a file has none
 _MAX_ZOOM = 200.0
-_MAX_RESOLUTION_DIFFERENCE = 0.02  # of square pixels, along x and y, as a share
+_MAX_RESOLUTION_DIFFERENCE = 0.02  # relative, between x and y, for square pixels
 _MAX_TEXT = 80  # characters of a name
-_PIXEL_ASPECTS = (0.25, 4.0)  # plausible ones
-# Of Google's XMP of panoramas, as an attribute or an element.
+_PIXEL_ASPECTS = (0.25, 4.0)  # plausible range
+# In Google's XMP of panoramas, an attribute or an element.
 _PROJECTION = re.compile(rb"GPano:ProjectionType[\s=\"'>]+((?i:equirectangular|cylindrical))")
 
 
 class UnreadableFormatError(ValueError):
-    """A file's format is not known, or is not read. The message names what the file is."""
+    """A file has an unknown or unsupported format. The message states what the file is."""
 
 
 @dataclass(frozen=True)
 class Exif:
-    """A camera by EXIF data. Numbers are positive and finite, None where there is none."""
+    """A camera's EXIF data. Numbers are positive and finite; None if missing."""
 
     make: str = ""
     model: str = ""
     lens: str = ""
     focal_mm: float | None = None  # of the lens
-    # Of a lens with the same field of view on 35 mm film, whose frame is 36 mm x 24 mm
+    # Of a lens with the same field of view on 35 mm film (36 mm x 24 mm)
     focal_35mm: float | None = None
     digital_zoom: float = 1.0  # at least 1
     size: tuple[int, int] | None = None  # (width, height) of the image that the camera wrote
     pixels_per_mm: float | None = None  # of that image, on the sensor
     position: tuple[float, float, float] | None = None  # latitude, longitude, degrees; altitude, m
-    orientation: int = 1  # 1 to 8, of the pixels as stored, which a loaded image has had applied
+    orientation: int = 1  # 1 to 8, of the pixels as stored; already applied to a loaded image
 
 
 @dataclass(frozen=True)
 class Header:
-    """What the header of an encoded image says of the upright image."""
+    """Facts about the upright image, from the header of its file."""
 
     format: str  # a key of `_FORMATS`
     size: Size  # (width, height)
     exif: Exif = Exif()
     pixel_aspect: float = 1.0  # width of a pixel over its height; 1 if not stated
-    projection: str = ""  # "equirectangular" or "cylindrical", of a panorama by XMP; else ""
+    projection: str = ""  # of a panorama, by XMP: "equirectangular" or "cylindrical"
 
 
 def image_size(path: str | Path) -> Size:
-    """(width, height) of a file's upright image by its header. Raises ImageError, with the path."""
+    """(width, height) of the upright image, from the header. Raises ImageError, with the path."""
     return image_header(Path(path)).size
 
 
 def image_header(path: Path) -> Header:
-    """The header of an image file. Raises ImageError, with the path."""
+    """Read the header of an image file. Raises ImageError, with the path."""
     with image_errors(path), open_file(path, ImageError) as stream:
         return _checked_header(stream, path)
 
 
 def read_pixels(path: str | Path) -> np.ndarray:
-    """A file's pixels as stored, BGR(A), also where they are no colours, such as depth. Raises
+    """Read a file's pixels as stored: BGR(A), or values that are not colours, such as depth. Raises
     ImageError, with the path."""
     with image_errors(Path(path)):
         return decoded(Path(path))[0]
@@ -110,7 +110,7 @@ def read_pixels(path: str | Path) -> np.ndarray:
 
 @contextmanager
 def image_errors(path: Path) -> Iterator[None]:
-    """Around the reading of an image: what goes wrong with the file is an ImageError."""
+    """Convert errors in the block, which reads an image, to ImageError."""
     try:
         yield
     except OSError as error:
@@ -122,7 +122,8 @@ def image_errors(path: Path) -> Iterator[None]:
 
 
 def decoded(path: Path) -> tuple[np.ndarray, Header]:
-    """Pixels as stored, in the order BGR(A); of HEIC 8-bit colours. For `image_errors`."""
+    """Pixels as stored, in the order BGR(A), and the header. HEIC gives 8-bit colours. Call it
+    within `image_errors`."""
     data = read_bytes(path, _MAX_BYTES, ImageError)
     header = _checked_header(io.BytesIO(data), path, verify=True)
     if header.format == "HEIF":
@@ -136,7 +137,7 @@ def decoded(path: Path) -> tuple[np.ndarray, Header]:
         # Not IMREAD_COLOR: it rotates the image by its EXIF tag and cuts 16 bits to the upper 8.
         array = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
-        if error.code == cv2.Error.STS_NO_MEM:  # no fault of the file, which a batch would skip
+        if error.code == cv2.Error.STS_NO_MEM:  # not an error of the file: a batch must not skip it
             raise MemoryError from None
         raise ImageError(path, f"cannot be decoded: {error.err}") from None
     if array is None:  # OpenCV gives no reason
@@ -153,19 +154,19 @@ def _checked_header(stream: BinaryIO, path: Path, *, verify: bool = False) -> He
         raise ImageError(path, _TOO_LARGE) from None
     except PIL.UnidentifiedImageError:
         raise ImageError(path, "is corrupt: Pillow does not read it") from None
-    except Exception as error:  # of any type, by the format's reader
+    except Exception as error:  # readers of formats raise any type
         raise ImageError(path, f"is corrupt: {reason(error)}") from error
     if math.prod(header.size) > MAX_PIXELS:
         width, height = header.size
         raise ImageError(path, f"{_TOO_LARGE}, not {width} x {height}")
-    if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates some, not others
+    if header.format == "TIFF" and header.exif.orientation != 1:  # OpenCV rotates only some
         turn = header.exif.orientation
         raise ImageError(path, f"is a TIFF with orientation tag {turn}: save it upright")
     return header
 
 
 def image_format(stream: BinaryIO) -> str:
-    """The format of an image file. Raises UnreadableFormatError if it is not read."""
+    """The format of an image file. Raises UnreadableFormatError if it is not supported."""
     start = stream.read(64)
     name = next((name for name, pattern in _FORMATS.items() if pattern.match(start)), None)
     if name is None:
@@ -178,10 +179,10 @@ def image_format(stream: BinaryIO) -> str:
 
 
 def _read_header(stream: BinaryIO, verify: bool) -> Header:
-    """The header, for which the ends of the file are read, and what Pillow reads.
+    """Read the header, from both ends of the file and by Pillow.
 
-    verify: whether the checksums of a PNG are checked, of all of the file. Raises
-    UnreadableFormatError if the format is not read, any other exception if the header is damaged.
+    verify: whether to check all checksums of a PNG. Raises UnreadableFormatError if the format is
+    not supported, any other exception if the header is damaged.
     """
     name = image_format(stream)
     stream.seek(0)
@@ -192,7 +193,7 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
     found, tags, info = _PROJECTION.search(ends), PIL.Image.Exif(), dict[Any, Any]()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about EXIF blocks and huge images
-        if name == "TIFF":  # Pillow refuses kinds that OpenCV decodes: floats in three colours
+        if name == "TIFF":  # Pillow rejects some that OpenCV decodes: floats in three colours
             tags.load_from_fp(stream)
             if Base.DNGVersion in tags or tags.get(Base.NewSubfileType, 0) & 1:
                 raise UnreadableFormatError(_RAW_FILE)
@@ -211,7 +212,7 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
                 image.verify()
         exif, aspect = _exif(tags)
     aspect = _density_aspect(info, aspect)
-    if name == "HEIF":  # its own rotation, which is part of decoding, is repeated in EXIF
+    if name == "HEIF":  # decoding applies its rotation, which EXIF repeats
         exif = replace(exif, orientation=1)
     if exif.orientation in EXCHANGING:
         size, aspect = size[::-1], 1 / aspect
@@ -219,8 +220,8 @@ def _read_header(stream: BinaryIO, verify: bool) -> Header:
 
 
 def _png_exif(ends: bytes, info: Mapping[Any, Any]) -> bytes:
-    """The EXIF block of a PNG, a chunk anywhere or a text of ImageMagick's; empty without one.
-    Pillow would decode the image for a chunk that is behind the pixels."""
+    """The EXIF block of a PNG, from a chunk or from ImageMagick's text; empty without one. Pillow
+    would decode the image to find a chunk after the pixels."""
     at = max(ends.find(b"eXIf" + order) for order in (b"II*\0", b"MM\0*"))
     if at > 0:
         return ends[at + 4 :]
@@ -229,8 +230,8 @@ def _png_exif(ends: bytes, info: Mapping[Any, Any]) -> bytes:
 
 
 def _density_aspect(info: Mapping[Any, Any], by_exif: float) -> float:
-    """The aspect of a pixel by JFIF or a chunk pHYs of PNG, else by EXIF data. Without a unit the
-    numbers are its width to its height, as ffmpeg writes them in both; else pixels a length."""
+    """The aspect of a pixel from JFIF or PNG's pHYs chunk, else `by_exif`. Without a unit, the two
+    numbers are the pixel's width and height, as ffmpeg writes them; else pixels per length."""
     pair = info.get("aspect", info.get("jfif_density", info.get("dpi")))
     if not isinstance(pair, tuple):  # none, or a text of that name
         return by_exif
@@ -239,15 +240,15 @@ def _density_aspect(info: Mapping[Any, Any], by_exif: float) -> float:
 
 
 def _aspect(width: Any, height: Any) -> float:
-    """The aspect of a pixel by two numbers; 1 for what is none of a pixel."""
+    """The aspect of a pixel from its width and height; 1 if it is not plausible."""
     width, height = _number(width), _number(height)
     aspect = width / height if width and height else 1.0
     return aspect if _PIXEL_ASPECTS[0] <= aspect <= _PIXEL_ASPECTS[1] else 1.0
 
 
 def _exif(tags: PIL.Image.Exif) -> tuple[Exif, float]:
-    """The camera, and the aspect of a pixel as stored, of an EXIF block or a TIFF; of a damaged one
-    as of an empty one."""
+    """The camera and the aspect of a stored pixel, from an EXIF block or a TIFF. A damaged block
+    counts as empty."""
     with suppress(Exception):  # a damaged block raises almost anything
         more = tags.get_ifd(IFD.Exif) | tags.get_ifd(IFD.GPSInfo)
         aspect = _aspect(tags.get(Base.YResolution), tags.get(Base.XResolution))
@@ -286,7 +287,7 @@ def _position(tags: Mapping[int, Any]) -> tuple[float, float, float] | None:
 
 
 def _number(value: Any) -> float | None:
-    """A positive number; 0 stands for one that is not known."""
+    """Convert to a positive, finite number, else None; in EXIF, 0 means unknown."""
     if isinstance(value, (str, bytes, tuple)):
         return None
     try:
@@ -297,14 +298,14 @@ def _number(value: Any) -> float | None:
 
 
 def _text(value: Any) -> str:
-    """A name in one line, without what some cameras fill it up with."""
+    """Convert to one line, without the padding that some cameras write."""
     if not isinstance(value, str):
         return ""
     return " ".join("".join(c if c.isprintable() else " " for c in value).split())[:_MAX_TEXT]
 
 
 def _pixels_per_mm(tags: Mapping[int, Any]) -> float | None:
-    """None for pixels that are not square, as of sensors that were interpolated along one axis."""
+    """Resolution on the sensor; None if x and y differ, as for sensors interpolated on one axis."""
     x, y = (_number(tags.get(t)) for t in (Base.FocalPlaneXResolution, Base.FocalPlaneYResolution))
     if x is None or (y is not None and abs(x - y) > _MAX_RESOLUTION_DIFFERENCE * x):
         return None

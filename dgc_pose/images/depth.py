@@ -14,18 +14,18 @@ from dgc_pose.images.image import SAME_SHAPE, turned
 from dgc_pose.system.arrays import read_array, read_arrays
 
 _WINDOW = 3, 3  # pixels of a depth map
-_STRADDLES = 0.05  # depths there that differ by a larger share lie on several surfaces
+_STRADDLES = 0.05  # a window whose depths differ by a larger share covers several surfaces
 
 
 def read_depth(
     source: str | Path | np.ndarray | None, name: str, size: Size, orientation: int
 ) -> np.ndarray | None:
-    """1 / depth (H, W), 1 / metres, at the pixels of a photograph of `size`, NaN where not known.
+    """1 / depth (H, W), 1 / metres, at the pixels of a photograph of `size`; NaN where unknown.
 
-    source: the depth map, of any size, or its .npy, .npz of one array, PNG or TIFF; None of None.
-    Integers are millimetres, floats metres; edges, and what is not finite and above 0, are not
-    known. orientation: by EXIF, of the map, which the photograph has had applied. Raises InputError
-    with `name`; for a damaged file InputError or ImageError, with the path.
+    source: a depth map of any size, or its .npy, .npz with one array, PNG or TIFF; None returns
+    None. Integers are millimetres, floats metres. Edges and values that are not finite and above 0
+    are unknown. orientation: EXIF orientation of the map; the photograph is already upright. Raises
+    InputError with `name`; for a damaged file InputError or ImageError, with the path.
     """
     if source is None:
         return None
@@ -43,9 +43,9 @@ def read_depth(
     inverse = np.divide(1, depth, out=np.zeros(depth.shape, np.float32), where=known)
     least = cv2.erode(np.where(known, inverse, np.float32(np.inf)), np.ones(_WINDOW))
     is_surface = cv2.dilate(inverse, np.ones(_WINDOW)) / (1 + _STRADDLES) <= least
-    with np.errstate(invalid="ignore"):  # where nothing is known
+    with np.errstate(invalid="ignore"):  # windows without a known depth
         mean = cv2.blur(inverse, _WINDOW) / cv2.blur(known.astype(np.float32), _WINDOW)
-    # Linear in the inverse depth, which is exact on planes; by the half-pixel rule.
+    # Inverse depth is linear in the pixels on a plane; by the half-pixel rule.
     return cv2.resize(np.where(is_surface, mean, np.float32(np.nan)), size)
 
 

@@ -1,4 +1,4 @@
-"""The images below a folder by their content, what is left out, and the frames of a video."""
+"""The images below a folder, by content; the skipped files; and the frames of a video."""
 
 import os
 from collections import defaultdict
@@ -15,29 +15,29 @@ from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.decoding import UnreadableFormatError, image_format
 from dgc_pose.system.files import open_file, replaced_folder
 
-_PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices make
+_PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices create
 _VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 
 
 @dataclass(frozen=True)
 class FolderImages:
-    """The images of a folder, and the files that are left out."""
+    """The images of a folder, and the skipped files."""
 
     names: tuple[str, ...]  # of the images, relative to the folder, sorted
-    left_out: tuple[str, ...]  # a line for each reason: how many, the first of them, and the reason
+    left_out: tuple[str, ...]  # skipped files, one line for each reason, see `left_out_line`
 
 
 def search_images(folder: str | Path) -> FolderImages:
-    """The images below a folder, whatever their names end in.
+    """Find the images below a folder, by content and not by name.
 
-    Links are followed, hidden names are passed over, and no folder is searched twice. Raises
-    OSError, with the path, if the folder cannot be read.
+    Follows links, skips hidden names, and searches no folder twice. Raises OSError, with the path,
+    if the folder cannot be read.
     """
     root = Path(folder)
     names: list[str] = []
     left_out = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
     searched: set[str] = set()
-    # Links to folders come last, so that a file has the name of the folder that it lies in.
+    # Links to folders come last, so that a file is named by the folder that contains it.
     folders, links = [root], list[Path]()
     while folders or links:
         parent = folders.pop() if folders else links.pop(0)
@@ -67,8 +67,8 @@ def search_images(folder: str | Path) -> FolderImages:
 
 
 def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
-    """The images that have the bytes of another, but that with the shortest name, as "x.jpg" beside
-    "x (1).jpg"; of several the first."""
+    """The images with the same bytes as another one. In each group of equal files, the file with
+    the shortest name, then the first, is not a copy: "x.jpg" beside "x (1).jpg"."""
     by_size = defaultdict[int, list[str]](list)
     for name in names:
         by_size[os.path.getsize(root / name)].append(name)
@@ -83,7 +83,7 @@ def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
 
 
 def left_out_line(kind: str, names: Collection[str], why: str) -> str:
-    """How many files or folders are left out, the first of them, and the reason."""
+    """State how many files or folders are skipped, the first of them, and the reason."""
     return f"{len(names)} {kind}{'s' * (len(names) > 1)} skipped (first: {min(names)}): {why}"
 
 
@@ -92,7 +92,7 @@ def _why_not(path: Path, name: str) -> str | None:
         name.encode()
         with open_file(path, ImageError) as stream:
             image_format(stream)
-    except UnicodeEncodeError:  # as HDF5 and COLMAP hold names
+    except UnicodeEncodeError:  # HDF5 and COLMAP store names as UTF-8
         return "a name that is not UTF-8"
     except OSError as failure:
         return failure.strerror or str(failure)
@@ -104,17 +104,18 @@ def _why_not(path: Path, name: str) -> str | None:
 
 
 def frames_folder(path: Path, number: int, folder: Path) -> Path:
-    """`folder` with the sharpest frame of each of `number` equal parts of a video, as JPEG; any
-    other path as it is. A folder of this name and of the video's time has them already.
+    """Write the sharpest frame of each of `number` equal parts of a video to `folder` as JPEG, and
+    return `folder`. Return `path` if it is not a video.
 
-    Raises InputError, with the path, if no frame can be read.
+    A `folder` with the modification time of the video is not written again. Raises InputError, with
+    the path, if no frame can be read.
     """
     if path.suffix.lower() not in _VIDEOS or not path.is_file():
         return path
     time = path.stat().st_mtime
-    if folder.exists() and abs(folder.stat().st_mtime - time) <= 2:  # s, as file systems round it
+    if folder.exists() and abs(folder.stat().st_mtime - time) <= 2:  # s: file systems round it
         return folder
-    # The number of frames in the header may be wrong, and they do not fit into memory.
+    # The number of frames in the header may be wrong, and the frames do not fit into memory.
     sharpness = [cv2.Laplacian(pixels, cv2.CV_32F).std() for pixels in _frames(path)]
     if not sharpness:
         raise InputError(path, "is a video, and no frame of it can be read")

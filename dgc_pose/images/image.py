@@ -1,4 +1,4 @@
-"""Reading an image, from a file or from memory, as 8-bit RGB upright, and its mask."""
+"""Read an upright 8-bit RGB image and its mask, from a file or from memory."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from dgc_pose.system.parallel import in_threads
 if TYPE_CHECKING:
     import torch
 
-SAME_SHAPE = 0.01  # relative difference of the aspect ratios up to which a mask or map is scaled
-_LARGE = 4_000_000  # pixels, above which area means of other factors take tens of ms
+SAME_SHAPE = 0.01  # largest relative difference in aspect ratio between a mask or map and its image
+_LARGE = 4_000_000  # pixels; above, area means take tens of ms unless the sides are halved
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,12 +32,12 @@ class Image:
     Attributes:
         pixels: Colours (H, W, 3) uint8, RGB, contiguous.
         name: The path, or the argument's name.
-        stored_size: Size (width, height) before `pixels` were resized after reading; None if they
-            were not.
-        exif: The camera by the file's EXIF data, whose orientation `pixels` have had applied.
-        mask: (H, W) bool, False for pixels that are not matched; None: all are.
+        stored_size: Size (width, height) before `pixels` were resized after reading; None if not
+            resized.
+        exif: EXIF data of the file; its orientation has been applied to `pixels`.
+        mask: (H, W) bool, False for pixels that are not matched; None to match all.
         pixel_aspect: Width of a pixel of `pixels` over its height; 1 if the file does not state it.
-        projection: That of a panorama, by the file's XMP; "" if it states none.
+        projection: Projection of a panorama, from the file's XMP; "" if it states none.
     """
 
     pixels: np.ndarray
@@ -66,8 +66,8 @@ class Image:
         return self.pixels.shape[1], self.pixels.shape[0]
 
     def is_masked(self, points: np.ndarray) -> np.ndarray:
-        """Whether points (..., 2), pixels, lie on pixels that are not matched: (...) bool. False
-        outside the image."""
+        """Whether points (..., 2), pixels, lie on masked pixels: (...) bool. False outside the
+        image."""
         inside = within(points, self.size)
         if self.mask is None:
             return np.zeros_like(inside)
@@ -81,12 +81,12 @@ if TYPE_CHECKING:
 
 
 def size_in_file(image: Image | Header) -> Size:
-    """(width, height) of the pixels as the image's file has them, before its EXIF orientation."""
+    """(width, height) of the pixels as stored, before the EXIF orientation is applied."""
     return image.size[::-1] if image.exif.orientation in EXCHANGING else image.size
 
 
 def flipped(image: Image, axis: int) -> Image:
-    """The mirror image, top to bottom (axis 0) or left to right (1)."""
+    """The mirror image, flipped top to bottom (axis 0) or left to right (1)."""
     mask = None if image.mask is None else np.ascontiguousarray(np.flip(image.mask, axis))
     return replace(image, pixels=np.ascontiguousarray(np.flip(image.pixels, axis)), mask=mask)
 
@@ -95,26 +95,26 @@ def turned(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """A view of pixels (H, W, ...) with an EXIF orientation, 1 to 8, applied."""
     if orientation in EXCHANGING:
         pixels = pixels.swapaxes(0, 1)
-    # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
+    # Orientations by where the stored top row and left column belong (EXIF 2.3, 4.6.4).
     pixels = pixels[:: -1 if orientation in (3, 4, 7, 8) else 1]
     return pixels[:, :: -1 if orientation in (2, 3, 6, 7) else 1]
 
 
 def load_image(source: ImageSource, name: str = "image") -> Image:
-    """An upright image as 8-bit RGB.
+    """Load an upright image as 8-bit RGB.
 
     source: a path, an array or a torch tensor (H, W), (H, W, C) or (C, H, W) with C of 1, 3 or 4,
-    grey or RGB(A), or a batch of one image; where both are possible, an array has the channels
-    last, a tensor first. An `Image` is returned as it is. name: of the argument in errors.
+    grey or RGB(A), or a batch of one image. If the axes are ambiguous, an array has the channels
+    last, a tensor first. An `Image` is returned unchanged. name: of the argument, for errors.
 
-    Grey is repeated. Alpha 0 is a `mask`, under which the pixels get the mean colour of the others.
-    8-bit values stay, floats within [0, 1] are multiplied by 255, and all others (16 bit, 12 bit in
-    16, other floats) are rescaled, over all colours together, from the least and greatest to 0 and
-    255; few that lie far from the others are saturated. An EXIF orientation of a file is applied.
+    The EXIF orientation of a file is applied. Grey becomes three equal channels. Pixels with alpha
+    0 become the `mask` and get the mean colour of the others. 8-bit values stay. Floats within
+    [0, 1] are multiplied by 255. All other values (16 bit, 12 bit in 16, other floats) are rescaled
+    to 0 to 255, with one range for all colours; a few outliers saturate.
 
-    Raises ImageError, with the path, if a file is missing, empty, of no known format, corrupt, too
-    large or of alpha 0; InputError, with `name`, if an array has another shape, is empty, not
-    finite or of alpha 0.
+    Raises ImageError, with the path, if a file is missing, empty, of an unknown format, corrupt,
+    too large or has alpha 0 everywhere; InputError, with `name`, if an array has another shape, is
+    empty, not finite or has alpha 0 everywhere.
     """
     if source is None or isinstance(source, bytes) or (isinstance(source, str) and "://" in source):
         raise InputError(f"{name} is not a path, an array or a tensor: {source!r:.60}")
@@ -163,8 +163,9 @@ def _of_array(array: np.ndarray, name: str | Path) -> Image:
 
 
 def filled(pixels: np.ndarray, used: np.ndarray) -> np.ndarray:
-    """A copy of pixels (H, W, C) with the mean colour of those that are `used` (H, W) elsewhere."""
-    pixels = pixels.copy()  # as they are, the network would match what is there
+    """A copy of pixels (H, W, C), where pixels not `used` (H, W) get the mean colour of the others.
+    Otherwise the network would match them."""
+    pixels = pixels.copy()
     pixels[~used] = pixels[used].mean(0, dtype=np.float64)
     return pixels
 
@@ -180,16 +181,16 @@ def _to_8_bit(array: np.ndarray, name: str | Path) -> np.ndarray:
     else:
         low, high = _shown_range(array, low, high)
     scale = 255 / (high - low) if high > low else 0.0
-    # 16 bits fit into float32, which halves the memory that a large image takes.
+    # float32 holds 16 bits exactly and halves the memory of a large image.
     values: np.ndarray = array.astype(np.float32 if array.dtype.itemsize <= 2 else np.float64)
     return np.rint((values - low) * scale).clip(0, 255).astype(np.uint8)
 
 
 def _shown_range(array: np.ndarray, low: float, high: float) -> tuple[float, float]:
-    """The values, of an array's least and greatest at most, that become 0 and 255: half as far from
-    the 1st and 99th percentile as these are apart. In the percentiles neither the least nor the
-    greatest counts, which may be of no data or one pixel, nor one that nearly all pixels have."""
-    step = max(array.shape) // 1000 + 1  # some of the pixels tell it
+    """The values that become 0 and 255: the 1st and 99th percentile, extended by half their
+    distance, within low and high. The percentiles ignore `low` and `high`, which may mean no data
+    or come from one pixel, and a value that nearly all pixels have."""
+    step = max(array.shape) // 1000 + 1  # a sample of the pixels suffices
     values = array[::step, ::step]
     values = values[(values > low) & (values < high)]
     while values.size:
@@ -201,17 +202,16 @@ def _shown_range(array: np.ndarray, low: float, high: float) -> tuple[float, flo
 
 
 def masked(image: Image, source: MaskSource, name: str = "") -> Image:
-    """The image with a mask of its pixels as stored, which is turned with them; without one, None,
-    the image as it is.
+    """Add a mask to an image.
 
-    source: a path, or an array (H, W), or (H, W, C) of colours, of which the second or fourth is
-    alpha. Pixels that are 0, False, black or of alpha 0 are not matched, nor are those that the
-    image's own mask leaves out; they get the mean colour of the others. A mask of another size is
-    scaled to that of the image. name: of the argument in errors, which have the path without it.
+    source: a path, or an array (H, W) or (H, W, C), whose second or fourth channel is alpha; None
+    returns the image unchanged. The mask refers to the stored pixels: the EXIF orientation is
+    applied to it, and its size is scaled to that of the image. Pixels that are 0, False, black or
+    have alpha 0 are not matched, nor are pixels that the image has masked already; they get the
+    mean colour of the others. name: of the argument, for errors; without it, errors have the path.
 
     Raises ImageError, with the path, if a file cannot be read; InputError, with `name`, if an array
-    has another shape, if the mask has another aspect ratio than the image, and if it leaves no
-    pixel of it.
+    has another shape, if the aspect ratios differ, and if no pixel of the image is left.
     """
     if source is None:
         return image
@@ -237,7 +237,8 @@ def masked(image: Image, source: MaskSource, name: str = "") -> Image:
 def load_pair(
     images: tuple[ImageSource, ImageSource], masks: tuple[MaskSource, MaskSource] = (None, None)
 ) -> tuple[Image, Image]:
-    """Both images with their masks. Raises as `load_image` and `masked`, naming image1 to mask2."""
+    """Load two images with their masks. Raises as `load_image` and `masked`, for the arguments
+    image1, image2, mask1 and mask2."""
 
     def load(number: int) -> Image:
         image = load_image(images[number], f"image{number + 1}")
@@ -248,22 +249,21 @@ def load_pair(
 
 
 def resized_mask(mask: np.ndarray, size: Size) -> np.ndarray:
-    """A mask (H, W), bool, at a size (width, height): the nearest pixels by the half-pixel rule."""
+    """Resize a bool mask (H, W) to (width, height): nearest pixels by the half-pixel rule."""
     nearest = cv2.INTER_NEAREST_EXACT
     return cv2.resize(mask.astype(np.uint8), size, interpolation=nearest).astype(bool)
 
 
 def mask_file(folder: str | Path | None, name: str) -> Path | None:
-    """The mask of the image `name` in a folder of masks, by COLMAP's convention `name`.png; None
-    if it has none."""
+    """The mask of the image `name` in a folder: `name`.png, COLMAP's convention, or None."""
     path = None if folder is None else Path(f"{folder}/{name}.png")
     return path if path and os.path.lexists(path) else None
 
 
 def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """An image (H, W[, 3]) at `size` (width, height), its outer edges in place: area means to
-    shrink, bilinear to enlarge. A large image of at least four times the sides, even ones, is
-    halved first: that is far faster."""
+    """Resize an image (H, W[, 3]) to `size` (width, height), with its outer edges in place: area
+    means to shrink, bilinear to enlarge. A large image with even sides of at least four times
+    `size` is halved first, which is far faster."""
     height, width = pixels.shape[:2]
     while (
         width * height > _LARGE
@@ -281,13 +281,13 @@ def resize(pixels: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def resize_by(pixels: np.ndarray, scale: float) -> np.ndarray:
-    """As `resize`, by one factor for both axes; the sides are rounded, and at least 1 pixel."""
+    """`resize` by one factor for both axes; the sides are rounded, and at least 1 pixel."""
     height, width = pixels.shape[:2]
     return resize(pixels, (max(1, round(width * scale)), max(1, round(height * scale))))
 
 
 def picture_url(pixels: np.ndarray, kind: Literal["jpeg", "webp"], *settings: int) -> str:
-    """An image (H, W, 3 or 4) uint8, RGB or RGBA, as text that a page shows."""
+    """Encode an image (H, W, 3 or 4) uint8, RGB or RGBA, as a data URL."""
     order = [2, 1, 0, 3][: pixels.shape[2]]
     done, data = cv2.imencode(f".{kind}", np.ascontiguousarray(pixels[..., order]), list(settings))
     assert done

@@ -5,20 +5,20 @@ from functools import cache
 import cv2
 import numpy as np
 
-# The largest dictionary of each kind has the markers of the smaller ones.
+# The largest dictionary of each kind contains the markers of the smaller ones.
 _KINDS = (
     *("4X4_1000", "5X5_1000", "6X6_1000", "7X7_1000", "ARUCO_ORIGINAL", "ARUCO_MIP_36h12"),
     *("APRILTAG_16h5", "APRILTAG_25h9", "APRILTAG_36h10", "APRILTAG_36h11"),
 )
-_MARGIN = 0.4  # of a marker's size, around it, in which lines are fitted to its sides
+_MARGIN = 0.4  # around a marker, as a share of its size, for fitting lines to its sides
 
 
 def find_markers(pixels: np.ndarray) -> dict[str, np.ndarray]:
-    """The corners of markers, (4, 2) pixels, clockwise from the one that is the marker's top left,
-    by dictionary and number, such as "APRILTAG_36h11:7". A marker that is there twice is left out.
+    """Find markers: their corners (4, 2), pixels, clockwise from the marker's top left, by
+    dictionary and number, such as "APRILTAG_36h11:7". Skips a marker that appears twice.
 
-    pixels: (H, W[, C]). Some are no markers, as any texture has squares: a marker is one that
-    several images show.
+    pixels: (H, W[, C]). Some detections are squares of a texture: only trust a marker that several
+    images show.
     """
     grey = pixels if pixels.ndim == 2 else pixels[:, :, 1]
     grey = cv2.normalize(grey, None, 0, 255, cv2.NORM_MINMAX, cv2.CV_8U)  # type: ignore[call-overload]
@@ -28,10 +28,10 @@ def find_markers(pixels: np.ndarray) -> dict[str, np.ndarray]:
         margin = _MARGIN * np.ptp(corners, axis=0).max()
         x, y = (corners.min(0) - margin).clip(0).astype(int)
         right, bottom = (corners.max(0) + margin).astype(int)
-        # Lines along the sides have no bias of blurred corners, and are slow in a whole image.
+        # Lines along the sides avoid the bias of blurred corners, but are slow in a whole image.
         refined = dict(_markers(grey[y:bottom, x:right], cv2.aruco.CORNER_REFINE_APRILTAG))
         if name in refined and names.count(name) == 1:
-            found[name] = refined[name] + (x, y) - 0.5  # (0, 0) is a corner there
+            found[name] = refined[name] + (x, y) - 0.5  # there, (0, 0) is a pixel's corner
     return found
 
 

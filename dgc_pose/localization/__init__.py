@@ -1,1 +1,1 @@
-"""The pose of a photograph in a model: visual localization by relative poses."""
+"""The pose of a photograph in a model: visual localization from relative poses."""

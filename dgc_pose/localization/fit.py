@@ -1,8 +1,8 @@
-"""The pose of a photograph from its correspondences with a model of known poses: matches with
-database images, and points of the model.
+"""The pose of a photograph in a model, from matches with database images of known pose and from
+points of the model.
 
-Each pair has an epipolar geometry that the pose in the world determines. RANSAC on the generalised
-relative pose, and on points of the model, has the starts; the best of them are fitted to all
+The pose in the world determines the epipolar geometry of each pair. RANSAC on the generalised
+relative pose and on points of the model finds the starts; the best are fitted to all
 correspondences together.
 """
 
@@ -39,20 +39,20 @@ from dgc_pose.geometry.epipolar import depths, essential_from_pose, sampson_dist
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.system.parallel import in_threads
 
-_SUPPORTING_SHARE = 0.6  # of the inliers of a pair's pose, that those of the location are
-_MIN_ITERATIONS = 100  # of a run of RANSAC
+_SUPPORTING_SHARE = 0.6  # inliers of the location over those of the pair's best hypothesis
+_MIN_ITERATIONS = 100  # of a RANSAC run
 _SAMPLED = 300  # matches of a pair that RANSAC draws from
-_SCORED = 100  # matches of a pair that starts are compared by
-_FITTED = 400  # inliers of a pair that a pose is fitted to: neighbours err alike
+_SCORED = 100  # matches of a pair for the comparison of starts
+_FITTED = 400  # inliers of a pair in a fit; the errors of neighbours are correlated
 _MIN_INLIERS = 8  # of a pair
-_MAX_STARTS = 3  # that are fitted
+_MAX_STARTS = 3  # number of starts that are fitted
 _STEPS, _CONVERGED = 12, 1e-6
-_MIN_KEPT = 0.95  # of the score, or a fit is rejected
+_MIN_KEPT = 0.95  # least score of a fit, over that of its start
 
 
 @dataclass(frozen=True, eq=False)
 class WorldPose:
-    """The pose of the photograph, and how far its camera is from that of the problems."""
+    """The pose of the photograph, and the change of its camera from that of the problems."""
 
     R: np.ndarray  # (3, 3) cam_from_world
     centre: np.ndarray  # (3,) world
@@ -61,7 +61,7 @@ class WorldPose:
 
 @dataclass(frozen=True, eq=False)
 class PairCorrespondences:
-    """The matches of a reference with the photograph, which is image 2."""
+    """The matches of a reference (image 1), a database image, with the photograph (image 2)."""
 
     R: np.ndarray  # (3, 3) of the reference, cam_from_world
     centre: np.ndarray  # (3,) of the reference, world
@@ -70,19 +70,19 @@ class PairCorrespondences:
 
     @property
     def threshold(self) -> float:
-        """Of an inlier, in the unit of the problem."""
+        """Largest error of an inlier, in the unit of the problem."""
         return self.problem.threshold
 
     @property
     def seen(self) -> np.ndarray:
-        """(N, 2) in the photograph."""
+        """Points (N, 2) in the photograph, normalised."""
         return self.problem.points2
 
     def __len__(self) -> int:
         return len(self.problem)
 
     def subset(self, chosen: np.ndarray) -> PairCorrespondences:
-        """Some of the matches."""
+        """Select matches."""
         return replace(self, problem=self.problem.subset(chosen))
 
     def errors(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
@@ -95,20 +95,20 @@ class PairCorrespondences:
         return np.nan_to_num(error, nan=np.inf), (depth1 > 0) & (depth2 > 0)
 
     def slopes(self, pose: WorldPose, prior: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
-        """Signed errors (N,), and their derivatives (N, 6 + M) by a rotation vector w, R becoming
-        exp([w]x) R; the centre; and the basis of `prior`."""
+        """Signed errors (N,) and their Jacobian (N, 6 + M) by a rotation vector w (R becomes
+        exp([w]x) R), the centre, and the basis of `prior`."""
         R, t = self.pair_pose(pose)
         parameters = np.concatenate([np.zeros(SIZE), pose.parameters])
         error, slopes, tangent = error_slopes(self.problem, R, t, prior, parameters)
         length = max(float(np.linalg.norm(self.centre - pose.centre)), 1e-12)
-        # t turns with R, and moves with the centre; of a unit vector the part across it counts.
+        # t rotates with R, moves with the centre, and changes only across its own direction.
         by_t = slopes[:, 3:5] @ tangent.T
         by_rotation = slopes[:, :3] - by_t @ skew(t)
         by_centre = -by_t @ pose.R / length
         return error, np.hstack([by_rotation, by_centre, slopes[:, 5:]])
 
     def pair_pose(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
-        """R and unit t of the photograph relative to the reference; any t where both coincide."""
+        """R and unit t of the photograph relative to the reference; any t at distance 0."""
         t = pose.R @ (self.centre - pose.centre)
         length = np.linalg.norm(t)
         return pose.R @ self.R.T, t / length if length > 0 else np.array([0.0, 0.0, 1.0])
@@ -118,7 +118,7 @@ class PairCorrespondences:
         return Hypothesis.of_pose(self.moved(pose), *self.pair_pose(pose))
 
     def moved(self, pose: WorldPose) -> TwoViewProblem:
-        """The problem as the photograph's camera with the parameters of the pose normalises it."""
+        """The problem, normalised by the photograph's camera with the parameters of the pose."""
         problem = self.problem
         if not pose.parameters.any():
             return problem
@@ -126,8 +126,8 @@ class PairCorrespondences:
         return replace(problem, points2=points2)
 
     def supports(self, pose: WorldPose) -> bool:
-        """Whether a hypothesis of the pair is within 10 degrees of a pose; or its rotation is, and
-        the matches fit both alike, as where the cameras are near each other."""
+        """Whether a hypothesis of the pair is within 10 degrees of the pose. The rotation suffices
+        if `_SUPPORTING_SHARE` of the inliers remain, as with cameras near each other."""
         under = self.hypothesis(pose)
         if under.is_among(self.hypotheses):
             return True
@@ -138,27 +138,28 @@ class PairCorrespondences:
 
 @dataclass(frozen=True, eq=False)
 class PointCorrespondences:
-    """Points of the model that the photograph shows."""
+    """Points of the model that are visible in the photograph."""
 
     points: np.ndarray  # (N, 3) world
     seen: np.ndarray  # (N, 2) in the photograph, normalised by its camera
-    lens: Distortion | None  # that is undone
-    threshold: float  # of an inlier, normalised
+    lens: Distortion | None  # removed from `seen`
+    threshold: float  # largest error of an inlier, normalised
 
     def __len__(self) -> int:
         return len(self.points)
 
     def subset(self, chosen: np.ndarray) -> PointCorrespondences:
-        """Some of the points."""
+        """Select points."""
         return replace(self, points=self.points[chosen], seen=self.seen[chosen])
 
     def errors(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
-        """The larger reprojection error (N,) of both axes, and whether the points are in front."""
+        """The larger of the reprojection errors along x and y (N,), and whether the points are in
+        front of the camera (N,)."""
         offset, local = self._offset(pose)
         return np.nan_to_num(np.abs(offset).max(1), nan=np.inf), local[:, 2] > 0
 
     def slopes(self, pose: WorldPose, prior: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
-        """As of `PairCorrespondences`, (2 N,): the errors along x, then those along y."""
+        """As `PairCorrespondences.slopes`, with 2 N errors: first along x, then along y."""
         offset, local = self._offset(pose)
         x, y, z = local.T[:, :, None]
         none = np.zeros_like(x)
@@ -173,8 +174,8 @@ class PointCorrespondences:
         return offset.T.ravel(), slopes.transpose(1, 0, 2).reshape(2 * len(offset), -1)
 
     def _offset(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
-        """Reprojection errors (N, 2), in the same unit at all focal lengths, and the points (N, 3)
-        in the camera's axes."""
+        """Reprojection errors (N, 2), in a unit independent of the focal length, and the points
+        (N, 3) in the camera frame."""
         local = (self.points - pose.centre) @ pose.R.T
         with np.errstate(divide="ignore", invalid="ignore"):
             projected = local[:, :2] / local[:, 2:]
@@ -192,10 +193,10 @@ def located(
     options: EstimationOptions,
     before: WorldPose | None = None,
 ) -> WorldPose | None:
-    """The pose with most inliers, fitted to them; None without a start.
+    """The fitted pose with the best score; None if RANSAC finds no start.
 
     prior: of the references' camera, which is exact, and of the photograph's. before: the pose
-    without the last of the pairs: if that supports it, it is the start.
+    without the last pair; if the last pair supports it, it is the only start.
     """
     every: list[Correspondences] = [*pairs, *points]
     if before is not None and pairs[-1].supports(before):
@@ -210,8 +211,8 @@ def located(
 
 
 def score(every: Sequence[Correspondences], pose: WorldPose) -> float:
-    """How well the correspondences in front of the cameras fit: their number less their truncated
-    squared errors over the squared threshold."""
+    """How well the correspondences fit a pose: the sum of max(1 - (error / threshold)^2, 0) over
+    the points in front of the cameras."""
     total = 0.0
     for part in every:
         error, in_front = part.errors(pose)
@@ -224,7 +225,7 @@ def _starts(
     points: Sequence[PointCorrespondences],
     options: EstimationOptions,
 ) -> list[WorldPose]:
-    # PoseLib draws five matches of a pair without end, if no pair has them.
+    # PoseLib never ends if no pair has five matches to draw.
     samples = [sample for sample in map(_explained, pairs) if len(sample) >= _MIN_INLIERS]
     runs: list[WorldPose | None] = []
     if len(samples) > 1:
@@ -246,8 +247,8 @@ def _starts(
 def _of_pairs(
     pairs: Sequence[PairCorrespondences], options: EstimationOptions, seed: int
 ) -> WorldPose | None:
-    """The pose of one RANSAC run on the generalised relative pose (six-point solver) of pairs of
-    five matches or more; None if it fails."""
+    """The pose from one RANSAC run on the generalised relative pose (six-point solver), for pairs
+    with at least five matches; None if it fails."""
     matches, references = [], []
     for number, pair in enumerate(pairs):
         match, reference = poselib.PairwiseMatches(), poselib.CameraPose()
@@ -279,20 +280,20 @@ def _found(pose: poselib.CameraPose, info: dict[str, float]) -> WorldPose | None
 
 
 def _explained(pair: PairCorrespondences) -> PairCorrespondences:
-    """The matches that a hypothesis of the pair explains, an even sample."""
+    """An even sample of the matches that are inliers of a hypothesis of the pair."""
     chosen = np.flatnonzero(np.any([h.inliers_in_front for h in pair.hypotheses], axis=0))
     return pair.subset(chosen[_even(len(chosen), _SAMPLED)])
 
 
 def _even(count: int, most: int) -> np.ndarray:
-    """Indices of an even sample of at most so many."""
+    """Indices of an even sample of at most `most` of `count` items."""
     return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
 def fitted(every: Sequence[Correspondences], pose: WorldPose, prior: IntrinsicsPrior) -> WorldPose:
-    """The pose of least Cauchy loss of the errors of the inliers in front of the cameras, and the
-    parameters of the camera: Gauss-Newton, with weights from the loss, and inliers chosen anew
-    before each step. The pose itself if the fit has a much worse score."""
+    """Fit the pose and the parameters of the camera: least Cauchy loss of the inliers, by
+    Gauss-Newton with weights from the loss and new inliers before each step. Return the start if
+    the fit has a much worse score."""
     start = pose
     for _ in range(_STEPS):
         z = np.linalg.lstsq(prior.basis[SIZE:], pose.parameters, rcond=None)[0]
@@ -315,8 +316,8 @@ def fitted(every: Sequence[Correspondences], pose: WorldPose, prior: IntrinsicsP
 def _inliers(
     every: Sequence[Correspondences], pose: WorldPose, most: int | None = None
 ) -> Iterator[tuple[Correspondences, float]]:
-    """The inliers of each part that has enough, and the width of their loss. most: of a part, an
-    even sample."""
+    """Yield the inliers of each part that has enough, and the width of their loss. most: size of an
+    even sample of the inliers of each part."""
     for part in every:
         error, in_front = part.errors(pose)
         chosen = np.flatnonzero(in_front & (error < part.threshold))
@@ -332,9 +333,9 @@ def world_covariance(
     """Covariance (6 + M, 6 + M) of the rotation vector, radians, the centre, in the model's unit,
     and the basis of `prior`; None if the inliers do not determine them.
 
-    By the jackknife: over blocks of the photograph, each in all pairs at once, as their errors
-    there are correlated; and over whole pairs, if there are more than two, as references have
-    errors of their own.
+    By a jackknife over blocks of the photograph, each in all pairs at once, since errors within a
+    block are correlated. With more than two sets of correspondences, it is averaged with a
+    jackknife over whole sets, since each reference has errors of its own.
     """
     count = 6 + len(prior)
     information = np.diag([*np.zeros(6), *np.ones(len(prior))])

@@ -1,4 +1,4 @@
-"""A query placed in a model: database images, pairs, the pose of all pairs, the verdict."""
+"""Locate a query in a model: choose database images, match pairs, fit one pose to all pairs."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ def locate(
     matcher: Matcher | None = None,
     options: EstimationOptions | None = None,
 ) -> Location:
-    """The pose of a query, a photograph, in a model's frame and unit.
+    """Estimate the pose of a query photograph in a model's frame and unit.
 
-    query: as an image of `estimate_relative_pose`. model: of `load_model`. K: of the query, as of
-    `estimate_relative_pose`; None: not known. For many queries a `Locator` computes what it needs
-    of the model once. Raises InputError and ImageError likewise.
+    query: as an image for `estimate_relative_pose`. model: from `load_model`. K: of the query, as
+    for `estimate_relative_pose`; None if unknown. For many queries, use a `Locator`, which
+    describes the model only once. Raises InputError and ImageError like `estimate_relative_pose`.
     """
     return Locator(model, matcher, options).locate(query, K)
 
 
 class Locator:
-    """A model whose images are described once, for many queries.
+    """Locates many queries in a model, whose images it describes only once.
 
-    matcher: a network's; by default `load_matcher()`. masks: folder of the masks of the model's
-    images and of the queries, NAME.jpg.png of NAME.jpg (`mask_file`).
+    matcher: by default `load_matcher()`. masks: folder with the masks of the model's images and of
+    the queries, NAME.jpg.png for NAME.jpg (`mask_file`).
     """
 
     def __init__(
@@ -68,17 +68,16 @@ class Locator:
         self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
         self._features: dict[str, np.ndarray] = {}
-        # One that keeps three images alone would read the model's anew for each query.
+        # A cache of only three images would read the model's images again for each query.
         cache = self.matcher.cache
         self._images = ImageCache(2**29) if cache.limit_bytes is None else cache
 
     def image(self, name: str) -> Image:
-        """An image of the model with its mask. Raises ImageError."""
+        """Read an image of the model with its mask. Raises ImageError."""
         return self._images.read(self.model.root, name, self.masks)
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
-        """Compute the coarsest features of the model's images, by which those to be matched are
-        chosen."""
+        """Compute the coarsest features of the model's images, for choosing database images."""
         for done, name in enumerate(self.model.poses, start=1):
             if name not in self._features:
                 self._features[name] = self.matcher.coarse_features(self.image(name))
@@ -93,8 +92,9 @@ class Locator:
         left_out: Sequence[str] = (),
         whole: bool = False,
     ) -> Location:
-        """As `locate`. details: of K. left_out: names of images of the model that are not matched;
-        the query itself is not. whole: whether the query is certainly neither cut nor squeezed."""
+        """Estimate the pose of a query, as `locate`. details: of K. left_out: names of model images
+        not to match, besides the query itself. whole: whether the query is certainly neither
+        cropped nor squeezed."""
         start, seconds = time.perf_counter(), dict[str, float]()
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
@@ -120,7 +120,7 @@ class Locator:
         while (name := search.next_image()) is not None:
             start = time.perf_counter()
             cameras = self.model.cameras[name], search.pair_camera
-            # The pose of a further pair is hardly in doubt where the location is known.
+            # With a nearly certain location, a further pair needs no thorough search.
             effort = "fast" if search.is_placed else self.options.effort
             options = replace(self.options, effort=effort)
             pair = solve_pair(self.image(name), image, cameras, self.matcher, options)
@@ -144,8 +144,8 @@ class Locator:
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the model (M,) int that a database image and the query show, and where the
-        query shows them (M, 2)."""
+        """Model points (M,) int visible in a database image and the query, and their pixels (M, 2)
+        in the query."""
         if name not in self.model.seen or not pose.success:
             return np.zeros(0, np.int64), np.zeros((0, 2))
         which, pixels = self.model.seen[name]

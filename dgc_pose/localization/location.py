@@ -14,7 +14,7 @@ from dgc_pose.estimation.result import plain
 from dgc_pose.estimation.status import short_text
 from dgc_pose.matches import Matches
 
-# no_scale: R is known, and of the centre the direction from a database image alone.
+# no_scale: R is known, and only the direction of the centre from a database image.
 LocationStatus = Literal["located", "no_scale", "nowhere"]
 
 
@@ -25,9 +25,9 @@ class DatabaseImage:
     name: str
     matches: Matches  # points1 in the database image, points2 in the query
     inliers: np.ndarray  # (N,) bool, the matches that agree with the location
-    probability: float | None  # that the pose of the pair is right; None: not known
-    agrees: bool  # whether the location rests on it
-    # Points of the model that both show, (M,) int, and where the query does, (M, 2) pixels
+    probability: float | None  # that the pose of the pair is right; None if unknown
+    agrees: bool  # whether the pair supports the location
+    # Model points visible in both images, (M,) int, and their pixels in the query, (M, 2)
     points: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     seen: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
@@ -40,21 +40,21 @@ class Location:
         status: "located"; "no_scale", with a rotation and a direction; or "nowhere".
         reason: Why the query is not located; empty if it is.
         database_images: The images of the model that were matched, in this order.
-        R: Rotation (3, 3) of cam_from_world, x = R X + t; None if it is nowhere.
+        R: Rotation (3, 3) of cam_from_world, x = R X + t; None if the status is "nowhere".
         centre: Position (3,) of the camera, world, in the model's unit; None unless located.
-        direction: With "no_scale" the unit direction (3,), world, from a database image to the
+        direction: With "no_scale", the unit direction (3,), world, from a database image to the
             query; else None.
-        direction_from: The name of that database image.
-        covariance: Covariance (6, 6) of a rotation vector w, radians, in the camera's axes, the
-            true R being exp([w]x) R, and of the centre, world, in the model's unit. Scaled so that
-            the expected errors of right locations hold nine times in ten. None unless located.
+        direction_from: Name of this database image; None unless "no_scale".
+        covariance: Covariance (6, 6) of a rotation vector w, radians, in the camera frame (the true
+            R is exp([w]x) R), and of the centre, world, in the model's unit. Scaled so that 90 % of
+            right locations are within their expected errors. None unless located.
         probability: Probability that R is within 5 degrees and the centre within 5 % of the
-            largest distance of two cameras of the model; 0 unless located, None if those of the
-            pairs are not known.
-        camera: The query's camera; if it is located, with the focal length that the matches
-            determine, if it had a deviation.
-        warnings: Sentences for people.
-        seconds: Time by what was done: "load", "describe", "match", "estimate".
+            largest distance between two cameras of the model; 0 unless located, None if the
+            probabilities of the pairs are unknown.
+        camera: The query's camera. If the query is located and its K is not exact, with the focal
+            length fitted to the matches.
+        warnings: Sentences for the user.
+        seconds: Time of each step: "load", "describe", "match", "estimate".
     """
 
     status: LocationStatus
@@ -91,26 +91,25 @@ class Location:
         return None if self.R is None or self.t is None else np.column_stack([self.R, self.t])
 
     def with_pose(self, cam_from_world: np.ndarray, spread: np.ndarray) -> Location:
-        """The location with another pose (3, 4), and with the covariance spread C spread^T in place
-        of C. spread: (6, 6)."""
-        assert self.covariance is not None  # only of a location
+        """The location with another pose (3, 4) and, in place of the covariance C, spread C
+        spread^T. spread: (6, 6)."""
+        assert self.covariance is not None
         R, t = cam_from_world[:, :3], cam_from_world[:, 3]
         covariance = spread @ self.covariance @ spread.T
         return replace(self, R=R, centre=-R.T @ t, covariance=covariance)
 
     @property
     def rotation_error_90_deg(self) -> float | None:
-        """The error of R, degrees, that nine in ten right ones stay below; None unless located."""
+        """90 % quantile of the error of a right R, degrees; None unless located."""
         return None if self.covariance is None else error_radius_deg(self.covariance[:3, :3])
 
     @property
     def position_error_90(self) -> float | None:
-        """The error of the centre, in the model's unit, likewise."""
+        """90 % quantile of the error of a right centre, model units; None unless located."""
         return None if self.covariance is None else error_radius(self.covariance[3:, 3:])
 
     def to_dict(self) -> dict[str, Any]:
-        """The location as values of JSON, as `dgc-pose locate --json` writes it; None of what is
-        not known."""
+        """Convert the location to JSON values, as by `dgc-pose locate --json`; None if unknown."""
         names = (
             *("status", "R", "t", "centre", "direction", "direction_from"),
             *("rotation_error_90_deg", "position_error_90", "covariance", "probability", "camera"),

@@ -1,5 +1,5 @@
-"""The database images matched with a query, one after another, and the pose that they suggest
-together."""
+"""The search for a query's pose: match one database image after another, and estimate the pose from
+all of them."""
 
 from __future__ import annotations
 
@@ -29,37 +29,37 @@ from dgc_pose.localization.location import DatabaseImage, Location
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
 
-MAX_IMAGES = 8  # of the database, that are matched
-_HOPELESS = 5  # database images without a likely pose, after which no more are matched
-_MIN_POINTS = 12  # of the model, of a database image that determines a distance by itself
-_KNOWN_FOCAL_STD = 0.01  # of ln f, below which further pairs take the camera for exact
-_LIKELY = 0.1  # probability of a pair's pose
-_ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # expected errors that suffice; of the extent
-_MIN_AGREEING = 3  # database images of an expected error that suffices
-_CANDIDATES = 12  # most similar database images that the next is chosen from
-_PAIR_ERROR = 0.005  # radians, that a pair's direction is off, for the choice of the next
-# Deviations of a picture that may be cut or squeezed: of its centre, over the longer side, and of
-# ln fy / fx; and of the centre of a whole one, as lenses of fixed cameras are mounted.
+MAX_IMAGES = 8  # database images to match at most
+_HOPELESS = 5  # database images without a likely pose that end the search
+_MIN_POINTS = 12  # model points with which a single database image determines the distance
+_KNOWN_FOCAL_STD = 0.01  # of ln f; below it, the camera counts as exact in further pairs
+_LIKELY = 0.1  # a pair's pose of higher probability is likely
+_ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # sufficient errors: of R; of the centre / extent
+_MIN_AGREEING = 3  # database images that must agree for the errors to suffice
+_CANDIDATES = 12  # most similar database images, the candidates for the next one
+_PAIR_ERROR = 0.005  # error of a pair's direction, radians, for the choice of the next image
+# For an image that may be cropped or squeezed, standard deviations of its centre, over the longer
+# side, and of ln fy / fx; for a whole image, only of its centre, from the mounting of lenses.
 _EDITED_STDS, _CENTRE_STD = (0.1, 0.3), 0.02
-_CHANCE = 0.1  # that a wrong pair agrees with a wrong location
-_MOST_PROBABLE = 0.99  # of a pair
+_CHANCE = 0.1  # probability that a wrong pair agrees with a wrong location
+_MOST_PROBABLE = 0.99  # limit of a pair's probability
 _MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the database images
-_ERROR_FACTOR = 1.75  # of expected errors, over the jackknife's: docs/experiments.md
+_ERROR_FACTOR = 1.75  # expected errors over those of the jackknife: docs/experiments.md
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A database image that was matched."""
+    """A database image that was matched with the query."""
 
     name: str
-    pose: RelativePose  # camera 1 is that of the database image
+    pose: RelativePose  # camera 1 took the database image
     matches: Matches
-    points: np.ndarray  # (M,) int, points of the model that the query shows
-    seen: np.ndarray  # (M, 2) where, pixels
+    points: np.ndarray  # (M,) int, model points visible in the query
+    seen: np.ndarray  # (M, 2) their pixels in the query
 
     @property
     def probability(self) -> float:
-        """That one of its hypotheses is right; even odds of a pose where that is not known."""
+        """Probability that one of the hypotheses is right; 0.5 for a pose without a probability."""
         known = self.pose.any_probability
         likely = 0.5 * self.pose.success if known is None else known
         return likely * self.pose.same_place_probability
@@ -68,8 +68,8 @@ class Pair:
 class LocationSearch:
     """The search for the pose of one query.
 
-    names: of the images of the model that may be matched, the most similar first. camera: of the
-    query. whole: whether the query is certainly neither cut nor squeezed.
+    names: of the model images to match, the most similar first. camera: of the query. whole:
+    whether the query is certainly neither cropped nor squeezed.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class LocationSearch:
         self.model, self.camera, self.options = model, replace(camera, identity=None), options
         self.stated, self.waiting, self.whole = camera, list(names), whole
         self.pairs: list[Pair] = []
-        # By name: of the pairs that have hypotheses, and of those that agree with the pose of all.
+        # By name: for the pairs with hypotheses, and for those that support the common pose.
         self.correspondences: dict[str, PairCorrespondences] = {}
         self.agreeing: dict[str, PairCorrespondences] = {}
         self.pose: WorldPose | None = None
@@ -94,8 +94,8 @@ class LocationSearch:
     def add(
         self, name: str, pose: RelativePose, matches: Matches, points: np.ndarray, seen: np.ndarray
     ) -> None:
-        """Add a pair of the database image `name`, and estimate the pose of all. points: (M,) int
-        of the model, that the query shows at the pixels `seen` (M, 2)."""
+        """Add the pair with the database image `name`, and estimate the pose from all pairs.
+        points, seen: model points (M,) int visible in the query, and their pixels (M, 2) there."""
         self.waiting.remove(name)
         self.pairs.append(Pair(name, pose, matches, points, seen))
         useful = [pair for pair in self.pairs if pair.pose.hypotheses and pair.probability > 0]
@@ -146,14 +146,14 @@ class LocationSearch:
 
     @property
     def pair_camera(self) -> Camera:
-        """The camera for the next pair: exact if known well; as stated if most pairs disagree."""
+        """The camera for the next pair: exact if well known; as stated if most pairs disagree."""
         if 2 * len(self.agreeing) < len(self.correspondences):
             return self.stated
         is_known = 0 < self.fitted.focal_std < _KNOWN_FOCAL_STD
         return self.fitted.as_exact() if is_known else self.fitted
 
     def _start_camera(self, pairs: Sequence[Pair]) -> Camera:
-        """The camera that the problems are normalised by: that of the pair that is likeliest."""
+        """The camera that normalises the problems: from the pair with the likeliest pose."""
         fits = [pair.pose for pair in pairs if pair.pose.camera2 is not None]
         if self.camera.exact or not fits:
             return self.camera
@@ -180,7 +180,7 @@ class LocationSearch:
         return PointCorrespondences(points, seen, camera.distortion, threshold)
 
     def next_image(self) -> str | None:
-        """The database image to match next; None if no more is needed, or hoped for."""
+        """The database image to match next; None to end the search."""
         if not self.waiting or len(self.pairs) >= MAX_IMAGES or self._accurate():
             return None
         if len(self.pairs) >= _HOPELESS and max(p.probability for p in self.pairs) <= _LIKELY:
@@ -192,12 +192,12 @@ class LocationSearch:
         return self.waiting[int(np.argmin(left))]
 
     def _variance_with(self, pose: WorldPose, information: np.ndarray, name: str) -> float:
-        """The variance of the centre that a further database image would leave: it adds information
-        across its line of sight, the more, the nearer it is and the more it faces the same way."""
+        """The variance of the centre after a further database image. The image adds information
+        across its line of sight: more if it is nearer and if it faces in the same direction."""
         sight = self.model.centre(name) - pose.centre
         distance = max(float(np.linalg.norm(sight)), 1e-12)
         across = np.eye(3) - np.outer(sight, sight) / distance**2
-        facing = max(float(pose.R[2] @ self.model.poses[name][2, :3]), 0.0)  # of optical axes
+        facing = max(float(pose.R[2] @ self.model.poses[name][2, :3]), 0.0)  # cosine of the axes
         added = across * (facing / (_PAIR_ERROR * distance)) ** 2
         return float(np.trace(np.linalg.pinv(information + added)))
 
@@ -210,7 +210,7 @@ class LocationSearch:
         return rotation < _ACCURATE_DEG and position < _ACCURATE_SHARE * self.model.extent
 
     def location(self) -> Location:
-        """The result of the database images that were matched."""
+        """The location from the database images matched so far."""
         matched, pose = tuple(map(self._matched, self.pairs)), self.pose
         if pose is not None and self.covariance is not None and self._is_located():
             is_known = all(pair.pose.any_probability is not None for pair in self.pairs)
@@ -225,7 +225,7 @@ class LocationSearch:
                 camera=self.fitted,
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
-        # R of the query, cam_from_world, by each pair that has a pose.
+        # R of the query, cam_from_world, from each pair with a pose.
         rotations = {
             pair.name: pair.pose.hypotheses[0].R @ self.model.poses[pair.name][:, :3]
             for pair in likely
@@ -250,7 +250,7 @@ class LocationSearch:
         )
 
     def _why_nowhere(self, rotations: Sequence[np.ndarray]) -> str:
-        """Why the query has no rotation; empty if it has. rotations: (3, 3), of the pairs."""
+        """Why the query has no rotation; empty if it has one. rotations: (3, 3), from each pair."""
         mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
         if mirrored and mirrored >= len(rotations):
             return f"the mirror image of the query has a pose with {mirrored} database images"
@@ -265,7 +265,7 @@ class LocationSearch:
         )
 
     def _is_located(self) -> bool:
-        """Whether the location is probable, and its distance from the images determined."""
+        """Whether the location is probable, and the distance from the images is determined."""
         if self.pose is None or self.covariance is None or not self.agreeing:
             return False
         centres = np.stack([c.centre for c in self.agreeing.values()])
@@ -277,16 +277,16 @@ class LocationSearch:
         return self._probability() >= (self.options.min_probability or 0)
 
     def _probability(self) -> float:
-        """That the location is right: at most that both images of the surest pair show one place,
-        as a place that looks alike deceives all of them."""
+        """Probability that the location is right. Its limit is the best same-place probability of a
+        pair, because a look-alike place deceives all pairs at once."""
         agreeing = [pair.pose for pair in self.pairs if pair.name in self.agreeing]
         surest = max((pose.same_place_probability for pose in agreeing), default=0.0)
         return min(surest, self._by_pairs())
 
     def _by_pairs(self) -> float:
-        """The same if pairs err each by itself: those that agree with it are right, and the others
-        are not; or all of them are wrong, and agree by chance. A mirror image with a pose is
-        against it."""
+        """Probability that the location is right, for pairs with independent errors: either exactly
+        the agreeing pairs are right, or all pairs are wrong and agree by chance. A pair that is
+        mirrored or contradicts K is evidence against the location."""
         log_odds = (1 - len(self.agreeing)) * math.log(_CHANCE)
         for pair in self.pairs:
             against = pair.pose.status == "mirrored" or pair.pose.contradicts_K

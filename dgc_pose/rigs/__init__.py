@@ -1,1 +1,1 @@
-"""Fixed cameras with a pose in one frame: their files, and what changed between calibrations."""
+"""Fixed cameras with poses in one frame: their files, and changes between two calibrations."""

@@ -1,5 +1,5 @@
-"""Located cameras in their final model: of a walk, by one bundle adjustment of the walk and the
-cameras; of the cameras alone, by their batch; and in metres."""
+"""Located cameras in their final model, and in metres. With a walk, one bundle adjustment refines
+the walk and the cameras; without a walk, the cameras' own batch determines the poses."""
 
 import math
 from collections.abc import Mapping
@@ -15,14 +15,14 @@ from dgc_pose.localization.location import Location
 from dgc_pose.model import HALF_PIXEL, Model
 from dgc_pose.system.colmap_library import pycolmap
 
-# Largest reprojection error of a point that the adjustment takes: pixels, or medians of all points,
-# as the location may be off. A camera with fewer points keeps its location.
+# Largest reprojection error of a point in the adjustment: in pixels, or times the median error, as
+# the location may be off. A camera with fewer than `_MIN_POINTS` keeps its location.
 _MAX_ERROR_PX, _WIDE, _MIN_POINTS = 2.0, 3.0, 30
-# Factors of the expected errors of R and the centre, which take the walk's model for exact: of a
-# camera that is fitted, and of one that is exact, which cannot compensate for errors of the walk's
-# camera. See docs/experiments.md.
+# Factors of the expected errors of R and the centre, which treat the walk's model as exact. The
+# first are for a fitted camera; the second for an exact K, which cannot compensate for errors of
+# the walk's camera. See docs/experiments.md.
 _FITTED, _EXACT = (1.5, 1.0), (2.0, 1.5)
-WALK = "walk/"  # begins the names of the other images
+WALK = "walk/"  # prefix of the names of the walk's images
 
 
 def extended(
@@ -30,8 +30,8 @@ def extended(
 ) -> tuple[pycolmap.Reconstruction, dict[str, int]]:
     """COLMAP's form of the model with the located cameras, and their image ids by camera name.
 
-    The names of the other images begin with `walk/`; images without a file are left out. pictures:
-    of the cameras, by name.
+    The other images get the prefix `walk/`; those without a file, which `model` lacks, lose their
+    pose. pictures: of the cameras, by name.
     """
     views = {pictures[name]: (of.camera, of.cam_from_world) for name, of in located.items()}
     whole = model.extended(
@@ -52,11 +52,10 @@ def extended(
 def adjusted(
     model: Model, located: Mapping[str, Location], pictures: Mapping[str, Path]
 ) -> tuple[pycolmap.Reconstruction, dict[str, int], dict[str, Location]]:
-    """The model of `extended` and the image ids, after a bundle adjustment; and the located cameras
-    with the poses that all photographs determine together. Cameras that are exact keep their K, and
-    the walk keeps its cameras.
+    """Bundle adjustment of the model of `extended`: the model, the image ids, and the located
+    cameras with their new poses. Exact cameras keep their K, and the walk keeps its cameras.
 
-    model: with COLMAP's own form. pictures: the upright pictures of the cameras, by name.
+    model: with COLMAP's form. pictures: the upright pictures of the cameras, by name.
     """
     whole, numbers = extended(model, located, pictures)
     assert model.colmap is not None
@@ -95,7 +94,7 @@ def adjusted(
 
 
 def _with_stds(camera: Camera, of: Camera) -> Camera:
-    """A camera with the deviations of another one."""
+    """The camera with the deviations and the focal source of another one."""
     source = of.focal_source
     return replace(camera, focal_std=of.focal_std, centre_std=of.centre_std, focal_source=source)
 
@@ -103,9 +102,11 @@ def _with_stds(camera: Camera, of: Camera) -> Camera:
 def in_model_of_batch(
     cameras: Mapping[str, Location], files: Mapping[str, str], model: Model, batch: Batch
 ) -> dict[str, Location]:
-    """The locations of pictures in the model of the batch of them: its poses and cameras, and
-    errors of at least those of a picture's best pair, since the located pictures determine the
-    points."""
+    """The locations of pictures with the poses and cameras of the model of their own batch.
+
+    The expected errors are at least those of the picture's best pair, since the points of the model
+    depend on the pictures.
+    """
     found = dict(cameras)
     for name, of in cameras.items():
         if not of.success:
@@ -129,7 +130,7 @@ def in_model_of_batch(
 
 
 def in_metres(location: Location, pose: np.ndarray, scale: float) -> Location:
-    """A location as its pose (3, 4) in a frame that is `scale` times as large."""
+    """The location with its pose (3, 4) in a frame that is scaled by `scale`."""
     assert location.R is not None
     turn = np.eye(6)
     turn[3:, 3:] = scale * pose[:, :3].T @ location.R

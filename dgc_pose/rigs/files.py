@@ -1,4 +1,4 @@
-"""The files of a rig of fixed cameras, and what moved since an older calibration."""
+"""The files of a rig of fixed cameras, and the cameras that moved since an older calibration."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,19 +19,19 @@ from dgc_pose.system.texts import json_text
 
 FILES = ("calibration.toml", "camera_array.toml", "rig_config.json", "stereo.yml", "rig.json")
 _OF_RIG = ("centre", "covariance", "probability", "rotation_error_90_deg", "position_error_90")
-_FACTOR = 3.0  # times the expected error: a larger change is a motion
-_LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes are none; the shift over the extent
+_FACTOR = 3.0  # a change above this times the expected error is a motion
+_LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes do not count; the shift over extent
 
 
 def write_rig(
     folder: Path, cameras: Mapping[str, Location], metric: Mapping[str, Any]
 ) -> list[Path]:
-    """Write the files of a rig into a folder, each whole or not at all, and return their paths:
-    those of `rig_texts`, and rig.json with the tables of calibration.toml, the expected errors, why
-    others are not placed, and the names of the files.
+    """Write the files of `rig_texts` and rig.json, each completely or not at all; return the paths.
 
-    cameras: by name, located with the size of the image, or not located. metric: the unit of the
-    positions, and facts about it; empty up to scale. Raises as `rig_texts`; OSError, with the path.
+    rig.json has the tables of calibration.toml, the expected errors, why other cameras have no
+    pose, and the names of the files. cameras: by name; the located ones have a camera with a size.
+    metric: the unit of the positions, and facts about it; empty up to scale. Raises as `rig_texts`;
+    OSError, with the path.
     """
     views = {name: of.camera for name, of in cameras.items() if of.success and of.camera}
     texts: dict[str, str] = {}
@@ -55,16 +55,16 @@ class CameraChange:
     """The change of a camera between two calibrations."""
 
     name: str
-    angle_deg: float  # of its rotation
-    angle_error_deg: float  # expected of the new calibration; 0: not known
-    distance: float  # of its centres, in the new calibration's unit
-    distance_error: float  # likewise
+    angle_deg: float  # between its rotations
+    angle_error_deg: float  # expected error of the new calibration; 0 if unknown
+    distance: float  # between its centres, in the new calibration's unit
+    distance_error: float  # expected error of the new calibration; 0 if unknown
     moved: bool  # by more than three times the error, and 0.05 degrees or 0.1 % of the extent
-    focal_change: float | None  # percent; None: the older focal length is not known
-    relative_to: str | None  # of only two cameras the other one: either may have moved
+    focal_change: float | None  # percent; None if the older focal length is unknown
+    relative_to: str | None  # the other camera if there are only two: either may have moved
 
     def text(self, unit: str) -> str:
-        """One line for people. unit: of length, if it is known."""
+        """The change in one line. unit: of length, or "" if unknown."""
         verdict = "moved" if self.moved else "has not moved"
         other = f" relative to {self.relative_to}" if self.relative_to else ""
         focal = "" if self.focal_change is None else f", focal length {self.focal_change:+.2f} %"
@@ -80,11 +80,11 @@ def compared(
 ) -> list[CameraChange]:
     """The changes of the cameras that two calibrations have in common, in the order of `cameras`.
 
-    start: cam_from_world (3, 4) of the older one, by name, in any frame and unit; start_cameras:
-    its cameras. cameras: located. The frames are aligned by a similarity: two cameras determine
-    one, and that which most cameras agree with is fitted to these. If only two cameras are in
-    common, the second is compared relative to the first, up to the distance between them. Raises
-    InputError for fewer.
+    start: cam_from_world (3, 4) of the older calibration, by name, in any frame and unit;
+    start_cameras: its cameras. cameras: located. A similarity aligns the frames: the best one from
+    two cameras, refitted to all cameras that agree with it. If there are only two common cameras,
+    the second is compared relative to the first, up to the distance between them. Raises InputError
+    for fewer.
     """
     names = [name for name in cameras if name in start]
     if len(names) < 2:
@@ -111,7 +111,7 @@ def compared(
 
 
 def _unmoved(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> list[int]:
-    """The cameras that agree with the similarity by two of them, of which most do."""
+    """The cameras that agree with the best similarity from two of them."""
     pairs = [[*pair] for pair in combinations(range(len(old)), 2)]
     offs = [(_changes(old, new, pair) / limits).max(1) for pair in pairs]
     best = min(range(len(pairs)), key=lambda n: np.minimum(offs[n], 1).sum())
@@ -120,8 +120,8 @@ def _unmoved(old: np.ndarray, new: np.ndarray, limits: np.ndarray) -> list[int]:
 
 
 def _changes(old: np.ndarray, new: np.ndarray, still: Sequence[int]) -> np.ndarray:
-    """Angle in degrees and distance (N, 2) between the poses (N, 3, 4) of two calibrations, after
-    the similarity by the cameras `still`; if this is one, with the scale by all."""
+    """Angle in degrees and distance (N, 2) between the poses (N, 3, 4) of two calibrations, aligned
+    by a similarity of the cameras `still`. With a single one, all cameras determine the scale."""
     before, after = _centres(old), _centres(new)
     scaled = still if len(still) > 1 else range(len(old))
     spread = [np.linalg.norm(at[scaled] - at[scaled].mean(0)) for at in (before, after)]

@@ -1,4 +1,4 @@
-"""One still picture for each fixed camera: its only frame, or what stays in all of its frames."""
+"""One still picture for each fixed camera: its only frame, or the median of its frames."""
 
 import os
 import shutil
@@ -14,21 +14,21 @@ from dgc_pose.images.image import load_image
 from dgc_pose.system.files import naming_path
 
 _FRAMES = ArgumentName("frames")
-_MOST_FRAMES = 15  # read of each camera
-_CHANGE = 12.0  # grey levels by which a pixel differs from the still picture where things move
-_STAYING = 0.7  # least share of the frames that show the still picture at a pixel
-_LEAST_SIDE = 15  # pixels, of a part between things that move
+_MOST_FRAMES = 15  # read from each camera
+_CHANGE = 12.0  # grey levels; a pixel that differs more from the still picture is moving
+_STAYING = 0.7  # least share of frames in which a static pixel matches the still picture
+_LEAST_SIDE = 15  # of a static part, pixels; smaller ones are masked
 _LEAST_CONTRAST = 2.0  # standard deviation of grey levels; a covered lens has less
 
 
 def camera_frames(
     folder: Path, videos: Path, others: Collection[Path] = ()
 ) -> tuple[dict[str, list[Path]], tuple[str, ...]]:
-    """The frames of each camera, by camera name; and a line on what is left out. An entry of the
-    folder is a camera: an image, a video, or a folder of frames, with its name without the ending.
+    """The frames of each camera, by camera name; and a line about skipped entries. Each entry of
+    the folder is a camera, named by `camera_name`: an image, a video, or a folder of frames.
 
-    videos: folder for the frames of videos. others: files and folders that are no cameras. Raises
-    InputError for fewer than two cameras, two cameras of one name, and two of one picture.
+    videos: folder for the frames of videos. others: files and folders that are not cameras. Raises
+    InputError for fewer than two cameras, two cameras with one name, and two with equal files.
     """
     if not folder.is_dir():
         raise InputError(_FRAMES, f"{folder}: no such folder")
@@ -59,16 +59,16 @@ def camera_frames(
 
 
 def camera_name(entry: Path) -> str:
-    """The name of the camera of an image, a video or a folder of frames."""
+    """The name of a camera: its folder's name, or its image's or video's without the ending."""
     return entry.name if entry.is_dir() else entry.stem
 
 
 def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
-    """Write the still picture of a camera as `name` with an ending into a folder.
+    """Write the still picture of a camera to a folder, as `name` with an ending.
 
-    A single upright frame is copied. Other frames give their upright median, and the mask
-    `name`.png.png, which is black where things move. Raises InputError for frames of several sizes
-    and for a picture without contrast; ImageError.
+    A single upright frame is copied. Otherwise the picture is the upright median of the frames,
+    with the mask `name`.png.png, black where things move. Raises InputError for frames of several
+    sizes and for a picture without contrast; ImageError.
     """
     images = [load_image(path) for path in frames]
     if len({image.size for image in images}) > 1:
@@ -89,5 +89,5 @@ def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
     for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
         with naming_path(file):
             file.write_bytes(cv2.imencode(".png", pixels)[1].tobytes())
-            os.utime(file, ns=(newest, newest))  # --resume tells by the time what has changed
+            os.utime(file, ns=(newest, newest))  # --resume compares times
     return path

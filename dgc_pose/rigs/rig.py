@@ -1,7 +1,7 @@
-"""The poses of fixed cameras in one frame, by photographs of a walk between them.
+"""The poses of fixed cameras in one frame, from photographs of a walk between them.
 
-The walk becomes a model, each camera is located in the model, and one bundle adjustment has both.
-Without a walk the cameras' own pictures become the model.
+The walk becomes a model, each camera is located in it, and one bundle adjustment refines the walk
+and the cameras. Without a walk, the cameras' own pictures become the model.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from dgc_pose.system.files import replaced_folder
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource
 
-# Folders in that of a rig: of the cameras' pictures and masks, and of the frames of videos
+# Folders in that of a rig: for the cameras' pictures and masks, and for the frames of videos
 _OWN = "rig_pictures"
 PICTURES, _CAMERAS, _WALK_OF = f"{_OWN}/cameras", f"{_OWN}/frames", f"{_OWN}/walk_of_"
-_WALK_FRAMES = 20  # taken of a video
-_SIMILAR = 6  # photographs of the walk that each photograph is paired with
-_LEAST_AGREEING = 2  # pictures of the walk that a location rests on
+_WALK_FRAMES = 20  # taken from a video
+_SIMILAR = 6  # each photograph of the walk is paired with this number of similar ones
+_LEAST_AGREEING = 2  # pictures of the model that must agree with a location
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +66,10 @@ class Rig:
     """Fixed cameras in one frame.
 
     Attributes:
-        cameras: By camera name the pose in the frame of the rig, or why the camera has none.
-        model: The walk and the placed cameras with points in space; None if no camera is placed.
+        cameras: By camera name, the pose in the frame of the rig, or why the camera has none.
+        model: The walk and the placed cameras with 3D points; None if no camera is placed.
         metric: The unit, the frame and the error of the scale; empty up to scale.
-        warnings: Sentences for people.
+        warnings: Sentences for the user.
     """
 
     cameras: Mapping[str, Location]
@@ -79,7 +79,7 @@ class Rig:
 
     @property
     def placed(self) -> dict[str, Location]:
-        """The cameras that have a pose, by name."""
+        """The cameras with a pose, by name."""
         return {name: of for name, of in self.cameras.items() if of.success}
 
 
@@ -96,18 +96,18 @@ def estimate_rig(
     work: BatchOptions | None = None,
     progress: Progress = lambda stage, done, of: None,
 ) -> Rig:
-    """The poses cam_from_world of fixed cameras in one frame: x = R X + t.
+    """Estimate the poses cam_from_world of fixed cameras in one frame: x = R X + t.
 
-    frames: folder with an entry for each camera, which gives the camera its name: an image, a
-    video, or a folder of frames. What moves between frames is not matched. out: folder for the
-    model and the cameras' pictures. walk: photographs taken between the cameras: a folder, a
-    video, or a model that is made already, which stays as it is; None if the cameras' views
-    overlap. K: by camera name, as of `estimate_relative_pose`; the focal length and lens of all
-    others are estimated. walk_K: the same of the walk, a text as of --K. reconstruction: what
-    determines metres, among others. progress: takes a stage, how much is done, and of how much.
+    frames: folder with an entry for each camera, which names the camera: an image, a video, or a
+    folder of frames. Parts that move between frames are not matched. out: folder for the model and
+    the cameras' pictures. walk: photographs taken between the cameras: a folder, a video, or a
+    finished model, which is not changed; None if the cameras' views overlap. K: by camera name, as
+    for `estimate_relative_pose`; the focal length and lens of all others are estimated. walk_K: of
+    the walk, a text as for --K. reconstruction: includes the options for metres. progress: called
+    with the stage, the number done, and the total.
 
-    Raises InputError for frames, a K or a scale that cannot be used, and for a result that is
-    there, without `resume` of `work`; MappingError if the walk makes no model; ImageError; OSError.
+    Raises InputError for unusable frames, K or scale, and for an existing result without `resume`
+    in `work`; MappingError if the walk gives no model; ImageError; OSError.
     """
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
@@ -131,11 +131,11 @@ def estimate_rig(
         left_out += source.left_out
         walked = {name: source.root / name for name in source.names}
         calibration = read_calibration(walk_K, "walk_K")
-    if options.scale or options.gps:  # refused before the matching
+    if options.scale or options.gps:  # raise before the matching
         first = {name: paths[0] for name, paths in found.items()}
         known_metres(first if options.scale else walked or first, options)
 
-    for file in (*FILES, PAGE):  # of the run before
+    for file in (*FILES, PAGE):  # of an earlier run
         (out / file).unlink(missing_ok=True)
     (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
@@ -211,7 +211,7 @@ def estimate_rig(
 def _exact_cameras(
     K: Mapping[str, CameraSource], found: Mapping[str, Sequence[Path]]
 ) -> dict[str, Camera]:
-    """The cameras whose K is given, by name. found: the frames of each camera."""
+    """The cameras with a given K, by name. found: the frames of each camera."""
     if unknown := sorted({*K} - {*found}):
         names = ", ".join(found)
         raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
@@ -230,8 +230,8 @@ def _located(
     *,
     own: bool,
 ) -> tuple[Model, dict[str, Location]]:
-    """The model in which most cameras are located, and the locations there; a camera that is
-    located in another one has this as its reason. own: whether the models are of the pictures."""
+    """The model in which most cameras are located, and the locations in it. For a camera located
+    only in another model, the reason states it. own: whether the models contain the pictures."""
     each = list[dict[str, Location]]()
     for locator in locators:
         each.append({})
@@ -251,8 +251,8 @@ def _located(
 
 
 def _checked(location: Location, name: str, picture: Path, locator: Locator) -> Location:
-    """A location that rests on enough pictures of the model; or the reason against it, with the
-    picture that is most similar."""
+    """The location if enough pictures of the model agree and the picture is not mirrored; otherwise
+    "nowhere", with the reason and, unless mirrored, the most similar picture."""
     matched, reason = location.database_images, location.reason
     agreeing = [image for image in matched if image.agrees]
     if location.success and len(agreeing) >= min(_LEAST_AGREEING, len(locator.model.poses) - 1):
@@ -268,15 +268,15 @@ def _checked(location: Location, name: str, picture: Path, locator: Locator) -> 
 
 
 def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
-    """Whether the mirror image has more inliers than a camera's picture with the picture of the
-    model that agrees best: a mirrored stream may have a pose where the scene is symmetric."""
+    """Whether a camera's mirrored picture has more inliers than the picture itself, with the best
+    agreeing picture of the model. In a symmetric scene, a mirrored stream may have a pose."""
     assert location.camera is not None
     image, options = load_image(picture), replace(locator.options, effort="fast")
     agreeing = [of for of in location.database_images if of.agrees]
     name = max(agreeing, key=lambda of: int(of.inliers.sum())).name
 
     def solved(view: Image, camera: Camera) -> RelativePose:
-        """The pose of the picture `name` and this one."""
+        """The pose of `view` relative to the picture `name`."""
         cameras = locator.model.cameras[name], camera
         pose = solve_pair(locator.image(name), view, cameras, locator.matcher, options).pose
         locator.matcher.cache.forget(view)
@@ -296,8 +296,8 @@ def _spread(whole: pycolmap.Reconstruction) -> float:
 
 
 def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Path) -> Model:
-    """Write COLMAP's model and the points, with the images' names relative to a folder that has all
-    of them, and read the model."""
+    """Write COLMAP's model and the points, and read the model. Image names become relative to a
+    folder that contains all images."""
     every = {name: os.path.abspath(path) for name, path in paths.items()}
     root = os.path.commonpath([os.path.dirname(path) for path in every.values()])
     for image in whole.images.values():
@@ -308,7 +308,7 @@ def _written(whole: pycolmap.Reconstruction, paths: Mapping[str, Path], out: Pat
 
 
 def _same_poses(cameras: Mapping[str, Location]) -> tuple[str, ...]:
-    """A warning for each two cameras whose poses differ by less than their expected errors."""
+    """A warning for each pair of cameras whose poses differ by less than their expected errors."""
     warnings = []
     for (name1, one), (name2, two) in combinations(cameras.items(), 2):
         assert one.R is not None and two.R is not None and one.centre is not None

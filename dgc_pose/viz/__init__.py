@@ -1,9 +1,8 @@
-"""Figures by matplotlib without pyplot: small functions that draw on axes, and whole figures; and
-pages that a browser shows from any side.
+"""Figures by matplotlib without pyplot, and HTML pages with a 3D view.
 
-A function `draw_...` draws one thing on the axes it is given and returns what a colour bar needs,
-if there is one; a function `plot_...` makes a figure of them. Points are in pixels of the original
-images, (0, 0) the centre of the top-left pixel.
+A function `draw_...` draws one thing on given axes and returns the mappable for a colour bar, if it
+has one; a function `plot_...` makes a whole figure. Points are in pixels of the original images;
+(0, 0) is the centre of the top-left pixel.
 """
 
 from dgc_pose.viz.figure import (

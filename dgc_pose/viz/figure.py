@@ -1,8 +1,8 @@
-"""What figures are made of, by matplotlib's object interface: no pyplot, so no global state.
+"""Parts of figures, by matplotlib's object interface: without pyplot, so without global state.
 
-A function `draw_...` draws one thing on axes of the caller, in original pixels, (0, 0) the centre
-of the top-left one. Large images are shrunk to what a figure can show. What is drawn later, such as
-points on an image, does not move the axes.
+A function `draw_...` draws one thing on the caller's axes, in original pixels; (0, 0) is the centre
+of the top-left pixel. Large images are shrunk to the resolution of a figure. Later drawings, such
+as points on an image, do not move the axes.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from dgc_pose.geometry.pixels import Size, rescale
 from dgc_pose.images.image import resize_by
 from dgc_pose.system.files import naming_path
 
-# What matplotlib draws without other programs.
+# Formats that matplotlib writes without other programs.
 _FORMATS = ("png", "jpg", "jpeg", "webp", "tif", "tiff", "svg", "pdf", "eps")
 WIDTH = 10.0  # of a figure, inches
-SHOWN_SIDE = 1200  # longest side of an image that is shown, pixels
+SHOWN_SIDE = 1200  # longest side of a drawn image, pixels
 Pair = tuple[float, float]
 _GAP = 0.02  # between the two images of `draw_matches`, as a share of the width of image 1
-_WIDE = 4.0  # sum of the images' width over height: from there on image 2 stands below image 1
+_WIDE = 4.0  # above this sum of the images' width over height, image 2 is below image 1
 _HALO = [withStroke(linewidth=1.6, foreground="black", alpha=0.5)]  # of lines, for bright images
 
 
@@ -43,7 +43,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def picture_format(path: str | Path) -> str:
-    """The format of a file name's ending. Raises InputError if no picture is written in it."""
+    """The format from the ending of a file name. Raises InputError if it is not supported."""
     suffix = Path(path).suffix.lower().lstrip(".")
     if suffix not in _FORMATS:
         raise InputError(f"{path}: a plot is written as one of {', '.join(_FORMATS)}")
@@ -53,8 +53,8 @@ def picture_format(path: str | Path) -> str:
 def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
     """Write the figure in the format of the path's ending (see `picture_format`).
 
-    dpi: pixels to an inch. Titles and legends are shown as they are: names of files may hold what
-    would be a formula. Raises OSError, with the path.
+    dpi: pixels per inch. Titles and legends are not parsed as formulas, since they may contain file
+    names. Raises OSError, with the path.
     """
     for axes in figure.axes:
         legend = axes.get_legend()
@@ -66,12 +66,12 @@ def save_figure(figure: Figure, path: str | Path, dpi: float = 200) -> None:
 
 
 def shrunk(pixels: np.ndarray) -> np.ndarray:
-    """An image (H, W, 3) of at most `SHOWN_SIDE` pixels a side."""
+    """Shrink an image (H, W, 3) to at most `SHOWN_SIDE` pixels a side."""
     return resize_by(pixels, min(1.0, SHOWN_SIDE / max(pixels.shape[:2])))
 
 
 def warp_image(pixels1: np.ndarray, correspondences: np.ndarray, size2: Size) -> np.ndarray:
-    """Image 1 sampled at the points (H', W', 2) of the map of an image 2 of (width, height) pixels.
+    """Warp image 1 onto image 2 of size (width, height), by its points (H', W', 2) in image 1.
 
     White outside image 1. Returns (H, W, 3) uint8, of at most `SHOWN_SIDE` pixels a side.
     """
@@ -103,14 +103,12 @@ def draw_matches(
     *,
     colours: ScalarMappable | None = None,
 ) -> ScalarMappable:
-    """Draw two images side by side at one height, or wide ones one above the other, and a line for
-    each match.
+    """Draw two images side by side with equal height, or wide ones one above the other, and a line
+    for each match.
 
-    pixels1, pixels2: (H, W, 3) uint8 RGB. points1, points2: (N, 2) pixels of their own image.
-    values: (N,), what the colour of a line stands for. colours: of the values; None for
-    confidences, 0 to 1. See `residual_colours`.
-
-    Returns what a colour bar needs.
+    pixels1, pixels2: (H, W, 3) uint8 RGB. points1, points2: (N, 2) pixels, each in its image.
+    values: (N,), shown by the colours of the lines. colours: of the values, see
+    `residual_colours`; None for confidences, 0 to 1. Returns the mappable for a colour bar.
     """
     left, top, right, bottom, scale = second_place(pixels1, pixels2)
     _show(axes, shrunk(pixels1), pixels1.shape[1::-1])
@@ -126,8 +124,8 @@ def draw_matches(
 
 
 def second_place(pixels1: np.ndarray, pixels2: np.ndarray) -> tuple[float, ...]:
-    """Where `draw_matches` has image 2: its left, upper, right and lower edge in pixels of image 1,
-    of which the last two are the size of the whole; and its scale."""
+    """The place of image 2 in `draw_matches`: its left, upper, right and lower edge in pixels of
+    image 1, and its scale. The right and lower edge are the size of the whole drawing."""
     (height1, width1), (height2, width2) = pixels1.shape[:2], pixels2.shape[:2]
     scale, left, top = height1 / height2, (1 + _GAP) * width1, 0.0
     if width1 / height1 + width2 / height2 > _WIDE:
@@ -139,24 +137,24 @@ def residual_colours(residuals: np.ndarray) -> ScalarMappable:
     """Colours from 0 to the 95 % quantile of the finite residuals (N,), for `draw_matches`."""
     finite = residuals[np.isfinite(residuals)]
     most = float(np.quantile(finite, 0.95)) if len(finite) else 1.0
-    # Cyan to magenta: both stand out from a photograph, dark or light.
+    # Cyan and magenta stand out from dark and bright photographs.
     return ScalarMappable(Normalize(0, max(most, 1e-3)), "cool")
 
 
 def draw_points(axes: Axes, points: np.ndarray) -> None:
-    """Mark points (N, 2), each in the colour of its curve by `draw_curves`."""
+    """Mark points (N, 2), each in the colour of its curve in `draw_curves`."""
     colours = line_colours(len(points))
     axes.scatter(points[:, 0], points[:, 1], s=28, c=colours, edgecolors="white", linewidths=0.8)
 
 
 def draw_curves(axes: Axes, curves: Sequence[np.ndarray]) -> None:
-    """Draw curves (M, 2) in pixels, broken where they are NaN, on axes whose limits are set."""
+    """Draw curves (M, 2), pixels, with gaps at NaN, on axes with fixed limits."""
     for curve, colour in zip(curves, line_colours(len(curves)), strict=True):
         axes.plot(*curve.T, color=colour, linewidth=1.2, scalex=False, scaley=False)
 
 
 def draw_matchability(axes: Axes, pixels2: np.ndarray, matchability: np.ndarray) -> ScalarMappable:
-    """Draw the matchability (H', W') in [0, 1] over image 2. Returns what a colour bar needs."""
+    """Draw matchability (H', W') in [0, 1] over image 2; return the mappable for a colour bar."""
     grey = cv2.cvtColor(shrunk(pixels2), cv2.COLOR_RGB2GRAY)
     colours = ScalarMappable(Normalize(0, 1), "viridis")
     shown = cv2.resize(matchability.astype(np.float32), grey.shape[::-1])
@@ -174,8 +172,8 @@ def draw_warp(
 ) -> None:
     """Draw image 1 warped onto image 2, paler where it is less matchable.
 
-    pixels1: (H, W, 3) uint8. correspondences: (H', W', 2), for each cell of image 2's grid its
-    point in image 1, pixels. matchability: (H', W') in [0, 1]. size2: (width, height), pixels.
+    pixels1: (H, W, 3) uint8. correspondences: (H', W', 2), the point in image 1, pixels, for each
+    cell of image 2's grid. matchability: (H', W') in [0, 1]. size2: (width, height), pixels.
     """
     warped = warp_image(pixels1, correspondences, size2)
     weight = np.clip(cv2.resize(matchability.astype(np.float32), warped.shape[1::-1]), 0, 1)
@@ -184,14 +182,14 @@ def draw_warp(
 
 
 def _show(axes: Axes, picture: np.ndarray, end: Pair, start: Pair = (0.0, 0.0)) -> None:
-    """Draw a picture between two corners, and fix the axes to (0, 0) and the second, so that
-    nothing drawn later moves them."""
+    """Draw a picture from `start` to `end`, and fix the axes from (0, 0) to `end`, so that later
+    drawings do not move them."""
     (left, top), (right, bottom) = np.subtract((start, end), 0.5).tolist()
     axes.imshow(picture, extent=(left, right, bottom, top))
     axes.set(xlim=(-0.5, right), ylim=(bottom, -0.5), aspect="equal", xticks=[], yticks=[])
 
 
 def line_colours(count: int) -> np.ndarray:
-    """Colours (N, 4) of as many lines or cameras, around the circle of hues."""
+    """Colours (N, 4) for `count` lines or cameras, around the circle of hues."""
     shades = ScalarMappable(Normalize(0, max(count, 1)), "hsv")
     return shades.to_rgba(np.arange(count))

@@ -1,4 +1,4 @@
-"""Cameras with their photographs, and points, as a page that a browser shows from any side."""
+"""An HTML page with a 3D view of cameras with their photographs, and points."""
 
 import html
 import json
@@ -21,19 +21,19 @@ from dgc_pose.pose import PairResult
 from dgc_pose.system.parallel import in_threads
 
 _FILES = resources.files("dgc_pose")
-_PARTS = ("page.css", "canvas.js", "scene.js")  # of `serve`, which is not imported here
-_SIDE, _QUALITY = 160, 80  # longest side of a camera's photograph, pixels, and of its JPEG
-_MOST, _MOST_OF_PAIR = 20_000, 3000  # points: more would slow a page down
-_NEAR = 0.97  # of the points' distances that are shown: the farthest would shrink all others
-_DEPTHS = 0.1, 0.18  # of a camera's pyramid, over the median distance of the points
+_PARTS = ("page.css", "canvas.js", "scene.js")  # files of `serve`, which is not imported here
+_SIDE, _QUALITY = 160, 80  # of a camera's photograph: longest side, pixels, and JPEG quality
+_MOST, _MOST_OF_PAIR = 20_000, 3000  # points; more would slow a page down
+_NEAR = 0.97  # quantile of the points' distances; farther points would shrink all others
+_DEPTHS = 0.1, 0.18  # range of the depth of a camera's pyramid over the points' median distance
 
 
 def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, str]] = ()) -> str:
-    """A page of HTML, which loads nothing from elsewhere: a model's cameras as pyramids with their
-    photographs, and its points, at most 20,000, in the mean camera's axes.
+    """Make a self-contained HTML page of a model: its cameras as pyramids with their photographs,
+    and at most 20,000 of its points, in the axes of the mean camera.
 
-    unit: of length, if it is known. turned_down: names of pairs that do not hold in the folder,
-    between whose cameras dashed lines are drawn. Raises ImageError if a photograph cannot be read.
+    unit: of length, or "" if unknown. turned_down: names of pairs rejected as look-alikes, shown as
+    dashed lines between their cameras. Raises ImageError if a photograph cannot be read.
     """
     names, axes = sorted(model.poses), mean_axes([*model.poses.values()])
 
@@ -57,22 +57,22 @@ def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, 
 
 
 def pose_page(result: PairResult) -> str:
-    """The same of a pair: both cameras, and the inliers in camera 1's axes. Raises InputError
-    without R and t."""
+    """Make the page of a pair: the two cameras and the inliers, in the axes of camera 1. Raises
+    InputError without R and t."""
     scene, images = pose_scene(result), (result.image1, result.image2)
     names = " and ".join(Path(image.name).name for image in images)
     return _page(names, f"{result.pose.num_inliers} inliers", scene, [*map(_thumbnail, images)])
 
 
 def _thumbnail(image: Image) -> str:
-    """A small copy of a photograph, as a URL."""
+    """A small copy of a photograph, as a data URL."""
     small = resize_by(image.pixels, min(1.0, _SIDE / max(image.size)))
     return picture_url(small, "jpeg", cv2.IMWRITE_JPEG_QUALITY, _QUALITY)
 
 
 def _page(title: str, facts: str, scene: dict[str, Any], photographs: Sequence[str]) -> str:
-    """The page with all that it is made of: text, style sheet, scripts and the scene, whose cameras
-    have these photographs."""
+    """Fill the page's template with text, style sheet, scripts and the scene. photographs: data
+    URLs, one for each camera of the scene."""
     for camera, photograph in zip(scene["cameras"], photographs, strict=True):
         camera["photograph"] = photograph
     parts = {"title": html.escape(printable(title)), "facts": html.escape(facts)}
@@ -85,7 +85,7 @@ def _page(title: str, facts: str, scene: dict[str, Any], photographs: Sequence[s
 
 
 def pose_scene(result: PairResult) -> dict[str, Any]:
-    """What scene.js shows of a pair, as values of JSON. Raises InputError without R and t."""
+    """The scene of a pair for scene.js, as JSON values. Raises InputError without R and t."""
     if result.pose.R is None or result.pose.t is None:
         raise InputError(ArgumentName("result"), f"has no R and t: {result.pose.reason}")
     pose = np.column_stack([result.pose.R, result.pose.t * (result.pose.length or 1.0)])
@@ -95,8 +95,8 @@ def pose_scene(result: PairResult) -> dict[str, Any]:
 
 
 def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarray:
-    """The centre of a camera and, at a depth of 1, the corners of its view from the top left on
-    (5, 3), world. K: (3, 3). size: (width, height). pose: cam_from_world (3, 4)."""
+    """The centre of a camera and the corners of its view at depth 1, clockwise from the top left,
+    world (5, 3). K: (3, 3). size: (width, height). pose: cam_from_world (3, 4)."""
     width, height = size
     pixels = np.array([[0, 0], [width, 0], [width, height], [0, height]]) - 0.5
     rays = homogeneous(pixels) @ np.linalg.inv(K).T @ pose[:, :3]
@@ -105,8 +105,8 @@ def frustum(K: np.ndarray, size: tuple[int, int], pose: np.ndarray) -> np.ndarra
 
 
 def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:
-    """The axes (3, 3) of the mean camera of cam_from_world poses (3, 4), in rows: of least sum of
-    |R_k - axes|^2."""
+    """The axes of the mean camera of cam_from_world poses (3, 4), as rows (3, 3): the rotation that
+    minimises the sum of |R_k - axes|^2."""
     rows = np.stack(poses)[:, :, :3].transpose(0, 2, 1).reshape(-1, 3)
     return aligning_rotation(np.tile(np.eye(3), (len(poses), 1)), rows)
 
@@ -114,8 +114,8 @@ def mean_axes(poses: Sequence[np.ndarray]) -> np.ndarray:
 def scene_of(
     labels: Sequence[str], frusta: np.ndarray, points: np.ndarray, colours: np.ndarray, most: int
 ) -> dict[str, Any]:
-    """Cameras of some frusta (N, 5, 3), as deep as their distances allow, and at most so many of
-    the points (M, 3), of colours (M, 3) uint8, in a random order."""
+    """The scene of cameras with frusta (N, 5, 3), scaled to fit the distances between them, and a
+    random sample of at most `most` points (M, 3) with colours (M, 3) uint8."""
     centres = frusta[:, :1]
     depth = float(np.median(nearest(centres[:, 0], 2)[0][:, 1])) or 1.0
     away = np.linalg.norm(points - centres.mean(0), axis=1)

@@ -1,4 +1,4 @@
-"""Whole figures: what a pose was estimated from, and the place of a query in a model."""
+"""Whole figures: the matches behind a pose, and the location of a query in a model."""
 
 import textwrap
 from pathlib import Path
@@ -36,12 +36,12 @@ from dgc_pose.viz.model_page import mean_axes
 DRAWN_MATCHES = 150
 DRAWN_LINES = 12
 _CURVE_POINTS = 500  # of an epipolar line through a lens
-_UPRIGHT = 2.0  # sum of the images' width over height: below it four panels stand in a row, not two
-_TALLEST = 10.0  # height of a row at most, inches
-_LINE, _CHARACTER = 0.19, 0.078  # height of a line of text, and width of its mean character, inches
+_UPRIGHT = 2.0  # up to this sum of the images' width over height, a row has four panels, else two
+_TALLEST = 10.0  # largest height of a row, inches
+_LINE, _CHARACTER = 0.19, 0.078  # height of a line of text, mean width of a character, inches
 _NAME = 28  # characters of a file's name
-_LOCATED_MATCHES = 100  # drawn with a database image
-_FAR = 0.02  # share of a model's points at either end of an axis, which may be far away
+_LOCATED_MATCHES = 100  # drawn for each database image
+_FAR = 0.02  # share of points cut off at each end of an axis, as they may be far away
 
 
 def plot_pose(result: PairResult) -> Figure:
@@ -49,8 +49,8 @@ def plot_pose(result: PairResult) -> Figure:
     gives a map, the matchability and image 1 warped onto image 2.
 
     The residual is the symmetric epipolar distance in pixels. Only an even subsample of the matches
-    is drawn. Without a pose matches are coloured by confidence, and there are no lines. Through a
-    lens with distortion an epipolar line is a curve.
+    is drawn. Without a pose, the confidence colours the matches, and there are no lines. Through a
+    lens with distortion, an epipolar line is a curve.
     """
     pose, dense = result.pose, result.correspondence_map
     image1, image2 = result.image1, result.image2
@@ -115,8 +115,8 @@ def _panels(result: PairResult, counts: str, legend: str) -> list[tuple[float, s
 
 
 def _panels_in_rows(panels: list[tuple[float, str]], headline: str) -> tuple[Figure, list[Axes]]:
-    """A figure `WIDTH` wide below a headline, and the axes of its panels, each given by its aspect
-    and title: the first in a row of its own, the others two or four in a row of one height."""
+    """A figure with a headline, `WIDTH` wide, and the axes of its panels. panels: aspect and title
+    of each. The first panel fills a row; the others are in rows of two or four of equal height."""
     across = 2 if panels[1][0] + panels[2][0] > _UPRIGHT else 4
     rows = [panels[:1], *(panels[i : i + across] for i in range(1, len(panels), across))]
     heights = []
@@ -127,7 +127,7 @@ def _panels_in_rows(panels: list[tuple[float, str]], headline: str) -> tuple[Fig
         heights.append(min(WIDTH / wide, _TALLEST) + _LINE * (lines + 0.7))
     text = _wrapped(headline, WIDTH)
     figure = new_figure(WIDTH, sum(heights) + _LINE * (text.count("\n") + 1.5))
-    # Without mathematics: the name of a file may be what would be a formula.
+    # Not parsed as a formula: the text may contain file names.
     figure.suptitle(text, x=0.01, ha="left", fontsize=10, parse_math=False)
     drawn = []
     parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=heights)
@@ -142,29 +142,28 @@ def _panels_in_rows(panels: list[tuple[float, str]], headline: str) -> tuple[Fig
 
 
 def _wrapped(text: str, width: float) -> str:
-    """A text in lines of a width in inches."""
+    """Wrap a text to a width in inches."""
     most = max(8, int(width / _CHARACTER))
     return "\n".join(textwrap.fill(line, most) for line in text.splitlines())
 
 
 def _through_lens(line: np.ndarray, camera: Camera) -> np.ndarray:
-    """The pixels (M, 2) of a line (3,) of normalised points; NaN where the lens shows none."""
+    """The pixels (M, 2) of a line (3,) of normalised points; NaN outside the lens's range."""
     angles = np.radians(np.linspace(-88, 88, _CURVE_POINTS))[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):  # of an epipole, and of a line at infinity
+    with np.errstate(divide="ignore", invalid="ignore"):  # an epipole; a line at infinity
         normal = line / np.linalg.norm(line)
         towards = np.array([0, 0, 1]) - normal[2] * normal  # the ray nearest to the optical axis
         towards /= np.linalg.norm(towards)
         rays = np.cos(angles) * towards + np.sin(angles) * np.cross(normal, towards)
         points = np.where(rays[:, 2:] > 0, rays[:, :2] / rays[:, 2:], np.nan)
     pixels = camera.project(points)
-    # A model folds rays from outside of its range back into the image.
+    # A lens model folds rays from outside its range back into the image.
     near = np.abs(camera.normalise(pixels) - points) < 1e-3 * (1 + np.abs(points))
     return np.where(near.all(axis=1, keepdims=True), pixels, np.nan)
 
 
 def _spread(result: PairResult, chosen: np.ndarray, count: int) -> np.ndarray:
-    """Indices of the most confident of the chosen matches, spread over image 2, with finite
-    points."""
+    """Indices of the most confident of the chosen matches, spread over image 2, without NaN."""
     matches = result.matches
     points = np.hstack([matches.points1, matches.points2])
     chosen = chosen[np.isfinite(points[chosen]).all(axis=1)]
@@ -173,8 +172,8 @@ def _spread(result: PairResult, chosen: np.ndarray, count: int) -> np.ndarray:
 
 
 def plot_location(model: Model, query: str, location: Location) -> Figure:
-    """Draw the model from above, with the query and its error, and the matches with the two
-    database images of most inliers."""
+    """Draw the model from above with the query and its error, and the matches with the two database
+    images of most inliers."""
     figure = new_figure(WIDTH, WIDTH / 2)
     grid = figure.add_gridspec(2, 2, width_ratios=(1, 1.2))
     said = location.reason
@@ -202,7 +201,7 @@ def plot_location(model: Model, query: str, location: Location) -> Figure:
 
 
 def _draw_place(panel: Axes, model: Model, location: Location) -> None:
-    """Draw the cameras, each an arrow where it looks, and the points, in the mean camera's axes."""
+    """Draw the cameras, as arrows along their axes, and points, in x and z of the mean camera."""
     names, poses = [*model.poses], [*model.poses.values()]
     centres = [model.centre(name) for name in names]
     above = mean_axes(poses)[[0, 2]]  # to the right and ahead

@@ -1,1 +1,1 @@
-"""Formats of files that cameras are read from."""
+"""Formats of camera files."""

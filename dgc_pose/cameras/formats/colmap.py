@@ -1,9 +1,10 @@
 """COLMAP's cameras: a line of cameras.txt, models, and databases.
 
-The principal point has (0.5, 0.5) at the centre of the top-left pixel, half a pixel more than ours.
-pycolmap reads models; it takes a cameras.bin that is cut within a camera, and never ends in an
-images.bin that is cut within a name, so both are checked first. It does not read databases: it
-changes one of an older COLMAP, and ends the process where a column is of another type.
+In COLMAP, the centre of the top-left pixel is (0.5, 0.5), so its principal point is half a pixel
+more than that of `Camera`. pycolmap reads the models. It accepts a cameras.bin cut off within a
+camera, and never returns from an images.bin cut off within a name, so this module checks both files
+first. It reads databases with sqlite3, because pycolmap modifies a database of an older COLMAP, and
+ends the process if a column has another type.
 """
 
 from __future__ import annotations
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
     import pycolmap
 
 _LINE = re.compile(r"\s*(?:\d+[\s,]+)?[A-Za-z][A-Za-z_]*[\s,]+\d")  # [id] MODEL width
-# Of a cameras.bin: a number of cameras, and a camera; of an images.bin: an image.
+# The number of items in a cameras.bin or images.bin; a camera; an image.
 _COUNT, _CAMERA, _IMAGE = struct.Struct("<Q"), struct.Struct("<IiQQ"), struct.Struct("<I7dI")
 _POINT_BYTES = 24
-_ROUNDING = 0.01  # of the length of a unit quaternion in a file
-# Views, triggers, virtual tables and generated columns are programs, which may run for ever.
+_ROUNDING = 0.01  # largest error of the length of a unit quaternion in a file
+# Views, triggers, virtual tables and generated columns are programs that may never end.
 _PROGRAMS = """
     SELECT name FROM sqlite_master
     WHERE type NOT IN ('table', 'index') OR sql LIKE 'CREATE VIRTUAL%'
@@ -48,16 +49,16 @@ _IMAGES = """
     LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
 """
 _FILES = ("cameras", "images", "points3D", "rigs", "frames")  # of a model, without endings
-_MAX_IMAGES = 2**31 - 1  # COLMAP's number of a pair is id1 * _MAX_IMAGES + id2
+_MAX_IMAGES = 2**31 - 1  # COLMAP's pair_id is id1 * _MAX_IMAGES + id2
 
 
 def is_line(text: str) -> bool:
-    """Whether a text begins as a line of cameras.txt does, with or without the id."""
+    """Whether a text begins like a line of cameras.txt, with or without the id."""
     return _LINE.match(text) is not None
 
 
 def parse_line(text: str) -> Camera:
-    """The camera of `[id] MODEL width height parameters...`, split by blanks or commas.
+    """Parse `[id] MODEL width height parameters...`, split by blanks or commas.
 
     Raises InputError.
     """
@@ -74,12 +75,12 @@ def parse_line(text: str) -> Camera:
 
 
 def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.Reconstruction]:
-    """The model of a folder, or of a cameras.txt or cameras.bin and the images.txt or images.bin
-    beside it: cameras by their ids and, with their poses, by image name; without images a single
-    camera is that of all.
+    """Read a COLMAP model: a folder, or a cameras.txt or .bin with the other files beside it.
+    The calibration has the cameras by id, and the cameras and poses of images with a pose by image
+    name. A single camera without images is the common one.
 
-    whole: with its points, rigs and frames. Raises InputError, with the path, if a file cannot be
-    read, or if COLMAP's camera has no focal length.
+    whole: also read points, rigs and frames. Raises InputError, with the path, if a file cannot be
+    read, or if a camera has no focal length.
     """
     from dgc_pose.system.colmap_library import pycolmap
 
@@ -95,7 +96,7 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
         for stem, file in wanted.items():
             copy = scratch / f"{stem}{'.txt' if is_text else '.bin'}"
             if not file.is_file() or not (whole or stem in ("cameras", "images")):
-                if stem in ("images", "points3D"):  # which pycolmap needs
+                if stem in ("images", "points3D"):  # required by pycolmap
                     copy.write_bytes(b"" if is_text else bytes(_COUNT.size))
             elif is_text:
                 with read_as(f"COLMAP's {stem}", file):
@@ -136,8 +137,8 @@ def read_model(path: Path, whole: bool = False) -> tuple[Calibration, pycolmap.R
 
 
 def _checked_lines(text: str, path: Path) -> str:
-    """A cameras.txt with names of models in capitals. Raises InputError, with the path, for a line
-    that is no camera."""
+    """A cameras.txt with the model names in capitals. Raises InputError, with the path, for a line
+    that is not a camera."""
     for line in text.splitlines():
         if line.strip() and not line.startswith("#"):
             try:
@@ -148,7 +149,7 @@ def _checked_lines(text: str, path: Path) -> str:
 
 
 def _with_quoted_names(text: str, *, with_points: bool) -> str:
-    """An images.txt with names without blanks, where pycolmap would end them."""
+    """An images.txt with its names percent-encoded, since pycolmap cuts names at blanks."""
     rows, lines = [], iter(text.splitlines())
     for line in lines:
         words = line.split(maxsplit=9)
@@ -162,7 +163,7 @@ def _with_quoted_names(text: str, *, with_points: bool) -> str:
 
 
 def _require_whole(data: bytes, item_bytes: Callable[[bytes, int], int]) -> None:
-    """Raise ValueError or struct.error unless a file has all of the items that it counts."""
+    """Raise ValueError or struct.error if a file has fewer items than its header states."""
     (count,), start = _COUNT.unpack_from(data), _COUNT.size
     for _ in range(count):
         start += item_bytes(data, start)
@@ -187,15 +188,15 @@ def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
 
 
 def read_database(path: Path) -> PairList:
-    """The images, cameras with a known focal length and matched pairs of a COLMAP database, of one
-    that is being written those that SQLite's log beside it has too. The file stays as it is.
+    """Read the images, the cameras with a known focal length and the matched pairs of a COLMAP
+    database, including those in SQLite's log beside it. The file is not modified.
 
-    Raises InputError, with the path, if it is none that can be read.
+    Raises InputError, with the path, if the database cannot be read.
     """
     open_file(path).close()
     file = path.resolve()
     logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
-    names = [log.name for log in logs if log.stat().st_size]  # without these it is not whole
+    names = [log.name for log in logs if log.stat().st_size]  # they complete the database
     uri = f"{file.as_uri()}?{'mode=ro' if names else 'immutable=1'}"
     with (
         read_as(" with ".join(["a COLMAP database", *names]), path),

@@ -1,9 +1,9 @@
-"""Cameras by their keys: OpenCV's cv::FileStorage, ROS's camera_info, tables, and JSON as
-`camera_data` writes it.
+"""Cameras in files with keys: OpenCV's cv::FileStorage, ROS's camera_info, tables, and the JSON of
+`camera_data`.
 
-A key that may be of the lens and is not read is refused: without it the pose is wrong, and nothing
-shows it. A key that may be of another camera is told in a warning. cv::FileStorage does not read
-the files here: damaged ones of a few hundred bytes end the process.
+An unread key that may describe the lens raises InputError: without it, the pose would be silently
+wrong. An unread key that may describe another camera causes a warning. cv::FileStorage is not used
+to read files: a damaged file of a few hundred bytes ends the process.
 """
 
 import csv
@@ -25,7 +25,7 @@ from dgc_pose.geometry.pixels import Size
 from dgc_pose.geometry.rotation import rotation_of_quaternion
 
 # Names of the matrix and the size in files of OpenCV's programs, ROS, Kalibr, Open3D and Record3D.
-# The `camera_matrix` of ROS is that of the raw image, which its distortion belongs to.
+# In ROS, `camera_matrix` and the distortion describe the raw image.
 _MATRICES = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "k", "intrinsic_matrix")
 _SIZES = (
     *(("size",), ("image_size",), ("imageSize",), ("cameraResolution",)),
@@ -36,7 +36,7 @@ _FOUR = ("fx", "fy", "cx", "cy")
 _POSE = ("qw", "qx", "qy", "qz", "tx", "ty", "tz")
 _CAMERAS_OF_A_PAIR = {"K1": "K1", "K2": "K2", "camera1": "K1", "camera2": "K2"}
 _MODEL_KEYS = ("camera_model", "distortion_model", "fisheye_model", "is_fisheye", "fisheye")
-_MODELS = {  # of OpenCV and NeRF, of ROS, of Kalibr; 0 and 1 of a flag
+_MODELS = {  # of OpenCV and NeRF, ROS, Kalibr; 0 and 1 are values of a flag
     **dict.fromkeys(("", "0", "opencv", "pinhole", "simple_pinhole", "perspective"), "OPENCV"),
     **dict.fromkeys(("radial", "simple_radial", "plumb_bob", "rational_polynomial"), "OPENCV"),
     **dict.fromkeys(("radtan", "radial-tangential"), "OPENCV"),
@@ -61,16 +61,16 @@ _OF_OTHERS = re.compile(
 
 
 def xml_data(node: ElementTree.Element) -> Any:
-    """The values of an XML of cv::FileStorage, as its YAML and JSON have them."""
+    """The values in XML from cv::FileStorage, in the structure of its YAML and JSON."""
     return {child.tag: xml_data(child) for child in node} if len(node) else node.text
 
 
 def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
-    """The `keyed_camera`, and as the part "fisheye" the same with OpenCV's fisheye model, which
-    four coefficients alone do not name; of {"K1", "K2"} or the output's {"camera1", "camera2"} two
-    cameras, which are matrices or such mappings.
+    """The cameras of a mapping, see `keyed_camera`.
 
-    Raises as `keyed_camera` does.
+    A mapping of one camera also has the part "fisheye", with OpenCV's fisheye model, since four
+    coefficients do not determine the model. A mapping with "K1", "K2" or, as in our output,
+    "camera1", "camera2" has two cameras, each a matrix or a mapping. Raises as `keyed_camera` does.
     """
     if {*_MATRICES, "fx", *_CAMERAS_OF_A_PAIR}.isdisjoint(data):
         keys = shortened(", ".join(map(str, data)))
@@ -86,20 +86,20 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
     if {*_MATRICES, "fx"}.isdisjoint(data):  # the cameras of a pair are null
         raise InputError("has no cameras, because its pair has no pose")
     data = dict(data)
-    frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # of Record3D, 0.jpg, 1.jpg, ...
+    frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # Record3D: 0.jpg, 1.jpg, ...
     common, parts = keyed_camera(data), {}
     by_name = {str(n): replace(common, K=numbers_camera(values).K) for n, values in frames}
-    with suppress(InputError):  # of other coefficients than four
+    with suppress(InputError):  # not four coefficients
         parts["fisheye"] = keyed_camera({**data, "fisheye_model": 1})
     return Calibration("", by_name, parts, common)
 
 
 def keyed_camera(data: Any, key: str | None = None) -> Camera:
-    """The camera of a matrix, or of a mapping with a matrix or fx, fy, cx, cy, a size, and a lens,
-    with a warning that names keys of other cameras.
+    """The camera from a matrix, or from a mapping with a matrix or fx, fy, cx, cy, a size and a
+    lens. A warning names unread keys that may describe another camera.
 
-    key: of the matrix or the four numbers, by default one of OpenCV's names. Raises InputError,
-    KeyError, TypeError or ValueError for what is none, and as `unread`.
+    key: of the matrix or the four numbers, by default one of `_MATRICES`. Raises InputError,
+    KeyError, TypeError or ValueError if there is no camera, and as `unread` does.
     """
     if not isinstance(data, Mapping):
         return numbers_camera(data)
@@ -122,7 +122,7 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
 
 
 def _told(others: Sequence[str]) -> tuple[str, ...]:
-    """A warning of keys that are not read; none without them."""
+    """A warning that names the unread keys; empty if there are none."""
     return (f"keys that may change K are not read: {shortened(', '.join(others))}",) * bool(others)
 
 
@@ -137,11 +137,11 @@ def _size(data: Mapping[str, Any]) -> Size | None:
 
 
 def read_table(text: str, path: Path) -> Calibration:
-    """The cameras of a .csv with the columns name, fx, fy, cx, cy, and optionally width, height,
-    focal_std, centre_std_px, lens_std, camera, equal for images of one camera, those of a lens, and
-    qw, qx, qy, qz, tx, ty, tz of cam_from_world.
+    """Read the cameras of a .csv with the columns name, fx, fy, cx, cy.
 
-    Raises InputError, with the path and line, also for a name with two cameras.
+    Optional columns: width, height, focal_std, centre_std_px, lens_std; camera, equal for images
+    taken by one camera; the keys of a lens; and qw, qx, qy, qz, tx, ty, tz of cam_from_world.
+    Raises InputError, with the path and line, also if a name has two cameras.
     """
     by_name: dict[str, dict[str, str]] = {}
     cameras, poses = {}, {}
@@ -166,16 +166,16 @@ def read_table(text: str, path: Path) -> Calibration:
 
 
 def of_camera(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The values whose keys may be of a lens or of another camera."""
+    """The values whose keys may describe a lens or another camera."""
     names = [key for key in data if _OF_LENS.fullmatch(key) or _OF_OTHERS.fullmatch(key)]
     return {name: data[name] for name in names}
 
 
 def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
-    """The keys that may be of other cameras, are not among those that are `read` and hold anything
-    but zeros, here or in a mapping that is not read either.
+    """The keys that are not in `read`, may describe other cameras and are not all zeros, including
+    those in nested mappings.
 
-    Raises InputError, with the key, for one that may be of a lens.
+    Raises InputError if there is such a key that may describe a lens.
     """
     others = []
     for key, value in data.items():
@@ -195,11 +195,11 @@ def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
 
 
 def _lens(data: Mapping[str, Any]) -> tuple[Distortion | None, Sequence[str]]:
-    """The lens of a camera's keys, and these: COLMAP's "model" and "coefficients"; or the
-    coefficients in a list or one by one, of the model that the keys name, or else OpenCV's. None if
-    they are all zero.
+    """The lens of a camera, and the keys that it was read from.
 
-    Raises InputError for a model that COLMAP does not have, and for another number of coefficients.
+    The keys are COLMAP's "model" and "coefficients"; or the coefficients, in a list or one by one,
+    with a key of the model, by default OpenCV's, whose lens is None if all coefficients are zero.
+    Raises InputError for a model that COLMAP lacks, and for a wrong number of coefficients.
     """
     if data.get("model"):
         values = numbers(data.get("coefficients")) or ()
@@ -225,7 +225,7 @@ def _lens(data: Mapping[str, Any]) -> tuple[Distortion | None, Sequence[str]]:
 
 
 def _opencv_lens(coefficients: Sequence[float], keys: Sequence[str]) -> Distortion | None:
-    """COLMAP's model of OpenCV's coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]."""
+    """COLMAP's lens for OpenCV's coefficients k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tx ty]]]]."""
     if (count := len(coefficients)) not in (4, 5, 8, 12, 14):
         raise InputError(f"{keys[0]} has {count} distortion coefficients, not 4, 5, 8, 12 or 14")
     values = (*coefficients, *[0.0] * (14 - len(coefficients)))
@@ -237,8 +237,8 @@ def _opencv_lens(coefficients: Sequence[float], keys: Sequence[str]) -> Distorti
 
 
 def numbers(value: Any) -> list[float] | None:
-    """The numbers of a text, a list, or a matrix of cv::FileStorage or ROS, row by row; None if it
-    holds anything else."""
+    """The numbers of a text, a list, or a matrix of cv::FileStorage or ROS, row by row; None if the
+    value contains anything else."""
     if isinstance(value, Mapping):
         value = value.get("data", "none")
     if isinstance(value, str):
@@ -250,7 +250,7 @@ def numbers(value: Any) -> list[float] | None:
 
 
 def numbers_camera(values: Any, name: str = "K") -> Camera:
-    """The camera of fx fy cx cy, or of the nine or sixteen numbers of a matrix.
+    """The camera from fx fy cx cy, or from the nine or sixteen numbers of a matrix.
 
     Raises InputError, naming `name`.
     """

@@ -1,9 +1,8 @@
-"""The format of a file of cameras, by its content, and by its name where the content is not enough.
+"""Recognise the format of a camera file, by its content and, if that is ambiguous, by its name.
 
-docs/cameras.md lists the files. The centre of the top-left pixel is (0.5, 0.5) in COLMAP's and
-NeRF's, and (0, 0) in all others, as in `Camera`. Images have their cameras by name in COLMAP's
-models, NeRF's transforms.json, Record3D's metadata and tables, and by the name of the camera in
-files of rigs.
+docs/cameras.md lists the formats. The centre of the top-left pixel is (0.5, 0.5) in files of COLMAP
+and NeRF, and (0, 0) in all others, as in `Camera`. COLMAP's models, NeRF's transforms.json,
+Record3D's metadata and tables have cameras by image name; rig files have them by camera name.
 """
 
 import json
@@ -26,16 +25,16 @@ from dgc_pose.system.arrays import read_array
 from dgc_pose.system.files import read_as, read_text
 from dgc_pose.system.texts import toml_data, yaml_data
 
-# KITTI's projections P are of the rectified images, which its folders hold; S, K, D are not.
+# KITTI's projections P describe the rectified images in its folders; S, K and D do not.
 _PROJECTION = re.compile(r"^P(?:_rect_)?(\d+):(.*)", re.MULTILINE)
 _SIZE = re.compile(r"^S_rect_(\d+):\s*(\S+)\s+(\S+)", re.MULTILINE)
 _OTHERS = re.compile(r"^(?!(?:P\d+|[SKD]_\d+|corner_dist):)(\w+):(.*)", re.MULTILINE)
-# Where a frame of NeRF's has one key of a group, the file's values of it do not hold for it.
+# If a NeRF frame has one key of a group, it replaces the whole group of the file.
 _GROUPS = (("fl_x", "fl_y", "camera_angle_x", "camera_angle_y"), ("camera_model", "is_fisheye"))
 
 
 def read_file(path: Path) -> Calibration:
-    """The cameras of a file, or of the folder of a COLMAP model.
+    """Read the cameras of a file, or of the folder of a COLMAP model.
 
     Raises InputError, with the path; OSError if a file cannot be read.
     """
@@ -97,8 +96,8 @@ def _of_mapping(data: Any, path: Path) -> Calibration:
 
 
 def _kitti_cameras(text: str, path: Path) -> Calibration | None:
-    """The cameras "image_0", "image_1", ... of a calib.txt of odometry and objects, or of a
-    calib_cam_to_cam.txt of raw drives."""
+    """The cameras "image_0", "image_1", ... from KITTI's calib.txt (odometry, objects) or
+    calib_cam_to_cam.txt (raw drives)."""
     others = dict.fromkeys(keyed.unread(dict(_OTHERS.findall(text))), "unread")
     sizes = {key: (width, height) for key, width, height in _SIZE.findall(text)}
     tables = {}
@@ -110,10 +109,10 @@ def _kitti_cameras(text: str, path: Path) -> Calibration | None:
 
 
 def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
-    """The cameras of a transforms.json by the names of its frames, which may lack their ending.
+    """The cameras of a transforms.json by the names of its frames, which may lack an ending.
 
     where: the path, for the identity of the cameras. Raises InputError, KeyError, TypeError,
-    AttributeError, ValueError or ArithmeticError for what is none.
+    AttributeError, ValueError or ArithmeticError for other data.
     """
     shared = {key: value for key, value in data.items() if key != "frames"}
     common = _nerf_camera(shared)
@@ -122,7 +121,7 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
     by_name, poses = {}, {}
     for frame in data.get("frames", ()):
         name = str(frame["file_path"])
-        if "transform_matrix" in frame:  # world_from_cam, of axes right, up and backwards
+        if "transform_matrix" in frame:  # world_from_cam, axes right, up, backwards
             matrix = np.linalg.inv(np.array(frame["transform_matrix"], dtype=np.float64))
             poses[name] = (matrix * [[1], [-1], [-1], [1]])[:3]
         replaced = {key for keys in _GROUPS if not frame.keys().isdisjoint(keys) for key in keys}
@@ -158,7 +157,7 @@ def _nerf_camera(data: Mapping[str, Any]) -> Camera | None:
 
 
 def _focal(data: Mapping[str, Any], axis: str, side: int | None) -> float | None:
-    """The focal length along an axis, pixels; side: of the image."""
+    """The focal length along an axis, pixels. side: of the image along this axis, pixels."""
     if data.get(f"fl_{axis}") is not None:
         return float(data[f"fl_{axis}"])
     angle = data.get(f"camera_angle_{axis}")

@@ -1,7 +1,8 @@
-"""Files that name the cameras of a rig, with their poses if the file has them: OpenCV's of a stereo
-pair, the TOML of anipose, caliscope and Pose2Sim, and COLMAP's rig_config.json, read and written;
-EasyMocap's intri.yml, Kalibr's camchain, EuRoC's sensor.yaml, and rig.json, which has the tables of
-the TOML, read.
+"""Files that name the cameras of a rig, with or without their poses.
+
+Read and written: OpenCV's file of a stereo pair, the TOML of anipose, caliscope and Pose2Sim, and
+COLMAP's rig_config.json. Only read: EasyMocap's intri.yml, Kalibr's camchain, EuRoC's sensor.yaml,
+and rig.json, which has the tables of the TOML.
 """
 
 import json
@@ -23,29 +24,28 @@ from dgc_pose.errors import InputError, reason
 from dgc_pose.geometry.epipolar import essential_from_pose, fundamental_from_essential
 from dgc_pose.geometry.rotation import is_rotation, quaternion_wxyz, rotation_of_quaternion
 
-# Keys that end with their camera. P1 and P2 are of OpenCV's rectified images, and not needed.
+# Keys that end with the name of their camera. P1 and P2 describe OpenCV's rectified images: unused.
 _STEREO = re.compile(r"(M|cameraMatrix|K|D|distCoeffs|P)([12])")
 _EASYMOCAP = re.compile(r"(K|dist|D|H|W)_(.+)")
 _MATRICES = ("M", "cameraMatrix", "K")
-# How many of OpenCV's coefficients hold a lens of COLMAP's: k1 k2 p1 p2 k3, or k1 to k4.
+# Number of OpenCV's coefficients for a lens of COLMAP: k1 k2 p1 p2 k3, or k1 to k4.
 _OPENCV = dict.fromkeys(("SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV"), 5)
 _OPENCV |= {f"{kind}FISHEYE": 4 for kind in ("", "SIMPLE_", "RADIAL_", "SIMPLE_RADIAL_", "OPENCV_")}
 
 
 def named_rig(data: Mapping[str, Any], path: Path) -> Calibration | None:
-    """The cameras of a rig by their names, in the order of the file, and their poses. Cameras that
-    are not calibrated, as caliscope writes them, are among the names of the `rig` alone. None for
-    other files.
+    """The cameras of a rig by name, in the file's order, and their poses; None for other files.
 
-    path: for the identity of the cameras. Raises InputError, with the camera's name, for what is no
-    camera or no rigid pose, and for two cameras of one name; and if no camera is calibrated.
+    Uncalibrated cameras, which caliscope writes, appear only in `rig`. path: for the identity of
+    the cameras. Raises InputError, with the camera's name, for an invalid camera, a pose that is
+    not rigid, and two cameras with one name; and if no camera is calibrated.
     """
     return calibration(_kalibr(data) or _tables(data) or _grouped(data), path)
 
 
 def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
     """The cameras of COLMAP's rig_config.json by the last folder of their image_prefix, and their
-    poses, unless the file has several rigs, which have no common frame. None for other lists.
+    poses; None for other lists. Several rigs have no common frame, so they get no poses.
 
     Raises as `named_rig` does.
     """
@@ -67,8 +67,8 @@ def colmap_rig(rigs: Sequence[Any], path: Path) -> Calibration | None:
 
 
 def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibration | None:
-    """The cameras of tables as calibration.toml has them; None without a table. If all are the
-    same, one is that of other images. Raises as `named_rig` does."""
+    """The cameras from tables in the form of calibration.toml; None without a table. If all cameras
+    are equal, they are also the common camera. Raises as `named_rig` does."""
     names = {key: str(table.get("name") or key) for key, table in tables.items()}
     parts: dict[str, Camera] = {}
     poses: dict[str, np.ndarray] = {}
@@ -93,14 +93,14 @@ def calibration(tables: Mapping[str, Mapping[str, Any]], path: Path) -> Calibrat
     by_name = {key: parts[name] for key, name in names.items() if name in parts} | parts
     kinds = {(camera.K.tobytes(), camera.distortion) for camera in parts.values()}
     is_one = len(kinds) == 1 and len(parts) == len(tables)
-    is_one &= not _STEREO.fullmatch(name)  # M1 alone is of image 1
+    is_one &= not _STEREO.fullmatch(name)  # a single M1 is only for image 1
     common, rig = next(iter(parts.values())) if is_one else None, (*names.values(),)
     return Calibration("", by_name, parts, common, poses=poses, rig=rig)
 
 
 def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
-    """cam_from_world [R | t] (3, 4), the rotation a matrix, a rotation vector or a quaternion; None
-    of a camera without a pose."""
+    """cam_from_world [R | t] (3, 4) from a rotation matrix, rotation vector or quaternion; None if
+    the table has no pose."""
     values, t = (np.array(numbers(table.get(key)) or ()) for key in ("rotation", "translation"))
     if not len(values) or not len(t) or np.isnan([*values, *t]).all():
         return None
@@ -114,7 +114,7 @@ def _pose(table: Mapping[str, Any]) -> np.ndarray | None:
 
 
 def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """By their names, the tables of a camchain; of EuRoC's sensor.yaml as "cam0"."""
+    """The tables of Kalibr's camchain by camera name; that of EuRoC's sensor.yaml as "cam0"."""
     tables = {
         str(name): {"name": str(name), "distortion_model": "none", **values}
         for name, values in {**data, "cam0": data.get("cam0", data)}.items()
@@ -129,7 +129,7 @@ def _kalibr(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """By their keys, the tables of the cameras in a TOML; caliscope's `cameras` are numbered."""
+    """The tables of the cameras in a TOML by key; caliscope's `cameras` are numbered."""
     listed = data.get("cameras", data)
     tables = {
         str(key): {**({} if listed is data else {"name": f"cam_{key}"}), **table}
@@ -144,7 +144,7 @@ def _tables(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """By their names, the cameras of keys that end with them; other keys are of each camera."""
+    """The cameras by name, from keys that end with the name; other keys apply to each camera."""
     keys, shared = _EASYMOCAP if "names" in data else _STEREO, {}
     groups: dict[str, dict[str, Any]] = {}
     for key, value in data.items():
@@ -155,7 +155,7 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     tables = {}
     for end, group in groups.items():
         held = [key for key in _MATRICES if key in group and numbers(group[key]) is not None]
-        if not held:  # another file, such as one of two cameras with keys of their own
+        if not held:  # another format
             return {}
         name = end if keys is _EASYMOCAP else held[0] + end
         tables[name] = {**shared, "matrix": group.pop(held[0]), **group, "name": name}
@@ -169,18 +169,18 @@ def _grouped(data: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 def rig_texts(
     cameras: Mapping[str, Camera], poses: np.ndarray, unit: str
 ) -> tuple[dict[str, str], dict[str, dict[str, Any]]]:
-    """The files of a rig by their names, and the tables of calibration.toml by camera name.
+    """The text of each rig file by file name, and the tables of calibration.toml by camera name.
 
-    cameras: by name, with the size of the image. poses: their cam_from_world (N, 3, 4). unit: of
-    the positions, "" up to scale.
+    cameras: by name, with a size. poses: their cam_from_world (N, 3, 4). unit: of the positions; ""
+    up to scale.
 
     - calibration.toml of anipose and Pose2Sim, camera_array.toml of caliscope: x = R X + t;
     - rig_config.json of COLMAP, in the frame of the first camera;
-    - stereo.yml of OpenCV, x2 = R x1 + T, if there are two cameras, with lenses of one kind.
+    - stereo.yml of OpenCV, x2 = R x1 + T, for two cameras with lenses of one kind.
 
-    A lens that OpenCV does not have is written as COLMAP's `model` and `coefficients`: a program
-    that wants `distortions` misses them, and takes no wrong lens. Raises InputError, with the
-    camera's name, for a K with a skew.
+    A lens that OpenCV does not have is written as COLMAP's `model` and `coefficients`, so that a
+    program that reads `distortions` fails instead of using a wrong lens. Raises InputError, with
+    the camera's name, for a K with a skew.
     """
     in_rig = poses @ np.linalg.inv(np.vstack([poses[0], [0, 0, 0, 1]]))  # cam_from_first (N, 3, 4)
     rows = zip(cameras.items(), poses, strict=True)
@@ -200,14 +200,14 @@ def rig_texts(
 
 
 def _table(name: str, camera: Camera, pose: np.ndarray) -> dict[str, Any]:
-    """What calibration.toml has of a camera."""
+    """The table of a camera in calibration.toml."""
     lens = camera.distortion or Distortion("OPENCV", (0.0,) * 4)
     count = _OPENCV.get(lens.model, 0)
     values = [*lens.coefficients, *[0.0] * count]
     of_lens: dict[str, Any] = {"distortions": values[:count], "fisheye": count == 4}
     if not count or any(values[count:]):
         of_lens = {"model": lens.model, "coefficients": lens.coefficients}
-    w, *axis = quaternion_wxyz(pose[:, :3])  # cv2.Rodrigues has 7 digits near a half turn
+    w, *axis = quaternion_wxyz(pose[:, :3])  # cv2.Rodrigues: only 7 digits near a half turn
     half = np.arctan2(np.linalg.norm(axis), w)
     return {
         "name": name,
@@ -250,7 +250,7 @@ def _stereo_text(tables: Sequence[Mapping[str, Any]], pose: np.ndarray) -> str:
 
 
 def _toml_text(tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """A TOML of tables whose values are those of JSON."""
+    """A TOML of tables whose values are written as in JSON."""
     lines = []
     for name, table in tables.items():
         values = [f"{key} = {json.dumps(of, ensure_ascii=False)}" for key, of in table.items()]
