@@ -92,7 +92,7 @@ def _solved(
     start = time.perf_counter()
     dense = matcher.match(pair.image1, pair.image2).correspondence_map
     if dense is None:
-        raise InputError(f"{method.name}: {matcher.name} makes no map")
+        raise InputError(f"{method.name}: {matcher.name} makes no dense map")
     every = select_matches(dense, method.matcher.matching, 0.0, 0.0)
     matched = time.perf_counter()
     pose = estimate_pose(every, *cameras, method.estimation)

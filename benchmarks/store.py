@@ -37,8 +37,8 @@ def open_run(
             for key, value in json.loads(json.dumps(settings)).items():
                 if (before or done) and before.get(key) != value:
                     raise InputError(
-                        f"{path}: that run had {key} {json.dumps(before.get(key))}, not "
-                        f"{json.dumps(value)}: the same options are needed to go on with it"
+                        f"{path}: that run has {key} {json.dumps(before.get(key))}, not "
+                        f"{json.dumps(value)}: resume it with the same options"
                     )
         write_text(path, "".join(json.dumps(line) + "\n" for line in (settings, *done)))
 

@@ -73,9 +73,9 @@ class TrainingOptions:
         check_options(self)
         own = self.config.any_shape  # raises InputError for an unknown network
         if (self.seconds is None) == (self.steps is None):
-            raise InputError("a run needs its length, in seconds or in steps, and one of them only")
+            raise InputError("set the length of the run, either in seconds or in steps")
         if own and self.encoder is not None:
-            raise InputError(ArgumentName("encoder"), f"is VGG-16, which {self.preset} has not")
+            raise InputError(ArgumentName("encoder"), f"is VGG-16, not for {self.preset}")
         if not own and self.encoder is None and self.init is None:
             needs = f"or init is needed: the VGG-16 of {self.preset} is not trained"
             raise InputError(ArgumentName("encoder"), needs)

@@ -54,7 +54,7 @@ class PairSource:
         there = True, len(photos.places) > 0, True, posed is not None
         ends = np.cumsum(np.multiply(self.shares, there))
         if not ends[-1]:
-            raise InputError("shares: there is no data for the kinds of pairs that have a share")
+            raise InputError("shares: no kind of pairs with a share has data")
         # Evenly spaced from a random start, so that small batches have all kinds, too.
         places = (np.arange(count) + draw.choice(_STARTS) / len(_STARTS)) * ends[-1] / count
         kinds = ends.searchsorted(places, "right")
@@ -94,13 +94,13 @@ def load_data(
     for root in posed:
         found = read_scenes(root)
         if twice := sorted(frames.keys() & found):
-            raise InputError(f"posed: {root}: another folder, too, has a scene {twice[0]}")
+            raise InputError(f"posed: two folders have a scene {twice[0]}, the second is {root}")
         frames |= found
     if missing := sorted(set(held) - set(frames)):
         raise InputError(f"held: there is no scene {missing[0]}")
     trains = [name for name in frames if name not in held] if shares.posed else []
     if frames and shares.posed and not trains:
-        raise InputError("held: no scene of posed is left to train")
+        raise InputError("held: all scenes of posed are held back")
     needed = {name: scene for name, scene in frames.items() if name in held or name in trains}
     training, held_back = load_photos(photos, light, device)
     scenes = load_posed(needed, device, depths) if needed else None

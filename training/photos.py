@@ -136,9 +136,9 @@ def load_photos(
     places = [_decoded(_images(folder), SIDE) for folder in folders]
     for folder, place in zip(folders, places, strict=True):
         if len(place) < 2 or len({image.shape for image in place}) > 1:
-            raise ImageError(f"{folder}: must hold two photographs of one size and more")
+            raise ImageError(f"{folder}: needs at least two photographs, all of one size")
     if light is not None and not places:
-        raise ImageError(f"{light}: holds no folders of photographs of one place")
+        raise ImageError(f"{light}: has no folders of photographs, one for each place")
     validating = Photos.of(_decoded(held_back, SIDE), device=device)
     return Photos.of(_decoded(training, SIDE), places, device), validating
 
@@ -155,7 +155,7 @@ def _split(root: Path) -> tuple[list[Path], list[Path]]:
         path: int(hashlib.sha256(path.name.encode()).hexdigest()[:8], 16) for path in _images(root)
     }
     if len(numbers) < 2:
-        raise ImageError(f"{root}: one trains and one is held back, and it holds {len(numbers)}")
+        raise ImageError(f"{root}: two photographs are needed, and it has {len(numbers)}")
     ranked = sorted(numbers, key=lambda path: (numbers[path] % _HELD_BACK != 0, numbers[path]))
     count = sum(number % _HELD_BACK == 0 for number in numbers.values())
     count = min(max(1, count), len(ranked) - 1)  # of few names, none or all may be

@@ -55,7 +55,7 @@ class PosedFrame:
             raise ImageError(f"{self.depth} is not a depth image of one channel")
         if not same_shape(stored.shape[::-1], size):
             sizes = f"{stored.shape[1]} x {stored.shape[0]}, its image {size[0]} x {size[1]}"
-            raise InputError(f"{self.depth} has {sizes} pixels, another shape")
+            raise InputError(f"{self.depth} has {sizes} pixels: the aspect ratios differ")
         stored = cv2.resize(stored, size, interpolation=cv2.INTER_NEAREST_EXACT)
         return stored.astype(np.float32) * np.float32(self.step)
 
@@ -69,7 +69,7 @@ def read_scenes(root: str | Path) -> dict[str, list[PosedFrame]]:
     folders = [root] if (root / "images").is_dir() else sorted(root.iterdir())
     scenes = {f.name: read_scene(f) for f in folders if (f / "images").is_dir()}
     if not scenes:
-        raise InputError(f"{root}: holds no scenes, which have a folder images")
+        raise InputError(f"{root}: has no scenes (folders with a folder images)")
     return scenes
 
 
@@ -111,7 +111,7 @@ def read_rgbd(root: str | Path) -> list[PosedFrame]:
         poses = np.linalg.inv(np.array(read_text(path).split(), float).reshape(-1, 4, 4))
     if not 0 < len(images) == len(depths) == len(poses):
         counts = f"{len(images)} images, {len(depths)} depths and {len(poses)} poses"
-        raise InputError(f"{root}: {counts}; there must be as many of each, one at least")
+        raise InputError(f"{root}: {counts}; the numbers must be equal and at least one")
     cameras = [camera] * len(images)
     return [*map(PosedFrame, images, cameras, poses, depths)]
 
@@ -130,7 +130,7 @@ def _read_listed(root: Path) -> list[PosedFrame]:
             K, Rt, (nearest, farthest) = np.split(np.array(words, float), (4, 16))
             pose = np.vstack([Rt.reshape(3, 4), (0, 0, 0, 1)])
         if not (K[:2].min() > 0 and 0 < nearest < farthest < np.inf):
-            wanted = "fx fy must be positive, and the depths must, too, and rise"
+            wanted = "fx, fy and the depths must be positive, the nearest depth below the farthest"
             raise InputError(f"{path}:{number}: {wanted}")
         image, reach = root / "images" / name, (nearest, farthest)
         depth = root / "depth" / f"{image.stem}.png" if scale.exists() else None

@@ -162,7 +162,7 @@ def frame_pairs(scenes: PosedScenes, names: Collection[str]) -> FramePairs:
     frames, middles, weights = map(torch.cat, zip(*parts, strict=True))
     if not len(frames):
         listed = ", ".join(names)
-        raise InputError(f"posed: in {listed} no two frames share enough of known depth")
+        raise InputError(f"posed: no two frames of {listed} share enough pixels of known depth")
     return FramePairs(scenes, frames, middles, weights.double().cumsum(0))
 
 

@@ -72,7 +72,7 @@ class Trainer:
             text = f"{self.checkpoint} exists already:"
             raise InputError(text, ArgumentName("resume"), "continues it")
         if self.weights_path.exists() and not resumes:
-            raise InputError(f"{self.weights_path} exists already, and is of no run in this folder")
+            raise InputError(f"{self.weights_path} exists, and this folder has no checkpoint")
         torch.manual_seed(options.seed)
         net = DGCNet(options.config)
         if options.init is not None:
@@ -186,7 +186,7 @@ class Trainer:
                 setattr(self, name, state[name])
         if self.stage == "decoders" and self._place()[0] == "encoder":
             length = ArgumentName("seconds" if self.options.steps is None else "steps")
-            raise InputError(length, f"would lead from the decoders of {path} back to the encoder")
+            raise InputError(length, f"returns to the encoder, and {path} trains the decoders")
 
     def _fixed_options(self) -> dict[str, str]:
         """The options that a resumed run must share with its checkpoint: all but the length."""

@@ -83,10 +83,10 @@ class Calibration:
         if self.parts or self.by_name:
             *_, last = ("", *self.parts)
             names = shortened(", ".join(self.parts))
-            other = f": state one of {names}, as in {self.where}:{last}" if last else ""
+            other = f": choose one of {names}, as in {self.where}:{last}" if last else ""
             raise InputError(f"{self.where} has no camera for {name}{other}")
         K = ArgumentName("K")
-        raise InputError(f"no camera for {name}: state", K, "or", K, "auto")
+        raise InputError(f"no camera for {name}: give", K, "or", K, "auto")
 
     def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
         """The camera of an image exactly as the text or file states it, or None."""
@@ -110,7 +110,7 @@ class Calibration:
                 return self.by_name[stated]
         if len({id(self.by_name[stated]) for _, stated in alike}) > 1:
             first, second, *_ = (stated for _, stated in alike)
-            raise InputError(f"{self.where} has {first} and {second}, and {name} may be either")
+            raise InputError(f"{name} matches both {first} and {second} of {self.where}")
         return self.by_name[alike[0][1]] if alike else None
 
     @cached_property
@@ -135,7 +135,7 @@ class Calibration:
         first, second = self.rig
         taken = self.parts.get(second if part == "K2" else first)
         warning = (
-            f"{self.where} has two cameras and no image names: {first} is taken for image 1, "
+            f"{self.where} has two cameras and no image names: {first} is used for image 1, "
             f"{second} for image 2"
         )
         return taken and replace(taken, warnings=(*taken.warnings, warning))
@@ -164,8 +164,8 @@ def fitted_camera(
             raise InputError(stated, ArgumentName("K_size"), times(of_K))
         if abs(of_K[0] * size[1] / (of_K[1] * size[0]) - 1) > _MAX_ASPECT_DIFFERENCE:
             raise InputError(
-                f"{name} is for {times(of_K)} pixels and the image has {times(size)}, "
-                "of another aspect ratio: K cannot be scaled"
+                f"{name} is for {times(of_K)} pixels, and the image of {times(size)} has "
+                "another aspect ratio: K cannot be scaled"
             )
         camera = replace(checked_camera(camera, of_K, name), size=of_K).resized(size)
     camera = upright_camera(camera, image)

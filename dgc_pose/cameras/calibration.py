@@ -50,7 +50,9 @@ def pair_cameras(
         check_type(image, Image, name)
     if fov is not None:
         if K1 is not None or K2 is not None:
-            raise InputError(ArgumentName("fov"), f"and {names[K1 is None]} are both stated")
+            raise InputError(
+                ArgumentName("fov"), f"and {names[K1 is None]} exclude each other: give only one"
+            )
         first, second = (fitted_camera(view_camera(fov, i.size), details, i, "fov") for i in images)
         return first, second
     values = ["auto" if value is None else value for value in (K1, K2)]
@@ -177,7 +179,7 @@ def camera_data(camera: Camera) -> dict[str, Any]:
 def parse_camera_data(data: Mapping[str, Any]) -> Camera:
     """The camera from `camera_data`. Raises KeyError, TypeError or ValueError for other data."""
     if data["focal_source"] not in get_args(FocalSource):
-        raise ValueError("a focal_source that is none")
+        raise ValueError(f"unknown focal_source {data['focal_source']!r:.60}")
     return replace(
         keyed_camera(data),
         warnings=tuple(data["warnings"]),

@@ -185,8 +185,8 @@ class Camera:
         of_axis = lens is not None and ("PRISM" in lens.model or lens.projection == "cylinder")
         if (self.K[0, 1] or of_axis) and not np.array_equal(turn, np.eye(2)):
             raise InputError(
-                "K has a skew, a prism or a cylinder, which are not turned: give the photographs "
-                "that are turned a K of their own"
+                "a K with a skew, a prism or a cylinder cannot be rotated: give the rotated "
+                "photographs their own upright K"
             )
         K = self.K.copy()
         K[:2, :2] = turn @ K[:2, :2] @ turn.T

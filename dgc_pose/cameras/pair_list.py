@@ -111,7 +111,7 @@ def read_pair_list(path: Path) -> PairList:
                 raise InputError(f"{name1} is paired with itself")
             for name, camera in zip((name1, name2), _cameras(words), strict=False):
                 if not np.array_equal(cameras.setdefault(name, camera).K, camera.K):
-                    raise InputError(f"another K of {name} than in a line before")
+                    raise InputError(f"K of {name} differs from an earlier line")
         pairs.setdefault(frozenset((name1, name2)), (name1, name2))
     if not pairs:
         raise InputError(f"{path}: no pairs in this list")

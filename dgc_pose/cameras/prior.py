@@ -107,8 +107,9 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         tail = Part(math.log(_OTHER_SHARE), math.log(SIZE_FOCAL), OTHER_STD)
         if exif.size is not None and margin:
             warnings.append(
-                f"{width}x{height} pixels are a part of the {exif.size[0]}x{exif.size[1]} of the "
-                "EXIF data, or squeezed: focal length and principal point are less certain"
+                f"{width}x{height} pixels, cropped or squeezed from the "
+                f"{exif.size[0]}x{exif.size[1]} of the EXIF data: focal length and "
+                "principal point are less certain"
             )
     elif exif.focal_35mm is not None or (exif.focal_mm and exif.pixels_per_mm):
         lengths = {"on 35 mm film": exif.focal_35mm, "of the lens": exif.focal_mm}
@@ -179,8 +180,8 @@ def _by_lines(
     if abs(part.log_focal - before.log_focal) <= 3 * math.hypot(before.std, part.std):
         return found
     warning = (
-        f"the lines of the image agree with f = {found.focal:.0f} px +- {100 * part.std:.0f} %, "
-        f"and EXIF says {camera.focal:.0f}"
+        f"the lines of the image give f = {found.focal:.0f} px +- {100 * part.std:.0f} %, "
+        f"EXIF data {camera.focal:.0f}: using the lines"
     )
     return replace(found, focal_source="lines", warnings=(*camera.warnings, warning))
 

@@ -48,7 +48,7 @@ _FORMATS = {
         "HEIF": rb".{4}ftyp(hei[cxms]|hev[cxms]|mif1|msf1)",
     }.items()
 }
-_RAW_FILE = "a camera's raw file, or begins with a thumbnail, and neither is read"
+_RAW_FILE = "a camera's raw file, or a TIFF that begins with a thumbnail: convert it to JPEG or PNG"
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # of EXIF resolutions; 2 if a file has none
 _MAX_ZOOM = 200.0
 _MAX_RESOLUTION_DIFFERENCE = 0.02  # relative, between x and y, for square pixels

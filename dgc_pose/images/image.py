@@ -154,7 +154,7 @@ def _of_array(array: np.ndarray, name: str | Path) -> Image:
     if array.shape[2] == 4 and not (array[:, :, 3] != 0).all():
         used = array[:, :, 3] != 0
         if not used.any():
-            raise InputError(name, "has alpha 0 everywhere, which leaves no pixel of it")
+            raise InputError(name, "has alpha 0 everywhere: no pixel is left to match")
         colours = filled(colours, used)
     colours = _to_8_bit(colours, name)
     if colours.shape[2] == 1:
@@ -230,7 +230,7 @@ def masked(image: Image, source: MaskSource, name: str = "") -> Image:
         used = resized_mask(used, image.size)
     used &= True if image.mask is None else image.mask
     if not used.any():
-        raise InputError(argument, "leaves no pixel of the image")
+        raise InputError(argument, "leaves no pixel of the image to match")
     return replace(image, pixels=filled(image.pixels, used), mask=used)
 
 

@@ -253,7 +253,7 @@ class LocationSearch:
         """Why the query has no rotation; empty if it has one. rotations: (3, 3), from each pair."""
         mirrored = sum(pair.pose.status == "mirrored" for pair in self.pairs)
         if mirrored and mirrored >= len(rotations):
-            return f"the mirror image of the query has a pose with {mirrored} database images"
+            return f"the mirror image of the query fits {mirrored} database images: flip the query"
         if not rotations:
             return f"none of {len(self.pairs)} database images has a likely pose"
         if len(rotations) == 1 or (self.pose is not None and self._is_claimed()):

@@ -77,7 +77,7 @@ def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
     still = np.median(stack, axis=0).astype(np.uint8)
     grey, *others = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (still, *stack))
     if grey.std() < _LEAST_CONTRAST:
-        raise InputError(_FRAMES, f"{frames[0]}: a picture of one colour")
+        raise InputError(_FRAMES, f"{frames[0]}: the picture has no contrast")
     if len(frames) == 1 and images[0].exif.orientation == 1:
         return Path(shutil.copy2(frames[0], folder / f"{name}{frames[0].suffix}"))
     offsets = [cv2.blur(other.astype(np.float32) - grey, (5, 5)) for other in others]

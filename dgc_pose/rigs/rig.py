@@ -118,7 +118,7 @@ def estimate_rig(
     for argument, path in given.items():
         inner, outer = (out / _OWN).resolve(), path.resolve()
         if outer in inner.parents or inner in (outer, *outer.parents):
-            neither = f"{path} must neither hold the results ({out}) nor lie in {out / _OWN}"
+            neither = f"{path} overlaps the results in {out}"
             raise InputError(ArgumentName(argument), neither)
     found, left_out = camera_frames(frames, out / _CAMERAS, [*given.values()])
     exact = _exact_cameras(K or {}, found)
@@ -245,7 +245,7 @@ def _located(
     for located in each:
         for name, of in located.items():
             if of.success and not cameras[name].success:
-                why = "its place is in another model of the walk: take pictures between both"
+                why = "located in another model of the walk: take pictures that connect the two"
                 cameras[name] = replace(cameras[name], reason=why)
     return locators[best].model, cameras
 

@@ -53,7 +53,7 @@ def test_a_wrong_pose_has_its_error_and_a_map_that_is_not_there_none(tmp_path) -
     assert result.translation_error_deg == pytest.approx(np.degrees(np.arccos(cosine)), abs=0.3)
     assert result.translation_folded_deg == folded(result.translation_error_deg)
     assert [folded(error) for error in (180.0, 170.0, 10.0, math.inf)] == [0, 10, 10, math.inf]
-    with pytest.raises(InputError, match="other/all: backwards makes no map"):
+    with pytest.raises(InputError, match="other/all: backwards makes no dense map"):
         score(("1", "2"), pair, by_map, Backwards())
 
 

@@ -54,14 +54,14 @@ def test_a_colmap_model(tmp_path: Path, binary: bool, whole: bool) -> None:
     assert lens == Distortion("OPENCV", (0.01, 0, 0, 0))
     (tmp_path / f"images.{ending}").unlink()
     with pytest.raises(
-        InputError, match=f"has no camera for d/1.jpg: state one of 1, 2, as in {source}:2"
+        InputError, match=f"has no camera for d/1.jpg: choose one of 1, 2, as in {source}:2"
     ):
         _K(read_calibration(str(source)), "d/1.jpg")
     assert _K(read_calibration(f"{source}:2"), "d/1.jpg") == [600, 600, 320, 240]
 
 
 def test_an_image_without_a_camera(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"^no camera for a\.jpg: state K or K auto$"):
+    with pytest.raises(InputError, match=r"^no camera for a\.jpg: give K or K auto$"):
         _K(read_calibration(None), "a.jpg")
     path = tmp_path / "K.csv"
     path.write_text("name,fx,fy,cx,cy\na.jpg,500,510,320,240\n")
@@ -119,7 +119,7 @@ def test_which_images_share_a_camera_without_K() -> None:
 @pytest.mark.parametrize(
     ("text", "size", "error"),
     [
-        ("500,510,160,238", (640, 240), "320x240, of another aspect ratio"),
+        ("500,510,160,238", (640, 240), "320x240 has another aspect ratio"),
         ("500,510,160,160", (320, 320), "K is for 320x320 pixels and the image has 320x240"),
         ("PINHOLE,640,480,500,510,320,240", (1280, 960), "K states 640x480, and K_size 1280x960"),
         ("500,510,320,240", (160, 120), "641x481 pixels; the image has 160x120"),

@@ -129,7 +129,7 @@ def test_a_part_of_an_image(size: tuple[int, int], scales: tuple[float, float]) 
     px, by that of 4:3 they are 3004.4."""
     camera = auto_camera(photo(replace(PHONE, size=SIZE), size))
     (warning,) = camera.warnings
-    assert f"{size[0]}x{size[1]} pixels are a part of the 4000x3000" in warning
+    assert f"{size[0]}x{size[1]} pixels, cropped or squeezed from the 4000x3000" in warning
     assert "of the EXIF data, or squeezed: focal length" in warning
     ends = np.log(3004.4 * np.array(scales))
     assert np.log(camera.focal) == pytest.approx(ends.mean(), abs=1e-4)
@@ -264,7 +264,7 @@ def test_exif_data_that_the_lines_contradict_have_a_warning(film: int) -> None:
         assert warning.startswith(
             f"the lines of the image agree with f = {camera.focal:.0f} px +- "
         )
-        assert warning.endswith(f" %, and EXIF says {before.focal:.0f}")
+        assert warning.endswith(f" %, EXIF data {before.focal:.0f}: using the lines")
 
 
 def test_images_of_one_camera_count_together() -> None:

@@ -143,7 +143,7 @@ def test_a_camera_that_is_not_stated_is_auto(folder, network):
         (("--weights", "sift", "--map", "m.npz"), "--map is not made with sift"),
         (("--baseline", "1m"), "--baseline must be METRES[,STD]"),
         (("--K", "300,300,159.5"), "--K"),
-        (("--fov", "60"), "--fov and --K are both stated"),
+        (("--fov", "60"), "--fov and --K exclude each other"),
         (("--K", "nosuch.txt"), "nosuch.txt"),
         (("--plot", "p.txt"), "p.txt"),
         (("--matches", "p.json"), "same file"),

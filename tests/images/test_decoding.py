@@ -154,9 +154,12 @@ def raw_file(order: str, tag: int, value: int) -> bytes:
         (b"\0\0\0\x14ftypqt  \0\0\0\0qt  " + b"\0" * 99, "is not an image of a known format"),
         (b"\xff\xd8\xff", "is corrupt: Pillow does not read it"),
         (b"II*\0\x08" + bytes(12), "is corrupt: "),
-        (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or begins with a"),
-        (raw_file("<", 254, 1), "is a camera's raw file, or begins with a thumbnail"),
-        (raw_file(">", 50706, 0x0401), "is a camera's raw file, or begins with a thumbnail"),
+        (b"II*\0\x10\0\0\0CR\2\0" + b"\0" * 99, "is a camera's raw file, or a TIFF"),
+        (raw_file("<", 254, 1), "is a camera's raw file, or a TIFF that begins with a thumbnail"),
+        (
+            raw_file(">", 50706, 0x0401),
+            "is a camera's raw file, or a TIFF that begins with a thumbnail",
+        ),
         (b"P6\n60000 50000\n255\n" + bytes(100), "is too large: "),
     ],
 )

@@ -155,7 +155,7 @@ def test_mirror_images_that_have_a_pose_are_against_the_location(right: int, sta
     location = _search_of(scene, _poses(scene)[:right] + [MIRRORED] * (5 - right)).location()
     assert location.status == status
     if status == "nowhere":
-        mirrored = f"the mirror image of the query has a pose with {5 - right} database images"
+        mirrored = f"the mirror image of the query fits {5 - right} database images: flip the query"
         assert location.reason == mirrored
 
 

@@ -85,6 +85,6 @@ def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
     other = [save(tmp_path / "a" / "0.png"), save(tmp_path / "a" / "1.png", SCENE[:100])]
     with pytest.raises(InputError, match="a: frames of several sizes$"):
         still_picture(other, "cam", tmp_path)
-    with pytest.raises(InputError, match=r"black\.png: a picture of one colour$"):
+    with pytest.raises(InputError, match=r"black\.png: the picture has no contrast$"):
         still_picture([save(tmp_path / "black.png", 0 * SCENE)], "cam", tmp_path)
     assert not [*tmp_path.glob("cam*")]

@@ -77,9 +77,9 @@ def test_held_scenes_validate_and_the_others_train(tmp_path):
         cv2.imwrite(str(path), np.zeros((72, 96), np.uint16))
     for names, held, message in (
         (".", ["c"], "held: there is no scene c"),
-        ("aa", [], "posed: .*a: another folder, too, has a scene a"),
-        ("a", ["a"], "held: no scene of posed is left to train"),
-        ("b", [], "posed: in b no two frames share enough of known depth"),
+        ("aa", [], "posed: two folders have a scene a, the second is .*a"),
+        ("a", ["a"], "held: all scenes of posed are held back"),
+        ("b", [], "posed: no two frames of b share enough pixels"),
     ):
         with pytest.raises(InputError, match=message):
             load(*names, held=held)

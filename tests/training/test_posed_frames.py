@@ -102,7 +102,7 @@ def test_a_wrong_line_of_cameras_is_named(pair, tmp_path):
 
 
 def test_no_scenes_and_depths_of_another_kind_are_refused(pair, tmp_path, monkeypatch):
-    with pytest.raises(InputError, match="holds no scenes"):
+    with pytest.raises(InputError, match="has no scenes"):
         read_scenes(tmp_path)
     monkeypatch.chdir(write_rgbd(tmp_path / "walk", pair))
     (frame, _) = read_scenes(".")["walk"]

@@ -150,7 +150,7 @@ def read_table(text: str, path: Path) -> Calibration:
             if any(row.pop(None, ())):
                 raise InputError("more cells than columns")
             if by_name.setdefault(row["name"], row) != row:
-                raise InputError(f"another camera of {row['name']} than in a line before")
+                raise InputError(f"the camera of {row['name']} differs from an earlier line")
             camera = keyed_camera(row)
             cameras[row["name"]] = replace(camera, identity=row.get("camera") or None)
             if row.keys() >= {*_POSE}:
@@ -188,7 +188,9 @@ def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
             if held is None or any(value not in nothing for value in held):
                 others.append(name)
                 if is_of_lens:
-                    raise InputError(f"{name} may be of the lens, and is not read")
+                    raise InputError(
+                        f"the key {name} may describe the lens, and dgc-pose does not read it"
+                    )
         elif isinstance(value, Mapping):
             others += unread(value)
     return others
@@ -230,7 +232,7 @@ def _opencv_lens(coefficients: Sequence[float], keys: Sequence[str]) -> Distorti
         raise InputError(f"{keys[0]} has {count} distortion coefficients, not 4, 5, 8, 12 or 14")
     values = (*coefficients, *[0.0] * (14 - len(coefficients)))
     if any(values[8:]):
-        raise InputError(f"{keys[0]} has a thin prism or a tilted sensor, as no COLMAP model")
+        raise InputError(f"{keys[0]} has a thin prism or a tilted sensor, which is not supported")
     if any(values[4:]):
         return Distortion("FULL_OPENCV", values[:8])
     return Distortion("OPENCV", values[:4]) if any(values) else None

@@ -128,12 +128,12 @@ def _nerf_cameras(data: Mapping[str, Any], where: str) -> Calibration:
         rest = {key: value for key, value in shared.items() if key not in replaced}
         camera = _nerf_camera({**rest, **frame})
         if camera is None and common is not None:
-            raise InputError(f"{name} has no fl_x, and no camera_angle_x with w")
+            raise InputError(f"{name} has neither fl_x nor camera_angle_x with w")
         if camera is not None:
             is_common = common is not None and _facts(camera) == _facts(common)
             by_name[name] = common if common is not None and is_common else camera
     if common is None and not by_name:
-        raise InputError("no fl_x, and no camera_angle_x with w")
+        raise InputError("has neither fl_x nor camera_angle_x with w")
     return Calibration("", by_name, common=common, poses=poses)
 
 

@@ -142,7 +142,9 @@ def test_an_images_folder_names_its_camera_of_a_rig(tmp_path: Path) -> None:
         assert (camera.K[0, 0], camera.warnings) == (focal, ())
         assert not calibration.lacks(tmp_path, image)
     assert calibration.lacks(tmp_path, "cam2/1.png")
-    with pytest.raises(InputError, match=r"no camera for cam2/1\.png: state one of cam0, cam1, as"):
+    with pytest.raises(
+        InputError, match=r"no camera for cam2/1\.png: choose one of cam0, cam1, as"
+    ):
         calibration.camera(tmp_path, "cam2/1.png", header)
     with pytest.raises(InputError, match=r"has cam0, cam1, and no cam2$"):
         parse_camera(f"{path}:cam2")
@@ -161,7 +163,7 @@ def test_an_images_folder_names_its_camera_of_a_rig(tmp_path: Path) -> None:
         (KALIBR.format(model="poly", coefficients=[1]), "cam0: the distortion_model 'poly'"),
         (
             KALIBR.format(model="none", coefficients=[]).replace("[]\n  T_cn", "[0.1]\n  T_cn"),
-            "cam1: distortion_coeffs may be of the lens",
+            "cam1: the key distortion_coeffs may describe the lens",
         ),
         ("distortion_model: ''\nheight: 480\nK: [0, 0, 0, 0, 0, 0, 0, 0, 0]\n", "K must be upper"),
     ],
@@ -234,7 +236,9 @@ def test_a_key_that_is_not_read(tmp_path: Path, format: str) -> None:
     """Of a lens it is refused, of another camera told; zeros and what is of neither pass."""
     for key in ("k5", "dist_x", "lensDistortion", "xi", "skew", "fisheye_params", "orthographic"):
         for value in (0.1, [0.0, 0.1], "text"):
-            with pytest.raises(InputError, match=f" {key} may be of the lens, and is not read$"):
+            with pytest.raises(
+                InputError, match=f" {key} may describe the lens, and dgc-pose does not read it$"
+            ):
                 _camera(_with_keys(tmp_path, format, **{key: value}))
     others = {"K_right": 7, "new_camera_matrix": 7, "new_K": 3, "x_fov": 60, "binning_x": 2}
     camera = _camera(_with_keys(tmp_path, format, **others))
@@ -261,7 +265,7 @@ def test_a_fisheye_by_its_model(tmp_path: Path, format: str, model: dict[str, An
     lens = {"k1": 0.1, "k2": 0.02, "k3": 0.003, "k4": 0.0004}
     expected = Distortion("OPENCV_FISHEYE", tuple(lens.values()))
     assert _camera(_with_keys(tmp_path, format, **lens, **model)).distortion == expected
-    with pytest.raises(InputError, match="p1 may be of the lens"):
+    with pytest.raises(InputError, match="p1 may describe the lens"):
         _camera(_with_keys(tmp_path, format, **lens, **model, p1=0.1))
 
 

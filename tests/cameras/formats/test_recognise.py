@@ -96,7 +96,7 @@ def test_the_cameras_of_a_pair_in_json(tmp_path: Path) -> None:
         np.testing.assert_array_equal(camera2.K, second.K)
     assert (camera1.focal_std, camera1.centre_std, camera2.distortion) == (0.02, 3.0, lens)
     assert parse_camera(f"{path}:K2").K[0, 0] == 1000
-    with pytest.raises(InputError, match=r"a\.jpg: state one of K1, K2, as in .*pose\.json:K2$"):
+    with pytest.raises(InputError, match=r"a\.jpg: choose one of K1, K2, as in .*pose\.json:K2$"):
         read_calibration(str(path)).camera(Path(), "a.jpg", Header("JPEG", SIZE))
 
 
@@ -112,7 +112,7 @@ def test_kittis_odometry_by_the_images_folder(tmp_path: Path) -> None:
         camera = read_calibration(str(path)).camera(tmp_path, image, Header("PNG", SIZE))
         assert camera.K[[0, 1, 0, 1], [0, 1, 2, 2]].tolist() == [focal, focal, 320, 240]
         assert camera.warnings == ()
-    with pytest.raises(InputError, match=r"no camera for 1\.png: state one of image_0, image_1, "):
+    with pytest.raises(InputError, match=r"no camera for 1\.png: choose one of image_0, image_1, "):
         read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
     path.write_text(lines[0] + "\n" + lines[0].replace("P0", "P1"))
     camera = read_calibration(str(path)).camera(tmp_path, "1.png", Header("PNG", SIZE))
@@ -178,12 +178,12 @@ def test_the_lens_of_a_frame_whose_model_is_another(tmp_path: Path) -> None:
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
         ({"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intrinsics"),
         ({"camera1": None, "camera2": None}, "has no cameras, because its pair has no pose"),
-        ({"frames": [{"file_path": "a.png"}]}, "no fl_x, and no camera_angle_x with w"),
+        ({"frames": [{"file_path": "a.png"}]}, "has neither fl_x nor camera_angle_x with w"),
         ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
         ({**ALL, "frames": [{}]}, "file_path"),
         (
             {"fl_x": 9, "cx": 4, "cy": 4, "frames": [{"file_path": "a", "camera_angle_x": 1}]},
-            "a has no fl_x, and no camera_angle_x with w",
+            "a has neither fl_x nor camera_angle_x with w",
         ),
     ],
 )

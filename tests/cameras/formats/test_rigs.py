@@ -67,7 +67,7 @@ def test_a_stereo_file(tmp_path: Path, names: tuple[str, ...]) -> None:
         for number, camera, lens in zip((1, 2), cameras, lenses, strict=True):
             _assert_camera(camera, number, lens)
             assert camera.identity == f"{path} {names[2 * number - 2]}"
-            said = f"{names[0]} is taken for image 1, {names[2]} for image 2"
+            said = f"{names[0]} is used for image 1, {names[2]} for image 2"
             assert [said in warning for warning in camera.warnings] == [True] * (names[0] != "K1")
         _assert_camera(parse_camera(f"{path}:{names[2]}"), 2, lenses[1])
 
@@ -94,7 +94,7 @@ def test_easymocaps_pair_of_files(tmp_path: Path) -> None:
         camera = calibration.camera(tmp_path, f"views/{name}.jpg", Header("JPEG", SIZE))
         _assert_camera(camera, number, LENS[:5] * number)
         assert camera.size == SIZE and camera.warnings == ()
-    with pytest.raises(InputError, match=r"a\.jpg: state one of 01, 02, left_3, as in .*:left_3$"):
+    with pytest.raises(InputError, match=r"a\.jpg: choose one of 01, 02, left_3, as in .*:left_3$"):
         calibration.camera(tmp_path, "a.jpg", Header("JPEG", SIZE))
     with pytest.raises(InputError, match=r"extri\.yml: no K and no camera"):
         read_calibration(str(tmp_path / "extri.yml"))
@@ -130,7 +130,7 @@ def test_the_tables_of_a_toml(tmp_path: Path, form: str, called: list[list[str]]
     listed = ", ".join(names[1] for names in called)
     with pytest.raises(InputError, match=f"has {listed}, and no cam_9$"):
         parse_camera(f"{path}:cam_9")
-    with pytest.raises(InputError, match=rf"for a\.png: state one of {listed}, as in {path}:"):
+    with pytest.raises(InputError, match=rf"for a\.png: choose one of {listed}, as in {path}:"):
         pair_cameras(path, path, _image(), _image())
 
 
@@ -143,12 +143,12 @@ def test_two_cameras_are_those_of_a_pair_in_their_order_and_one_is_of_all_images
     assert (first.K[0, 0], second.K[0, 0]) == (501, 502)
     (warning,) = {*first.warnings, *second.warnings}
     assert warning == (
-        f"{path} has two cameras and no image names: left is taken for image 1, right for image 2"
+        f"{path} has two cameras and no image names: left is used for image 1, right for image 2"
     )
     named = pair_cameras(path, path, _image("right.png"), _image("left.jpg"))
     assert [camera.K[0, 0] for camera in named] == [502, 501]
     assert [camera.warnings for camera in named] == [(), ()]
-    with pytest.raises(InputError, match="no camera for a.png: state one of left, right"):
+    with pytest.raises(InputError, match="no camera for a.png: choose one of left, right"):
         image_camera(path, _image())  # of no pair
     path = _tables(tmp_path / "one.toml", {"left": tables["left"]})
     assert image_camera(path, _image()).K[0, 0] == 501
@@ -163,7 +163,7 @@ def test_cameras_that_are_not_calibrated(tmp_path: Path, matrix: Any) -> None:
     assert parse_camera(f"{path}:cam_0").K[0, 0] == 500
     with pytest.raises(InputError, match="has cam_0, and no matrix of cam_1$"):
         parse_camera(f"{path}:cam_1")
-    with pytest.raises(InputError, match="no camera for b.png: state one of cam_0, as in"):
+    with pytest.raises(InputError, match="no camera for b.png: choose one of cam_0, as in"):
         pair_cameras(str(path), str(path), _image(), _image("b.png"))
     _tables(path, {"cameras.0": {**empty, "distortions": "null"}})
     with pytest.raises(InputError, match=r"rig\.toml: no matrix of cam_0$"):
@@ -175,7 +175,7 @@ def test_cameras_that_are_not_calibrated(tmp_path: Path, matrix: Any) -> None:
     [
         ({"matrix": [1.0, 2.0]}, "left: matrix has 2 numbers"),
         ({"distortions": [0.1] * 3}, "left: distortions has 3 distortion coefficients"),
-        ({"distortions": "text"}, "left: distortions may be of the lens, and is not read"),
+        ({"distortions": "text"}, "left: the key distortions may describe the lens, and dgc-pose"),
         ({"fisheye": "omni"}, "left: the fisheye 'omni' has no COLMAP model"),
         ({"size": [640]}, "left: size: no width and height"),
         ({"size": [float("inf"), 480]}, "left: .*infinity"),
@@ -198,10 +198,13 @@ def test_a_stereo_file_of_other_keys(tmp_path: Path) -> None:
     """Half of one is of no image unless it is named, and the lens of a third is refused."""
     path = write_storage(tmp_path / "stereo.yml", M1=_K(1), D1=LENS)
     assert parse_camera(f"{path}:M1").K[0, 0] == 501
-    with pytest.raises(InputError, match="no camera for a.png: state one of M1, as in"):
+    with pytest.raises(InputError, match="no camera for a.png: choose one of M1, as in"):
         pair_cameras(path, path, _image(), _image())
     path = write_storage(tmp_path / "a.yml", M1=_K(1), M2=_K(2), D3=LENS)
-    with pytest.raises(InputError, match=r"a\.yml: M1: D3 may be of the lens, and is not read$"):
+    with pytest.raises(
+        InputError,
+        match=r"a\.yml: M1: the key D3 may describe the lens, and dgc-pose does not read it$",
+    ):
         read_calibration(path)
 
 

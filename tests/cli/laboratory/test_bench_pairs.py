@@ -136,7 +136,7 @@ def test_the_maps_of_another_program_give_the_true_poses(folder, protocol):
     assert (int(chosen["num_matches"]) <= 2000) == (protocol == "native")
     words = (*words[:-1], "native" if protocol == "paper" else "paper")
     again = bench("pairs.txt", *words, "--limit", "1", "--out", "run", "--resume")
-    assert_refused(again, "that run had methods")
+    assert_refused(again, "that run has methods")
 
 
 @pytest.mark.parametrize(

@@ -40,9 +40,9 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkey
     ("words", "named"),
     [
         (["--preset", "vgg"], "no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"),
-        (["--shares", "0,100,0,0"], "no data for the kinds"),
+        (["--shares", "0,100,0,0"], "no kind of pairs with a share has data"),
         (["--preset", "dgc"], "--encoder or init is needed"),
-        (["--seconds", "3"], "in seconds or in steps, and one of them only"),
+        (["--seconds", "3"], "either in seconds or in steps"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(photos, tmp_path, words, named):
