@@ -183,7 +183,7 @@ class CameraChoice(KChoice):
     fov: float | None = _camera("Horizontal field of view.", metavar="DEGREES", section="advanced")
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
-        """The checked cameras of both images; without any option, those of --K auto. Raises
+        """The checked cameras of both images; without any option, as with --K auto. Raises
         InputError, naming the option, if a camera is unusable or does not fit its image."""
         name1, text1 = ("--K", self.k) if self.k1 is None else ("--K1", self.k1)
         name2, text2 = ("--K", self.k) if self.k2 is None else ("--K2", self.k2)

@@ -20,7 +20,7 @@ INTERVAL_S = 60.0  # between the lines of progress in a log file
 
 
 class Stopped(BaseException):
-    """A signal requested the process to end. Not an `Exception`, like KeyboardInterrupt."""
+    """A signal that ends the process. Like KeyboardInterrupt, it is not an `Exception`."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -42,7 +42,7 @@ def command_process(*, debug: bool) -> Iterator[None]:
     with warnings.catch_warnings():
         if not debug:
             warnings.simplefilter("ignore")
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # fonts, its folder
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # on fonts, its folder
             os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # read when OpenCV is imported
         for number in handled:
             signal.signal(number, _stop)

@@ -134,8 +134,8 @@ def _names(frames: Path) -> set[str]:
 
 
 def _stated(text: str, frames: Path) -> Sequence[tuple[str, str | Camera]]:
-    """The names of the cameras in an option --K, each with its K. Of a file, only cameras that are
-    in FRAMES."""
+    """The cameras of an option --K, each with its name and K. From a file, only cameras that are in
+    FRAMES."""
     from dgc_pose.cameras.formats.recognise import read_file
 
     name, equals, K = text.partition("=")

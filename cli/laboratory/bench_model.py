@@ -85,7 +85,7 @@ def bench_model(
     common unit; or a folder of posed RGB-D images. K is known.
 
     Positions of a reconstruction are compared after the best similarity. "% of extent" is their rms
-    error over the largest distance of two cameras. AUC@5 is that of the pairs' poses. All methods
+    error over the largest distance of two cameras. AUC@5 refers to the poses of pairs. All methods
     use the same options for mapping.
 
     A location is right if R is within 5 degrees and the position within 5 % of the extent.

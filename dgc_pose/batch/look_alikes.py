@@ -105,8 +105,8 @@ class PlacedPair:
 
 
 def folder_probabilities(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairRow]:
-    """The rows of the pairs with a pose or rotation, with its probability given the whole folder.
-    Empty if there are more than `MOST_PAIRS` such pairs."""
+    """The rows of the pairs with a pose or rotation, with the probability that it is right given
+    the whole folder. Empty if there are more than `MOST_PAIRS` such pairs."""
     rows, placed, values = evidence_of_pairs(pairs, plan, MOST_PAIRS + 1)
     if not 0 < len(rows) <= MOST_PAIRS:
         return []
@@ -167,8 +167,7 @@ def evidence_of_pairs(
 def by_itself(
     values: np.ndarray, weights: np.ndarray = _WEIGHTS, intercept: float = _INTERCEPT
 ) -> np.ndarray:
-    """Log-odds (n,) of pairs in a folder with repeats, by the values (n, 3) of `evidence_of_pairs`,
-    before the triples."""
+    """Log-odds (n,) of pairs in a folder with repeats, by `evidence_of_pairs` (n, 3)."""
     return (intercept + np.nan_to_num(values) @ weights).clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
 
@@ -311,7 +310,7 @@ def _gaps(
     leg12: np.ndarray, leg23: np.ndarray, leg13: np.ndarray, long23: np.ndarray, long13: np.ndarray
 ) -> np.ndarray:
     """The gap (M,) that three baselines of directions (M, 3) leave, over the longest. long23,
-    long13: lengths (M,) over baseline 12; an unknown one minimises the gap. NaN if both are."""
+    long13: lengths (M,) over baseline 12. If one is unknown, it minimises the gap; if both, NaN."""
     along23 = np.einsum("ni,ni->n", leg13 * long13[:, None] - leg12, leg23)
     long23 = np.where(np.isnan(long23), along23.clip(0), long23)
     along13 = np.einsum("ni,ni->n", leg12 + leg23 * long23[:, None], leg13)

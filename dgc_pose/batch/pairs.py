@@ -37,7 +37,7 @@ class PairRow:
     index: int = 0  # of the pair in the batch
     # Probability of the pose given the whole folder; None without a pose, and before the result
     folder_probability: float | None = None
-    # Numbers of triples that agree and disagree, if their two other pairs are accepted
+    # Triples whose two other pairs are accepted: how many agree with it, and how many do not
     folder_triples: tuple[int, int] = (0, 0)
 
     @property
@@ -136,7 +136,7 @@ def epipolar_error_px(
     row: PairRow, cameras: Sequence[Camera], points1: np.ndarray, points2: np.ndarray
 ) -> np.ndarray:
     """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
-    where distortion cannot be undone, and 0 without a translation. cameras: those of the pose."""
+    where distortion cannot be undone, and 0 without a translation. cameras: the pose's cameras."""
     if row.pose is None or row.pose.E is None:
         return np.zeros(len(points1))
     camera1, camera2 = cameras

@@ -140,7 +140,7 @@ def summary_of(
 
 
 def _turned_down(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
-    """The number of rejected pairs between two groups of images, or within one. Accepted pairs
+    """The numbers of rejected pairs between groups of images, or within a group. Accepted pairs
     connect the images of a group."""
     group = {name: frozenset([name]) for row in rows for name in row.names}
     for row in rows:

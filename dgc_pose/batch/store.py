@@ -1,7 +1,7 @@
 """The store of a batch, `batch.db`: its plan, its matched pairs and its result.
 
 It is an SQLite database: a kill at any moment leaves each change complete or undone. It holds for
-each pair a row of JSON and two .npz files: the arrays of the pose, and the matches in float32.
+each pair a row of JSON and two .npz archives: the arrays of the pose, and the matches in float32.
 """
 
 import errno
@@ -57,8 +57,7 @@ class Plan:
     pairs: np.ndarray  # (P, 2) int64, indices of `names`
     # Everything else that the result depends on, and the `command` of the batch; values of JSON
     settings: Mapping[str, Any]
-    # The cameras pooled from all pairs; None before the result exists, and if all cameras are
-    # exact.
+    # The cameras pooled from all pairs; None before the result, and if all cameras are exact
     pooled: Mapping[str, Camera] | None = None
 
     @property
@@ -122,10 +121,8 @@ def parse_plan(data: Mapping[str, Any]) -> Plan:
 def continued(before: Plan, now: Plan, out: Path) -> Plan:
     """The plan `now` with the pairs of the batch `before`, to resume that batch in `out`.
 
-    Photographs may have changed, and their cameras too.
-
     Raises InputError if `before` had other images, settings or pairs, or other cameras of unchanged
-    photographs.
+    photographs. Changed photographs may have other cameras.
     """
     changed = sorted({*now.names} ^ {*before.names})
     if changed and now.root == before.root:

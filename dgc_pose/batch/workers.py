@@ -128,7 +128,7 @@ class Worker:
         return MatchedPair(row_of(names, pose, matches.error_px), matches, pair.map_matches)
 
     def _image(self, name: str) -> Image | None:
-        """The image. If it is unusable, None, and the reason is in `bad`."""
+        """The image; None if it is unusable, with the reason in `bad`."""
         if name in self.bad:
             return None
         try:

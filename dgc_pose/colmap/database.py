@@ -61,8 +61,8 @@ def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
-    """The pairs whose pose or rotation the folder accepts, with its inliers and cameras: those that
-    the pair fitted, or else those of the folder."""
+    """The pairs whose pose or rotation the folder accepts, with its inliers, and the cameras that
+    the pair fitted or else the folder's cameras."""
     geometries, final = [], batch.plan.final_cameras
     for pair in batch.pairs():
         row, pose = pair.row, pair.row.pose
@@ -104,7 +104,7 @@ def write_database(
 ) -> None:
     """Write a database, completely or not at all, replacing an existing file.
 
-    names: all images; those without a camera are skipped. rows: at least those of the pairs in
+    names: all images; images without a camera are skipped. rows: at least the rows of the pairs in
     `shared`.
 
     Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
@@ -157,8 +157,9 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 def _write_images(
     database: pycolmap.Database, names: Sequence[str], cameras: Mapping[str, Camera]
 ) -> dict[str, int]:
-    """Write images, cameras, rigs and frames; the id of each image. Images with equal K, size and
-    distortion share a camera, unless uncertain and without identity, or possibly of a crop."""
+    """Write images, cameras, rigs and frames; return the id of each image. Images with equal K,
+    size and distortion share a camera, unless it is uncertain and without an identity or possibly
+    of a crop."""
     camera_ids: dict[tuple[object, ...], int] = {}
     ids = {}
     for name in (name for name in names if name in cameras):

@@ -47,8 +47,8 @@ def reconstruct(
 ) -> tuple[list[Model], SharedMatches, dict[str, Any]]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, replacing existing files.
 
-    Returns the models, that with the most images first; the matches that they were made from; and
-    the unit and frame of the first, see `to_metres`. The other models show further scenes. They are
+    Returns the models, the one with the most images first; their matches; and the unit and
+    frame of the first model, see `to_metres`. The other models show further scenes. They are
     in `sparse/1`, ... by size, each in axes of its own. Bundle adjustment also refines intrinsics
     if a camera of the batch was uncertain, see `refines`.
 
@@ -100,8 +100,8 @@ def require_new(out: Path, names: Sequence[str], *, resume: bool) -> bool:
 
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
-    """Whether bundle adjustment changes the intrinsics: by the option, or if a camera is uncertain.
-    Models of two images do not determine intrinsics."""
+    """Whether bundle adjustment changes the intrinsics: by the option, or if a camera is uncertain
+    and models have at least three images. Two images do not determine intrinsics."""
     stds = ((c.focal_std, c.lens_std, c.aspect_std) for c in batch.plan.cameras.values())
     unknown = options.min_images >= MIN_IMAGES and any(map(any, stds))
     return options.refine_intrinsics or unknown
@@ -170,7 +170,7 @@ def write_summary(
 
 
 def map_database(database: Path, images: Path, options: ReconstructionOptions) -> list[Any]:
-    """COLMAP's models, that with the most images first. Raises MappingError without a model.
+    """COLMAP's models, the one with the most images first. Raises MappingError without a model.
 
     Runs in one thread: with more, models differ in their last digits.
     """
