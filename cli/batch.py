@@ -36,7 +36,7 @@ OUT = click.option(
 
 @dataclass(frozen=True, kw_only=True)
 class BatchChoice(KChoice):
-    """The options of a batch: its images, their pairs and cameras, and how it works."""
+    """The options of a batch: its images, pairs and cameras, and the options of each step."""
 
     root: Path | None = option(None, "Folder of a list's image names; default: the list's folder.")
     masks: Path | None = option(
@@ -55,18 +55,18 @@ class BatchChoice(KChoice):
     estimation: EstimationOptions
 
     def open(self, source: str, out: Path) -> Source:
-        """The source of the batch in `out`, which frames of a video are kept beside."""
+        """The source of the batch in `out`. Frames of a video are kept in a folder beside `out`."""
         from dgc_pose.batch.source import open_source
         from dgc_pose.images.folder import frames_folder
 
-        out = Path(os.path.abspath(out))  # which has a name, also of "."
+        out = Path(os.path.abspath(out))  # has a name, even for "."
         frames = out.with_name(f"{out.name}_{self.frames}_frames_of_{Path(source).name}")
         path = frames_folder(Path(source), self.frames, frames)
         return open_source(path, self.root, self.masks)
 
 
 def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 2) -> Batch:
-    """Run a batch, and show its progress. Raises InputError for fewer than `min_images`."""
+    """Run a batch and show its progress. Raises InputError for fewer images than `min_images`."""
     from dgc_pose.batch.run import run_batch
     from dgc_pose.batch.source import parse_pair_choice
     from dgc_pose.cameras.calibration import read_calibration
@@ -91,7 +91,7 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
 
 
 def report(batch: Batch) -> None:
-    """Print the summary of a batch, the images that could not be used, and the first warning."""
+    """Print the summary of a batch, its unusable images, and the first warning."""
     from dgc_pose.batch.look_alikes import MOST_PAIRS
     from dgc_pose.batch.pairs import FAILED
     from dgc_pose.cli.output import SOURCES
@@ -141,7 +141,7 @@ def counted(number: int, noun: str) -> str:
 
 
 def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> None:
-    """Print the first cameras, each by its number of images and a text, and where the rest is."""
+    """Print the first cameras (number of images, text) and the file that lists the others."""
     for number, (images, text) in enumerate(cameras[:CAMERAS_SHOWN], start=1):
         click.echo(f"camera {number} ({counted(images, 'image')}): {text}")
     if (more := len(cameras) - CAMERAS_SHOWN) > 0:
@@ -149,7 +149,7 @@ def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> No
 
 
 def _echo_pairs(rows: Sequence[PairRow]) -> None:
-    """Print a table of the first pairs, and how many more there are."""
+    """Print a table of the first pairs, and the number of the others."""
     from dgc_pose.estimation.status import percent_text
     from dgc_pose.geometry.rotation import rotation_angle_deg
     from dgc_pose.system.texts import aligned
@@ -178,14 +178,14 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
 def batch(source: str, out: Path, choice: BatchChoice) -> int:
     """Match many pairs of photographs and estimate their poses.
 
-    SOURCE is a folder of photographs, a video, a list of pairs (two names a line, SuperGlue's
-    lines, or a .csv), or a COLMAP database (.db).
+    SOURCE is a folder of photographs, a video, a list of pairs (two names per line, SuperGlue's
+    format, or a .csv), or a COLMAP database (.db).
 
-    Writes pairs.jsonl, a row for each pair: status, R, t, expected errors, counts;
-    matches.h5, the matches in hloc's layout; and summary.json. With --K auto also cameras.csv, the
-    cameras that all pairs together determine, which --K reads. A bad image is reported and does
-    not stop the batch. A batch that was stopped continues with --resume. Exits with 3 if no pair
-    has a pose.
+    Writes pairs.jsonl with a row for each pair (status, R, t, expected errors, counts); matches.h5
+    with the matches in hloc's layout; and summary.json. With --K auto, it also writes cameras.csv
+    with the cameras estimated from all pairs together; --K reads this file. An unusable image is
+    reported and does not stop the batch. --resume continues a stopped batch. Exits with 3 if no
+    pair has a pose.
     """
     from dgc_pose.batch.result import CAMERAS, MATCHES, PAIRS
 

@@ -1,4 +1,4 @@
-"""`dgc-pose estimate`: the relative pose of two photographs; `dgc-pose demo`: of bundled ones."""
+"""`dgc-pose estimate`: the relative pose of two photographs; `dgc-pose demo`: of bundled pairs."""
 
 from __future__ import annotations
 
@@ -66,17 +66,18 @@ def estimate(
 ) -> int:
     """Estimate the relative pose of two photographs.
 
-    Prints cam2_from_cam1, x2 = R x1 + t, the translation up to scale unless a depth map,
-    --baseline, --distance or --marker states its length. Without --K, --K1 and --fov it is as with
-    --K auto. Exits with 3 and the reason if there is no pose, and with all of them if several
-    explain the matches alike. All points are in pixels of the upright original images.
+    Prints cam2_from_cam1, x2 = R x1 + t. The translation is up to scale unless a depth map,
+    --baseline, --distance or --marker determines its length. Without --K, --K1 and --fov, the focal
+    length is estimated, as with --K auto. Points are in pixels of the upright original images.
+    Without a pose, prints the reason and exits with 3. If several poses explain the matches equally
+    well, prints all of them and exits with 3.
     """
     json_file = None if outputs.json == STDOUT else outputs.json
     with staged(json_file, outputs.matches, outputs.map, outputs.plot, outputs.ply) as stage:
         start = time.perf_counter()
         first, second = load_pair((image1, image2), (masks.mask1, masks.mask2))
         pair = cameras.resolve(first, second)
-        from dgc_pose.pose import solve_pair  # heavy; unusable input is refused without it
+        from dgc_pose.pose import solve_pair  # slow to import: only for usable input
 
         loaded = matcher.load()
         result = solve_pair(first, second, pair, loaded, estimation, scale, start=start)
@@ -129,8 +130,8 @@ def estimate(
 def demo(plot: str | None) -> int:
     """Estimate the poses of the two pairs that come with the package.
 
-    The first are photographs by a phone, whose K is not known; --plot draws them. The second is
-    rendered: its known pose is printed too. Each command that is printed does the same.
+    The first pair was taken by a phone of unknown K; --plot draws it. The second pair is rendered,
+    and its known pose is printed too. You can run the printed commands yourself.
     """
     pair = rendered_pair()
     Ks = [camera.K[(0, 1, 0, 1), (0, 1, 2, 2)].tolist() for camera in (pair.camera1, pair.camera2)]

@@ -1,4 +1,4 @@
-"""`dgc-pose export-colmap`, a finished batch as a COLMAP database, and `dgc-pose export`, a COLMAP
+"""`dgc-pose export-colmap`: a finished batch as a COLMAP database; `dgc-pose export`: a COLMAP
 model in the format of another tool."""
 
 from functools import partial
@@ -16,7 +16,7 @@ from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.model import read_colmap, write_nerfstudio
 from dgc_pose.system.files import replaced_folder, require_no_input
 
-HLOC = ("features.h5", "matches.h5", "pairs.txt")  # that hloc reads
+HLOC = ("features.h5", "matches.h5", "pairs.txt")  # files for hloc
 
 
 @click.command()
@@ -34,8 +34,8 @@ def export_colmap(
 ) -> None:
     """Write the matches and poses of a batch as a COLMAP database.
 
-    DIR is the folder of a finished `dgc-pose batch`. Pairs without a pose or a rotation are left
-    out. The key points have COLMAP's half-pixel offset.
+    DIR is the folder of a finished `dgc-pose batch`. Only pairs with an accepted pose or rotation
+    are written. The key points of the database have COLMAP's half-pixel offset.
     """
     from dgc_pose.batch.result import read_batch
     from dgc_pose.colmap.database import share, write_hloc, write_shared
@@ -65,7 +65,7 @@ def export_colmap(
 def export(model: Path, to: str, images: Path | None, out: Path) -> None:
     """Write a COLMAP model in the format of another tool.
 
-    MODEL is a folder of COLMAP's files or of `dgc-pose reconstruct`.
+    MODEL is the folder of a COLMAP model, or a folder of `dgc-pose reconstruct`.
     """
     if out.exists():
         raise InputError(ArgumentName("out"), f"{out} is there already")

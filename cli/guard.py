@@ -1,9 +1,9 @@
-"""What every sub-command gets: --debug, --overwrite, the check of its outputs, its flags in place
-of the names of arguments in errors, and a help with its options in sections.
+"""Common parts of all sub-commands: --debug, --overwrite, a check of the outputs, errors that name
+flags in place of arguments, and a help with options in sections.
 
-Outputs are parameters of the types `OutputFile` and `OutputFolder`; inputs are those of other paths
-of click. Before the command runs: an output that exists is replaced with --overwrite alone, an
-input never.
+Outputs are parameters of the types `OutputFile` and `OutputFolder`; parameters of other path types
+are inputs. The check runs before the command: an existing output needs --overwrite, and an input is
+never overwritten.
 """
 
 import os
@@ -19,11 +19,11 @@ from dgc_pose.system.options import Section
 
 STDOUT = "-"
 DEBUG = "--debug"
-_COLUMN = 20  # characters of an option, in the help, beside its text; a longer one stands above it
+_COLUMN = 20  # width of the options' column in the help; a longer option is above its text
 
 
 class NamedPath(click.Path):
-    """A path that is not empty: Path("") would be the working folder."""
+    """A non-empty path: Path("") would be the working folder."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value == "":
@@ -32,14 +32,14 @@ class NamedPath(click.Path):
 
 
 class OutputFile(click.Path):
-    """A file that the command writes. stdout: or `-`, for stdout. picture: in a format of one."""
+    """A file that the command writes. stdout: `-` is allowed. picture: must be a picture format."""
 
     def __init__(self, *, stdout: bool = False, picture: bool = False) -> None:
         super().__init__(readable=False)
         self.stdout, self.picture = stdout, picture
 
     def check(self, path: str, context: click.Context) -> None:
-        """Raise InputError if the path is no file's, or a file's that is not to be replaced."""
+        """Raise InputError if the path cannot be a file, or is a file that must not be replaced."""
         if path == STDOUT:
             if not self.stdout:
                 raise InputError("only --json goes to stdout; a file called - is ./-")
@@ -54,14 +54,14 @@ class OutputFile(click.Path):
 
 
 class OutputFolder(NamedPath):
-    """The folder of a command's files. results: names of those that are not to be replaced."""
+    """The folder of a command's files. results: files that are never replaced silently."""
 
     def __init__(self, *results: str, path_type: type = str) -> None:
         super().__init__(file_okay=False, path_type=path_type)
         self.results = results
 
     def check(self, path: str | Path, context: click.Context) -> None:
-        """Raise InputError for results of a run that is neither resumed nor replaced."""
+        """Raise InputError if there are results, and neither --resume nor --overwrite is given."""
         resume = [value for name, value in context.params.items() if name.endswith("__resume")]
         files = (os.path.join(path, name) for name in self.results)
         there = next(filter(os.path.lexists, files), None)
@@ -71,7 +71,7 @@ class OutputFolder(NamedPath):
 
 
 class SectionedOption(click.Option):
-    """An option that says in which section of the help it stands."""
+    """An option in a section of the help."""
 
     def __init__(self, *arguments: Any, section: Section, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
@@ -119,7 +119,7 @@ class GuardedCommand(click.Command):
 
 
 def guarded(command: click.Command) -> click.Command:
-    """The command with the options that all have, and its outputs checked before it runs."""
+    """The command with the common options, and with a check of its outputs before it runs."""
     params = list(command.params)
     if any(isinstance(p.type, OutputFile) or getattr(p.type, "results", ()) for p in params):
         flag = SectionedOption(["--overwrite"], section="output", expose_value=False, is_flag=True)
@@ -134,12 +134,12 @@ def guarded(command: click.Command) -> click.Command:
 
 
 def overwrites() -> bool:
-    """Whether the present command was given --overwrite."""
+    """Whether --overwrite was given to the current command."""
     return bool(click.get_current_context().meta.get("overwrite"))
 
 
 def _flag(parameter: click.Parameter) -> str:
-    """The name of a parameter as its user knows it: --K-size, FRAMES."""
+    """The name of a parameter on the command line: --K-size, FRAMES."""
     is_option = isinstance(parameter, click.Option)
     return parameter.opts[0] if is_option else parameter.human_readable_name.removesuffix("...")
 
@@ -151,7 +151,7 @@ def _section(option: click.Option) -> Section:
 
 
 def _option_of(path: Any, context: click.Context) -> str | None:
-    """The option that alone was given this path; None if there is none."""
+    """The option whose value is this path; None if no option or more than one has it."""
     given = [
         parameter
         for parameter, value in _given(context)
@@ -162,7 +162,7 @@ def _option_of(path: Any, context: click.Context) -> str | None:
 
 
 def _inputs(context: click.Context) -> Iterator[Any]:
-    """The paths that the command names beside its outputs."""
+    """The paths on the command line, without the outputs."""
     for parameter, value in _given(context):
         kind = parameter.type
         if isinstance(kind, click.Path) and not isinstance(kind, OutputFile | OutputFolder):
@@ -170,7 +170,7 @@ def _inputs(context: click.Context) -> Iterator[Any]:
 
 
 def _given(context: click.Context) -> Iterator[tuple[click.Parameter, Any]]:
-    """Each value that the command has, with its parameter, which may have several."""
+    """Each value on the command line, with its parameter; a parameter may have several values."""
     for parameter in context.command.params:
         value = context.params.get(parameter.name or "")
         for one in value if isinstance(value, tuple) else (value,):

@@ -1,4 +1,4 @@
-"""`dgc-pose info`: what a bug report needs to know of an installation and its machine."""
+"""`dgc-pose info`: facts about the installation and the machine, for bug reports."""
 
 import os
 import platform
@@ -21,7 +21,7 @@ _LIBRARIES = (
     *("numpy", "scipy", "opencv-python-headless", "pillow", "poselib", "pycolmap", "onnxruntime"),
     *("torch", "safetensors", "matplotlib", "click", "starlette", "uvicorn"),
 )
-# Environment variables that change threads, memory or devices begin so.
+# Prefixes of environment variables that change threads, memory or devices.
 _VARIABLES = ("OMP_", "GOMP_", "MKL_", "OPENBLAS_", "OPENCV_", "MALLOC_", "CUDA_")
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Place:
-    """The model, and the files to write."""
+    """The model and the files to write."""
 
     model: Path = option(
         help="The model: a folder of COLMAP's or of `dgc-pose reconstruct`; transforms.json; or a "
@@ -74,8 +74,8 @@ def locate(
 ) -> int:
     """Place photographs, the queries, in a model of known camera poses.
 
-    Prints cam_from_world, x = R X + t, and the centre of the camera, in the frame and unit of the
-    model, with their expected errors. Exits with 3 and the reason if a query is not located.
+    Prints cam_from_world, x = R X + t, and the camera centre, in the frame and unit of the model,
+    with the expected errors. If a query is not located, prints the reason and exits with 3.
     """
     from dgc_pose.localization.locate import Locator
     from dgc_pose.model import load_model, model_path
@@ -113,7 +113,7 @@ def locate(
             save_figure(figure, stage(place.plot))
     if place.json == STDOUT:
         click.echo(data, nl=False)
-    if place.add is not None:  # last: a model of COLMAP holds not every camera
+    if place.add is not None:  # last: COLMAP models cannot hold every camera
         added = {
             Path(query): (location.camera, location.cam_from_world)
             for query, location in locations.items()

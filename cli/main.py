@@ -1,8 +1,8 @@
-"""The command `dgc-pose`: its sub-commands, and the one place that prints their errors.
+"""The command `dgc-pose`: its sub-commands, and the only place that prints their errors.
 
 A sub-command's module is imported when it is called, so that `dgc-pose --help` is quick.
-Exit codes: 0 done, 1 an error that no code here expects, 2 unusable input, 3 no pose (set by the
-sub-command), 128 and the signal's number if one stopped it.
+Exit codes: 0 success, 1 unexpected error, 2 unusable input, 3 no pose (set by the sub-command),
+128 plus the signal's number if a signal stopped it.
 """
 
 import importlib
@@ -23,12 +23,12 @@ from dgc_pose.errors import DgcPoseError, missing_package, reason, shortened
 UNEXPECTED = 1
 UNUSABLE_INPUT = 2
 LONGEST = 1000  # characters of a message
-# Rounds that a thread of GNU's OpenMP, which torch uses on Linux, spins while it waits. With the
-# default of 300,000 a machine that has another busy process spends most of its time spinning.
+# Rounds that a waiting thread of GNU OpenMP spins (torch uses it on Linux). With the default of
+# 300,000, a machine with another busy process spends most of its time spinning.
 SPIN_COUNT = "10000"
 
-# By section of the help and by name, the line in the help. `some-name` is the function `some_name`
-# of cli/some_name.py, of a benchmark and of the training of cli/laboratory/some_name.py.
+# By section of the help and by name, the line in the help. The command `some-name` is the function
+# `some_name` in cli/some_name.py; benchmarks and training are in cli/laboratory/.
 SECTIONS = {
     "Poses": {
         "estimate": "Estimate the relative pose of two photographs.",
@@ -59,12 +59,12 @@ SECTIONS = {
 }
 SUBCOMMANDS = {name: text for section in SECTIONS.values() for name, text in section.items()}
 LABORATORY = {*SECTIONS["Benchmarks"], *SECTIONS["Training"]}
-# Of the others the file has the name.
+# Files of the commands whose file has another name.
 FILES = {"demo": "estimate", "export-colmap": "export", "fit-folders": "fit_probability"}
 
 
 class LazyGroup(click.Group):
-    """A group that imports a sub-command on its first use and reports errors in one line."""
+    """A group that imports a sub-command on its first use, and reports an error in one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(SUBCOMMANDS)
@@ -86,7 +86,7 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:  # click would print an empty line of its own
+        except KeyboardInterrupt:  # click would print an extra empty line
             raise Stopped(signal.SIGINT) from None
         except BrokenPipeError:  # click would exit with 1
             raise Stopped(signal.SIGPIPE) from None
@@ -98,8 +98,8 @@ class LazyGroup(click.Group):
         try:
             with command_process(debug=debug):
                 status = super().main(*args, **kwargs)
-                if sys.stdout is not None:  # closed by who started the command
-                    sys.stdout.flush()  # a full disk shows here, and not when the process ends
+                if sys.stdout is not None:  # None: the caller closed it
+                    sys.stdout.flush()  # raises here, not at exit, if the disk is full
         except SystemExit:
             raise
         except BaseException as error:
@@ -112,7 +112,7 @@ class LazyGroup(click.Group):
 
 
 def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str | None, int]:
-    """The message of an error, None for nothing, and the exit code."""
+    """The message of an error (None: print nothing) and the exit code."""
     match error:
         case click.Abort() | Stopped(number=signal.SIGINT):
             return "interrupted", 128 + signal.SIGINT
@@ -121,7 +121,7 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
         case DgcPoseError():
             return str(error), UNUSABLE_INPUT
         case BrokenPipeError() | Stopped(number=signal.SIGPIPE):
-            # Nobody reads the output any more; Python would write the rest when the process ends.
+            # The reader is gone, but Python would write the rest of the output at exit.
             with suppress(OSError, ValueError):
                 os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return None, 128 + signal.SIGPIPE
@@ -132,7 +132,7 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
             parts = [" -> ".join(paths), error.strerror or reason(error)]
             return ": ".join(filter(None, parts)), UNUSABLE_INPUT
         case ModuleNotFoundError():
-            # The options before the name of the sub-command have no values.
+            # Options before the sub-command's name take no values, so the first word is the name.
             command = next((word for word in words if not word.startswith("-")), "this")
             if (missing := missing_package(error, command)) is not None:
                 return missing, UNUSABLE_INPUT
@@ -153,12 +153,12 @@ def main(ctx: click.Context, version: bool) -> None:
 
     Exit codes: 0 success, 2 unusable input, 3 no pose (the reason is printed).
     """
-    # Read when torch is imported, which no sub-command has done yet.
+    # torch reads it when imported, which happens later in the sub-commands.
     if "OMP_WAIT_POLICY" not in os.environ:
         os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
-    # Read when NumPy is imported. Its products are small, and run side by side in our own threads.
+    # NumPy reads it when imported. Its products are small, and run in dgc-pose's own threads.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Read by glibc as a worker starts: with a heap for each thread, it holds a tenth more.
+    # glibc reads it when a worker starts. With a heap per thread, a worker takes 10 % more memory.
     os.environ.setdefault("MALLOC_ARENA_MAX", "2")
     if version:
         from dgc_pose import version as versions

@@ -26,7 +26,7 @@ MOVED, CANNOT_SAY = 1, 3  # exit codes
 
 @dataclass(frozen=True)
 class Watch:
-    """The frames of a video, and the file to write."""
+    """The frames of a video and the file to write."""
 
     frames: int = option(40, "Frames taken of a video.", metavar="N", min=1, max=10**6)
     json: str | None = output_file(
@@ -45,13 +45,13 @@ def moved(
 ) -> int:
     """Tell whether a fixed camera has moved since the picture REFERENCE.
 
-    NOW are later pictures of the same camera: files, folders, or videos. Prints for each the
-    verdict, the angle of the rotation, and the shift over the median depth of the scene, with the
-    errors that nine in ten stay below. A picture that moves by less than 0.05 degrees is `still`.
-    Without --K the focal length is assumed.
+    NOW are later pictures of the same camera: files, folders, or videos. Prints for each picture
+    the verdict, the angle of the rotation, and the shift over the median depth of the scene. Errors
+    after +- hold in nine cases of ten. A picture that moves by less than 0.05 degrees is `still`.
+    Without --K, the focal length is assumed.
 
-    Exits with 0 if all are still, 1 if one has moved, 3 if none has moved and one `cannot say`.
-    (1 is an unexpected error too, which prints a line that begins with error.)
+    Exits with 0 if all pictures are still, 1 if one has moved, 3 if none has moved and one verdict
+    is `cannot say`. An unexpected error also exits with 1; its line begins with error.
     """
     from dgc_pose.cameras.calibration import image_camera
     from dgc_pose.cameras.prior import with_lines
@@ -73,7 +73,7 @@ def moved(
                 picture = replace(load_image(path), name=name)
                 motions[name] = camera_motion(first, picture, camera, matcher=loaded)
                 loaded.cache.forget(picture)
-            except (ImageError, InputError) as error:  # the other pictures stand
+            except (ImageError, InputError) as error:  # go on with the other pictures
                 motions[name] = CameraMotion("cannot say", str(error))
             progress("pictures", len(motions), len(pictures))
         data = json_text({name: motion.to_dict() for name, motion in motions.items()})
@@ -87,13 +87,13 @@ def moved(
 
 
 def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
-    """The pictures of a file, folder or video by name. `folder` gets the frames of a video."""
+    """The pictures of a file, folder or video by name. folder: receives the frames of a video."""
     from dgc_pose.images.decoding import image_header
     from dgc_pose.images.folder import frames_folder, search_images
 
     path = frames_folder(Path(source), frames, folder)
     if not path.is_dir():
-        image_header(path)  # raises for no image
+        image_header(path)  # raises if it is not an image
         return {source: path}
     found = search_images(path)
     for line in found.left_out:
@@ -104,7 +104,7 @@ def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
 
 
 def motions_text(motions: dict[str, CameraMotion]) -> str:
-    """A table of the motions for people, and which was the first."""
+    """A table of the motions for people, and the first picture that has moved."""
     rows = [("picture", "verdict", "angle (deg)", "shift (% of depth)")]
     for name, of in motions.items():
         angle = shift = "-"

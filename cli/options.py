@@ -1,12 +1,12 @@
-"""Command-line options made of the fields of a dataclass, and those that several commands share.
+"""Command-line options from the fields of a dataclass, and options that several commands share.
 
     @click.command()
     @dataclass_options(EstimationOptions, "estimation")
     def estimate(estimation: EstimationOptions) -> None: ...
 
-gives the command an option for each field of `EstimationOptions` that was made by
-`dgc_pose.system.options.option` with a help text, and passes it an instance. A field whose type is
-a dataclass contributes the options of that class.
+gives the command an option for each field of `EstimationOptions` that
+`dgc_pose.system.options.option` made with a help text, and passes an instance to the command. A
+field whose type is a dataclass adds the options of that class.
 """
 
 import functools
@@ -28,7 +28,7 @@ from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import OptionInfo, check_options, field_types, option, option_info
 
-_FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option that is the name of a file
+_FILE = re.compile(r"PATH|DIR|FILE")  # in the metavar of an option for a path
 Command = Callable[..., Any]
 Decorator = Callable[[Command], Command]
 
@@ -36,12 +36,12 @@ Decorator = Callable[[Command], Command]
 def dataclass_options(
     cls: type, argument: str, *, only: Collection[str] | None = None
 ) -> Decorator:
-    """A decorator that adds the options of `cls` and passes an instance, which `check_options`
-    checks, as keyword `argument`.
+    """A decorator that adds the options of `cls`, and passes an instance, checked by
+    `check_options`, as keyword `argument`.
 
-    only: names of the fields that become options; None: all with a help text. The type decides the
-    option: bool is a switch (--x, or --x/--no-x if it is True by default), Literal a choice,
-    tuple[X, ...] may be given several times.
+    only: names of the fields that become options; None: all fields with a help text. The type of a
+    field determines the option: bool is a switch (--x, or --x/--no-x if True by default), Literal a
+    choice, and tuple[X, ...] may be given several times.
     """
     chosen = dict(_options(cls, argument, only))
 
@@ -62,7 +62,7 @@ def dataclass_options(
 def _options(
     cls: type, path: str, only: Collection[str] | None = None
 ) -> Iterator[tuple[str, Decorator]]:
-    """The options by the name of the command's parameter: the path of fields, joined by "__"."""
+    """Name and decorator of each option. The name is the path of its fields, joined by "__"."""
     for field in fields(cls):
         kind, optional = field_types(cls)[field.name]
         name, info = f"{path}__{field.name}", option_info(field)
@@ -89,7 +89,7 @@ def _options(
 
 
 def _made(cls: type, values: Mapping[str, Any], path: str) -> Any:
-    """An instance with the values of the options, which `_options` named."""
+    """An instance with the values of the options, by the names of `_options`."""
     arguments: dict[str, Any] = {}
     for field in fields(cls):
         name = f"{path}__{field.name}"
@@ -111,13 +111,13 @@ def _parameter_type(kind: Any, info: OptionInfo) -> Any:
     if get_origin(kind) is Literal:
         return click.Choice(get_args(kind))
     if kind is Path or (kind is str and _FILE.search(info.metavar or "")):
-        # The value of an option such as K|FILE stays text, but may be an input.
+        # The value of an option such as K|FILE stays text, but may be an input file.
         return click.Path() if "|" in (info.metavar or "") else NamedPath(path_type=kind)
     return kind
 
 
 def output_file(help: str, metavar: str, **kind: bool) -> Any:
-    """A field of an output file, None by default. kind: as of `OutputFile`."""
+    """A field for an output file, None by default. kind: arguments of `OutputFile`."""
     return option(None, help, metavar=metavar, type=OutputFile(**kind))
 
 
@@ -126,7 +126,7 @@ _detail = partial(option, None, section="advanced")
 
 
 def parse_size(text: str) -> tuple[int, int]:
-    """A text WxH. Raises InputError for another one, as all that parses an option."""
+    """Parse a text WxH. Raises InputError for any other text."""
     match = re.fullmatch(r"0*([1-9]\d{0,5})[xX]0*([1-9]\d{0,5})", text.strip())
     if match is None:
         raise InputError(f"must be WxH in pixels, such as 1600x1200, not {text!r}")
@@ -134,7 +134,7 @@ def parse_size(text: str) -> tuple[int, int]:
 
 
 def parse_deviations(text: str) -> tuple[float, float]:
-    """A text F[,C]; C is 0 without one. Raises InputError for another one."""
+    """Parse a text F[,C]; C is 0 by default. Raises InputError for any other text."""
     with suppress(ValueError):
         focal, centre = map(float, (text if "," in text else f"{text},0").split(","))
         if 0 <= focal <= 1 and 0 <= centre < 1e6:
@@ -147,7 +147,7 @@ def parse_deviations(text: str) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class KChoice:
-    """The options of K, for all images."""
+    """The options of a K for all images."""
 
     k: str | None = _camera(
         "Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file (COLMAP, OpenCV, "
@@ -170,7 +170,7 @@ class KChoice:
 
     @property
     def details(self) -> KDetails:
-        """The facts about K besides its numbers."""
+        """The size and deviations of K."""
         return KDetails(self.k_size, *(self.k_std or ()))
 
 
@@ -183,8 +183,8 @@ class CameraChoice(KChoice):
     fov: float | None = _camera("Horizontal field of view.", metavar="DEGREES", section="advanced")
 
     def resolve(self, image1: Image, image2: Image) -> tuple[Camera, Camera]:
-        """The cameras of both images, checked; without any option as of --K auto. Raises
-        InputError, naming the option, if one is unusable, or does not fit its image."""
+        """The checked cameras of both images; without any option, as with --K auto. Raises
+        InputError, naming the option, if a camera is unusable or does not fit its image."""
         name1, text1 = ("--K", self.k) if self.k1 is None else ("--K1", self.k1)
         name2, text2 = ("--K", self.k) if self.k2 is None else ("--K2", self.k2)
         if text2 is None:

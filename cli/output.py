@@ -1,4 +1,4 @@
-"""Poses as text, arrays as .npz."""
+"""Write poses as text, and arrays as .npz."""
 
 from __future__ import annotations
 
@@ -57,13 +57,13 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
 
 
 def closing_lines(warnings: Iterable[str], seconds: Mapping[str, float]) -> list[str]:
-    """The warnings, and the seconds of each step."""
+    """Lines with the warnings, and a line with the seconds of each step."""
     times = ", ".join(f"{part} {value:.2f} s" for part, value in seconds.items())
     return [*(f"warning: {warning}" for warning in warnings), times]
 
 
 def _pose_lines(R: np.ndarray, t: np.ndarray | None, length: str = "up to scale") -> list[str]:
-    """R and t, each row a line; t is None after a rotation alone. length: of t."""
+    """R and t, a line for each row; t is None for a pure rotation. length: length of t, a text."""
     lines = [f"  R  {line}" for line in row_lines(*R)]
     lines.append(f"     rotation angle {rotation_angle_deg(R):.2f} deg")
     if t is None:
@@ -72,14 +72,14 @@ def _pose_lines(R: np.ndarray, t: np.ndarray | None, length: str = "up to scale"
 
 
 def row_lines(*rows: np.ndarray) -> list[str]:
-    """Rows of numbers in brackets, six digits behind the point."""
-    # Rounded first, so that no zero shows a sign.
+    """Rows of numbers in brackets, with six decimals."""
+    # Rounding and adding 0.0 turn -0.0 into 0.0.
     texts = ([f"{round(value, 6) + 0.0:9.6f}" for value in row.tolist()] for row in rows)
     return [f"[{' '.join(text)}]" for text in texts]
 
 
 def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> list[str]:
-    """The cameras whose focal length is not known exactly; one line if one camera took both."""
+    """Lines for the cameras that are not exact; a single line if one camera took both images."""
     if pose.camera1 is None or pose.camera2 is None:
         return []
     cameras = pose.camera1, pose.camera2
@@ -92,7 +92,7 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
 
 
 def _camera_text(camera: Camera, prior: Camera) -> str:
-    """The numbers of a camera with their deviations, and its prior's; empty if it is exact."""
+    """The numbers and deviations of a camera, and the f of its prior; empty if it is exact."""
     if camera.exact:
         return ""
     told = [camera]
@@ -121,7 +121,7 @@ def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
 
 
 def shared_text(shared: SharedMatches) -> str:
-    """What was written into a COLMAP database."""
+    """The contents of a written COLMAP database, in numbers."""
     images = sum(len(points) > 0 for points in shared.key_points.values())
     key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
     return f"{images} images, {key_points} key points, {len(shared.pairs)} pairs, {matches} matches"

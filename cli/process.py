@@ -1,4 +1,4 @@
-"""The process that a command runs in: its signals, its lines on stderr, and its progress."""
+"""The process of a command: its signals, its lines on stderr, and its progress."""
 
 import logging
 import os
@@ -20,7 +20,7 @@ INTERVAL_S = 60.0  # between the lines of progress in a log file
 
 
 class Stopped(BaseException):
-    """A signal asked the process to end. Like KeyboardInterrupt no `Exception`."""
+    """A signal that ends the process. Like KeyboardInterrupt, it is not an `Exception`."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -29,20 +29,20 @@ class Stopped(BaseException):
 
 @contextmanager
 def command_process(*, debug: bool) -> Iterator[None]:
-    """Within the block SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup), so that
-    a command that is stopped removes its partial files; our warnings are lines on stderr.
+    """Within the block, SIGTERM and SIGHUP raise `Stopped`, unless they are ignored (nohup). So a
+    stopped command removes its partial files. Warnings of dgc_pose are lines on stderr.
 
-    debug: print the libraries' warnings as well.
+    debug: whether to print warnings of libraries too.
     """
     if isinstance(sys.stdout, TextIOWrapper):
-        sys.stdout.reconfigure(errors="surrogateescape")  # as names of files are decoded
+        sys.stdout.reconfigure(errors="surrogateescape")  # like names of files
     logging.getLogger("dgc_pose").addHandler(_LINES)
     stopping = (signal.SIGTERM, signal.SIGHUP)
     handled = [number for number in stopping if signal.getsignal(number) is signal.SIG_DFL]
     with warnings.catch_warnings():
         if not debug:
             warnings.simplefilter("ignore")
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # of fonts, of its folder
+            logging.getLogger("matplotlib").setLevel(logging.ERROR)  # on fonts, its folder
             os.environ.setdefault("OPENCV_LOG_LEVEL", "OFF")  # read when OpenCV is imported
         for number in handled:
             signal.signal(number, _stop)
@@ -54,12 +54,12 @@ def command_process(*, debug: bool) -> Iterator[None]:
 
 
 def say(text: str) -> None:
-    """Print a line on stderr, whatever the names in it hold."""
+    """Print one line on stderr, without control characters."""
     click.echo(printable(text), err=True)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the removal
+    signal.signal(number, signal.SIG_IGN)  # a second signal must not interrupt the clean-up
     raise Stopped(number)
 
 
@@ -75,7 +75,7 @@ _LINES = _Lines()
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Progress of each stage, such as "images": a bar on a terminal, elsewhere a line a minute."""
+    """Show the progress of stages such as "images": a bar on a terminal, else a line per minute."""
     from tqdm import tqdm
 
     bars: dict[str, Any] = {}

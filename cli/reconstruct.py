@@ -29,8 +29,8 @@ def reconstruct(
 
     FOLDER may also be a video, a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
-    Writes sparse/ (COLMAP's model; further scenes in sparse/1/, ...), database.db, points.ply,
-    model.html, summary.json, and batch/, the folder of the batch.
+    Writes sparse/ (a COLMAP model; models of further scenes in sparse/1/, ...), database.db,
+    points.ply, model.html, summary.json, and batch/ with the batch's files.
     """
     from dgc_pose.batch.source import BATCH, PAGE, STORE
     from dgc_pose.colmap import reconstruction
@@ -40,7 +40,7 @@ def reconstruct(
     is_there = reconstruction.require_new(out, names, resume=choice.work.resume)
     if is_there and not (out / BATCH / STORE).is_file():
         raise InputError(f"{out} has results, and no batch of this version to continue")
-    if options.gps or options.scale:  # refused before the matching
+    if options.gps or options.scale:  # raises before the matching
         images = choice.open(source, out / BATCH)
         reconstruction.known_metres({name: images.root / name for name in images.names}, options)
     start = time.perf_counter()

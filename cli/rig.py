@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RigChoice:
-    """The options of a rig: the walk, the cameras that are known, and how it works."""
+    """The options of a rig: the walk, the known cameras, and the options of each step."""
 
     walk: str | None = option(
         None, "Photographs between the cameras: a folder or a video.", metavar="SOURCE"
@@ -62,14 +62,14 @@ class RigChoice:
 def rig(frames: Path, out: Path, choice: RigChoice) -> int:
     """Place fixed cameras in one frame.
 
-    FRAMES is a folder with an entry for each camera, which gives the camera its name: an image, a
-    video, or a folder of frames. --walk is photographs that you take between the cameras, so that
-    each camera shares views with some of them. Without --walk the cameras must share views.
+    FRAMES is a folder with an entry for each camera: an image, a video, or a folder of frames. The
+    entry's name is the camera's name. --walk gives photographs taken between the cameras, some of
+    which must share views with each camera. Without --walk, the cameras must share views.
 
     Writes calibration.toml (anipose, Pose2Sim), camera_array.toml (caliscope), rig_config.json
-    (COLMAP), stereo.yml (OpenCV, of two cameras), rig.json with the expected errors, sparse/
-    (COLMAP's model of walk and cameras), points.ply and model.html. Exits with 3 if no camera has a
-    place.
+    (COLMAP), stereo.yml (OpenCV, for two cameras), rig.json with the expected errors, sparse/
+    (COLMAP model of walk and cameras), points.ply and model.html. Exits with 3 if no camera could
+    be placed.
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
@@ -121,21 +121,21 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
         try:
             for change in compared(before.poses, found.placed, before.by_name):
                 click.echo(change.text(unit))
-        except InputError as error:  # the rig stands
+        except InputError as error:  # the rig itself is written
             say(f"warning: {error}")
     return 0
 
 
 def _names(frames: Path) -> set[str]:
-    """The names of what lies in FRAMES, as cameras have them."""
+    """The cameras' names in FRAMES."""
     from dgc_pose.rigs.frames import camera_name
 
     return {*map(camera_name, frames.iterdir())} if frames.is_dir() else set()
 
 
 def _stated(text: str, frames: Path) -> Sequence[tuple[str, str | Camera]]:
-    """The cameras of an option --K by name, each with its K: those of a file that FRAMES has
-    too."""
+    """The cameras of an option --K, each with its name and K. From a file, only cameras that are in
+    FRAMES."""
     from dgc_pose.cameras.formats.recognise import read_file
 
     name, equals, K = text.partition("=")

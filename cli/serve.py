@@ -1,4 +1,4 @@
-"""`dgc-pose serve`: a page on this machine that estimates poses."""
+"""`dgc-pose serve`: a local web page that estimates poses."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ HOST = "127.0.0.1"
 @dataclass_options(MatcherOptions, "matcher", only=("weights", "device", "runtime"))
 @dataclass_options(ServeOptions, "options")
 def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
-    """Show a page on this machine that estimates poses.
+    """Estimate poses on a page in the browser.
 
-    Drop two photographs, or take the bundled ones. The page shows the matches, the epipolar lines
-    under the pointer, the cameras and the points in space, the map, and the command and the Python
-    that give the same pose. More photographs, or a folder, give a table of pairs. Nothing leaves
-    the machine: the server answers only to its own address, and only with the token that it prints.
-    Ends on Ctrl-C.
+    Drop two photographs on the page, or take the bundled pair. The page shows the matches, epipolar
+    lines at the pointer, cameras and points in space, the dense map, and the command and Python
+    code that give the same pose. For more photographs, or a folder, it shows a table of pairs.
+    Nothing leaves the machine: the server answers only at its own address, and only to requests
+    with the token that it prints. Ctrl-C ends the server.
     """
     require({"serve": "serve"})
     import uvicorn
@@ -55,7 +55,7 @@ def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
         config = uvicorn.Config(
             server.app,
             log_level="warning",
-            access_log=False,  # it would hold the token
+            access_log=False,  # it would contain the token
             server_header=False,
             limit_concurrency=32,
             timeout_graceful_shutdown=2,
@@ -63,13 +63,13 @@ def serve(matcher: MatcherOptions, options: ServeOptions) -> int:
 
         class Web(uvicorn.Server):
             async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-                # uvicorn waits for the requests under way, and prints a trace if it cancels one.
+                # uvicorn waits for open requests, and prints a trace if it cancels one.
                 for connection in list(self.server_state.connections):
                     connection.transport.close()
                 await super().shutdown(sockets)
 
         url = f"http://{HOST}:{port}/?token={token}"
-        # On SIGTERM uvicorn ends the server and raises the signal again: end as after Ctrl-C.
+        # After SIGTERM, uvicorn ends the server and raises the signal again: end as after Ctrl-C.
         signal.signal(signal.SIGTERM, signal.default_int_handler)
         click.echo(f"{url}\nCtrl-C ends the server")
         if options.browser:

@@ -1,1 +1,1 @@
-"""The commands of the benchmarks and of the training."""
+"""The commands of the benchmarks and the training."""

@@ -1,4 +1,4 @@
-"""`dgc-pose bench-dtu`: the paper's experiment on relative pose, over a user's copy of DTU."""
+"""`dgc-pose bench-dtu`: the paper's experiment on relative pose, on a user's copy of DTU."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ _LIST = "pairs.txt"
 
 @dataclass(frozen=True)
 class DtuChoice:
-    """Which pairs of DTU, and how they are shown."""
+    """The pairs of DTU, and the protocol."""
 
     scan: int | None = option(None, "Number of the scan; default: all that are there.")
     light: Light = option("3", "Number of the light, or max.")
@@ -60,12 +60,12 @@ def bench_dtu(
 ) -> None:
     """Repeat the paper's experiment on relative camera pose over DTU.
 
-    ROOT holds DTU as its authors ship it. It is `bench-pairs` over pairs of views that come with
-    the command, all of 5 to 40 degrees; pairs.txt in DIR is their list.
+    ROOT is a folder with DTU as its authors ship it. The command runs `bench-pairs` on a fixed list
+    of pairs of views, with rotations of 5 to 40 degrees. It writes the list as pairs.txt into DIR.
     """
     pairs = dtu_pairs(root, choice.scan, choice.light, choice.pairs)
     options = replace(options, out=out, protocol=choice.protocol)
     run_bench(pairs, options, CameraTrial(), matcher, estimation)
-    with replaced(out / _LIST) as stage:  # last: the list of a run that is not gone on with stays
+    with replaced(out / _LIST) as stage:  # last: a run that fails keeps the old list
         write_pairs(stage, pairs)
     click.echo(f"{out / _LIST}: {len(pairs)} pairs")

@@ -1,4 +1,4 @@
-"""`dgc-pose bench-maps`: dense maps scored on pairs with known maps."""
+"""`dgc-pose bench-maps`: score dense maps on pairs with known maps."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ _FILES = ("summary.json", "pairs.csv", "pck.png")
 
 @dataclass(frozen=True)
 class MapBenchOptions:
-    """Which pairs, what is scored on them, and where the files go."""
+    """The pairs, the methods scored on them, and the files to write."""
 
     homographies: Path = option(
         help="Folder of photographs of planes, in it or right below: HPatches' viewpoint sequences "
@@ -46,7 +46,7 @@ class MapBenchOptions:
 def bench_maps(bench: MapBenchOptions) -> None:
     """Score the dense maps of networks and other matchers on photographs of planes.
 
-    Networks run by themselves, without the matcher's search over rotations.
+    Networks run without the matcher's search over rotations.
     """
     from dgc_pose.benchmarks.maps import (
         SEQUENCES,
@@ -72,7 +72,7 @@ def bench_maps(bench: MapBenchOptions) -> None:
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
         paths = [str(out / name) for name in _FILES]
-    # A file that cannot be written stops the run before it begins.
+    # Outputs are opened first: one that cannot be written stops the run before it begins.
     with staged(*paths) as stage:
         scores: dict[str, list[MapScore]] = {name: [] for name in methods}
         for pair in tqdm(pairs, unit="pair", disable=None):

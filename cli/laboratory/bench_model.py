@@ -1,4 +1,4 @@
-"""`dgc-pose bench-model`: reconstructions and locations compared with true cameras."""
+"""`dgc-pose bench-model`: compare reconstructions and locations with true cameras."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,12 +31,12 @@ from dgc_pose.matching import DEFAULT_WEIGHTS
 from dgc_pose.system.options import option
 from dgc_pose.system.texts import aligned, write_json
 
-_SHARED = ("per_image", "mapper", "refine_intrinsics")  # with reconstruct
+_SHARED = ("per_image", "mapper", "refine_intrinsics")  # options shared with reconstruct
 
 
 @dataclass(frozen=True)
 class ModelBenchOptions:
-    """What is compared with the model."""
+    """The methods and images that are compared with the model."""
 
     out: Path = option(
         help="Folder of the results, summary.json and reconstructions; created if missing.",
@@ -81,14 +81,14 @@ def bench_model(
 ) -> None:
     """Reconstruct a scene of known cameras, or place its images, and compare with the truth.
 
-    MODEL is as for locate; a list of pairs in SuperGlue's format, whose translations have one unit;
-    or a folder of posed RGB-D images. K is known.
+    MODEL is a model as for locate; a list of pairs in SuperGlue's format, whose translations have a
+    common unit; or a folder of posed RGB-D images. K is known.
 
-    Positions of a reconstruction are compared after the best similarity; "% of extent" is their rms
-    over the largest distance of two cameras. AUC@5 is of the pairs' poses. All methods map with the
-    same options.
+    Positions of a reconstruction are compared after the best similarity. "% of extent" is their rms
+    error over the largest distance of two cameras. AUC@5 refers to the poses of pairs. All methods
+    use the same options for mapping.
 
-    A location is right with R within 5 degrees and the position within 5 % of the extent.
+    A location is right if R is within 5 degrees and the position within 5 % of the extent.
     """
     model = true_model(path, bench.images)
     locates, choice = bench.locate or bench.other is not None, parse_pair_choice(bench.pairs)
@@ -109,7 +109,7 @@ def bench_model(
 
 
 def _placed(locator: Locator, bench: ModelBenchOptions) -> list[dict[str, Any]]:
-    """The score of each query, and what is printed of them."""
+    """Locate the queries, print a report, and return the score of each."""
     locator.describe()
     if bench.other is not None:
         names = search_images(bench.other).names

@@ -1,4 +1,4 @@
-"""`dgc-pose bench-pairs`: methods scored on pairs with known poses."""
+"""`dgc-pose bench-pairs`: score methods on pairs with known poses."""
 
 import hashlib
 import json
@@ -41,7 +41,7 @@ from dgc_pose.viz import save_figure
 
 PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)
 EVERY_MATCH = 2**31  # more than any map has cells
-FILES = ("run.jsonl", "results.csv", "summary.json", "errors.png")  # of a run
+FILES = ("run.jsonl", "results.csv", "summary.json", "errors.png")  # written by a run
 Protocol = Literal["native", "paper"]
 PROTOCOL_HELP = (
     "paper: images squared to 256x256, every match, the best of --runs RANSAC runs (the paper's: 5 "
@@ -52,7 +52,7 @@ PROTOCOL_HELP = (
 
 @dataclass(frozen=True)
 class PairBenchOptions:
-    """Which pairs, what is scored on them and how, and where the results go."""
+    """The pairs, the methods scored on them, the protocol, and the files to write."""
 
     root: str | None = option(
         None, "Folder of the image paths; by default the list's own.", type=NamedPath()
@@ -100,13 +100,13 @@ def bench_pairs(
     """Score methods on the pairs of LIST, in SuperGlue's format.
 
     Prints for each method the median errors, AUC@5/10/20 of the larger of rotation and folded
-    translation error, the number of failures, seconds a pair (matching and estimating), and D_e,
-    the distances of the matches from the true epipolar lines. A pair without a pose counts as an
+    translation error, the number of failures, seconds per pair (matching and estimation), and D_e,
+    the distances of matches from the true epipolar lines. A pair without a pose counts as an
     infinite error.
 
-    With --K and its like the K of LIST are withheld or changed, for all methods or, by NAME:K=auto,
-    NAME:K=auto:shared or NAME:K_scale=0.8, for one of several. Errors are of the true cameras as
-    before; a second table has the focal lengths and what the poses state.
+    --K and --K-scale withhold or change the K of LIST for all methods; NAME:K=auto,
+    NAME:K=auto:shared or NAME:K_scale=0.8 does so for one method. Errors always refer to the true
+    cameras. A second table has the warnings of the poses and the errors of focal lengths.
     """
     if options.out is None and options.resume:
         raise InputError("--resume needs the --out of the run to continue")
@@ -121,7 +121,7 @@ def run_bench(
     matcher: MatcherOptions,
     estimation: EstimationOptions,
 ) -> None:
-    """Score methods on pairs, and print and write what `bench-pairs` does."""
+    """Score methods on pairs; print the tables and write the files of `bench-pairs`."""
     out, paper = options.out, options.protocol == "paper"
     if paper:
         matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
@@ -167,7 +167,7 @@ def run_bench(
 
 
 def _folders(matches: Sequence[str]) -> dict[str, Path]:
-    """NAME=DIR, by name."""
+    """The folders of options NAME=DIR, by name."""
     folders: dict[str, Path] = {}
     for text in matches:
         name, _, folder = text.partition("=")

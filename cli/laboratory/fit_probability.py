@@ -1,5 +1,5 @@
 """`dgc-pose fit-probability`: fit the probability that a pose is right, and report on it;
-`fit-folders`: what a folder believes of its pairs before it compares them."""
+`fit-folders`: fit the evidence for each pair of a folder before its triples are compared."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +25,7 @@ _RECORDS = "records.jsonl"
 
 @dataclass(frozen=True)
 class FitChoice:
-    """What is collected and fitted."""
+    """The data to collect and fit."""
 
     data: Path = option(help="Folder of the data that the plan names.")
     out: Path = option(
@@ -50,9 +50,9 @@ class FitChoice:
 def fit_probability(choice: FitChoice) -> None:
     """Fit the probability that a pose is right: collect, fit, report.
 
-    Records of the plan's pairs, with the evidence for each pose and its error, are written to
-    records.jsonl in --out, and the same command goes on after any kill. Then the models are fitted
-    and calibrated on some scenes and reported on others. Writes probability.json, which the package
+    First matches the pairs of the plan, and records the evidence for each pose and its error in
+    records.jsonl in --out; after a kill, run the same command to continue. Then fits and calibrates
+    the models on some scenes, and reports on others. Writes probability.json, which the package
     reads, report.txt and reliability.png into --out. Needs scikit-learn (the extra "fit").
     """
     plan = choice.plan or DEFAULT_PLAN
@@ -68,7 +68,7 @@ def fit_probability(choice: FitChoice) -> None:
     models, report, figure = fit_all(pieces, settings["engines"], entries)
     names = "probability.json", "report.txt", "reliability.png"
     paths = [str(choice.out / name) for name in names]
-    with staged(*paths) as stage:  # all three or none
+    with staged(*paths) as stage:  # writes all three files or none
         model_file, report_file, figure_file = map(stage, paths)
         save_text(model_file, models)
         save_text(report_file, report + "\n")
@@ -79,7 +79,7 @@ def fit_probability(choice: FitChoice) -> None:
 def _collected(
     choice: FitChoice, lists: Path, entries: list[PlanEntry]
 ) -> tuple[dict[str, Any], list[Any]]:
-    """The settings of the run and the records of all pairs, with those that were not there."""
+    """The settings of the run, and the records of all pairs; collects the missing records."""
     from dgc_pose.benchmarks.probability.records import collect
     from dgc_pose.matchers import load_matcher
 
@@ -95,7 +95,7 @@ def _collected(
     settings = {"engines": engines}
     with open_run(choice.out / _RECORDS, settings, resume=True) as (pieces, add):
         done = {(piece["entry"], piece["number"]) for piece in pieces}
-        # One pair of each scene in turn: a collection that is killed has some of each.
+        # One pair of each scene in turn, so that a killed collection has pairs of every scene.
         pairs.sort(key=lambda pair: pair.number)
         for pair in tqdm(pairs, unit="pair", disable=None):
             if (pair.entry.name, pair.number) not in done:
@@ -105,7 +105,7 @@ def _collected(
 
 @dataclass(frozen=True)
 class FolderFitChoice:
-    """What is matched and fitted."""
+    """The folders to match and fit."""
 
     data: Path = option(help="Folder with the folders photos, of textures, and posed, of scenes.")
     out: Path = option(help="Folder of images and batches.", type=OutputFolder(path_type=Path))
@@ -117,8 +117,8 @@ class FolderFitChoice:
 def fit_folders(choice: FolderFitChoice) -> None:
     """Fit the weights of `batch/look_alikes.py`: match, label, fit.
 
-    Folders with repeats are rendered. Their pairs, and those of as many posed scenes, are matched
-    in --out, and the same command goes on after any kill. Needs scikit-learn (the extra "fit").
+    Renders folders with repeats. Matches their pairs and the pairs of at most as many posed scenes,
+    in --out; after a kill, run the same command to continue. Needs scikit-learn (the extra "fit").
     """
     require({"fit-folders": "fit"})  # before the work
     from dgc_pose.benchmarks.folders import collected, fit, folder_names

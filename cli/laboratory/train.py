@@ -1,4 +1,4 @@
-"""`dgc-pose train`: train a preset on photographs."""
+"""`dgc-pose train`: train a network preset on photographs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dgc_pose.training.options import TrainingOptions
 
 @dataclass(frozen=True)
 class TrainFiles:
-    """Where a run reads and writes, and how it uses the machine."""
+    """The inputs and outputs of a run, and its device."""
 
     photos: Path = option(
         help="Folder of photographs, searched through; one in twenty is held back for validation."
@@ -44,9 +44,9 @@ class TrainFiles:
 def train(files: TrainFiles, options: TrainingOptions) -> None:
     """Train a preset on photographs: the encoder, then the decoders.
 
-    The run's folder --out holds checkpoint.pt (written every minute; --resume continues from it
-    after any kill), log.jsonl, the depths found of posed photographs and, at the end, the weights
-    as .safetensors with their card as .md.
+    Writes into --out: checkpoint.pt every minute (--resume continues from it after any kill),
+    log.jsonl, the depths estimated for posed photographs and, at the end, the weights as
+    .safetensors with a card as .md.
     """
     from dgc_pose.network.weights import choose_device
     from dgc_pose.training.pairs import load_data
@@ -68,6 +68,6 @@ def train(files: TrainFiles, options: TrainingOptions) -> None:
             )
             trainer.run(data)
         finally:
-            with suppress(OSError):  # a run that is refused leaves no empty folder
+            with suppress(OSError):  # a run that cannot start leaves no empty folder
                 files.out.rmdir()
     click.echo(f"wrote {trainer.weights_path}")

@@ -1,13 +1,13 @@
-"""The cameras of a folder: which photographs share one, and how all of their pairs fit it.
+"""The cameras of a folder: which photographs share a camera, and its parameters from all pairs.
 
 Each pair has fitted the focal lengths, principal points and lenses of its own cameras, with a
-prior. Photographs of one `identity` share a camera, and the fits of their pairs are pooled:
-robustly, weighted by their covariances, and with the prior once instead of once a pair. Dozens of
-pairs determine the principal point, which one pair hardly does.
+prior. Photographs with the same `identity` share a camera, and the fits of their pairs are pooled:
+robustly, weighted by their covariances, with the prior counted once instead of once per pair.
+Dozens of pairs determine the principal point, which one pair hardly does.
 
-A photograph that is alone of its identity, or that most pairs with the others of it contradict, has
-a camera of its own, which is fitted to its pairs with photographs of known cameras: one more
-unknown camera is determined there far better than two are.
+Some photographs have a camera of their own: the only photograph of an identity, and one whose pairs
+within its identity mostly contradict the shared camera. This camera is fitted to pairs with
+photographs of known cameras, since one unknown camera is determined far better than two.
 """
 
 import math
@@ -26,34 +26,34 @@ from dgc_pose.estimation.intrinsics_prior import SIZE, is_of_part, parameter_std
 from dgc_pose.estimation.least_squares import EFFICIENT
 
 _STARTS, _STEPS = 101, 50
-_MAX_STD_SHARE = 0.9  # of the prior: a wider fit of the focal length is left out
-_FAR_CENTRE_STDS = 1.5  # principal points that differ by more are far apart
-_MIN_VARIANCE = 1e-9  # of the prior's: keeps an information finite
+_MAX_STD_SHARE = 0.9  # of the prior's deviation of ln f: pairs with a wider fit are skipped
+_FAR_CENTRE_STDS = 1.5  # deviations: a principal point that moved further is far from its prior
+_MIN_VARIANCE = 1e-9  # as a share of the prior's: keeps the information finite
 _ALONE = "its pairs agree with no other camera"
 _SPLIT = "most pairs of its size agree with a focal length of each photograph"
-_MIN_GROUP = 3  # images of a camera that one of them can contradict
-_MIN_INLIERS = 50  # of a pair that ought to determine its cameras
-_AGREEING_SHARE = 0.5  # of these pairs; a photograph with fewer that agree is fitted by itself
-_AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # of ln f: of a pair and its group; of two cameras
-_SAME_FOCAL = 0.01  # difference of ln f of one camera, by its focus
-_PARTNER_FOCAL_STD = 0.15  # of ln f, up to which a camera helps to determine another
-_MOST_FOCAL_STD = 0.1  # of ln f, of a photograph that is fitted by itself
-_CENTRE_OF_PART = 0.1  # deviation of the principal point of a photograph that may be cut
+_MIN_GROUP = 3  # fewest images of a camera that one of them can contradict
+_MIN_INLIERS = 50  # of a pair that should determine its cameras
+_AGREEING_SHARE = 0.5  # of these pairs; below it, a photograph gets an individual camera
+_AGREEING_STDS, _SAME_STDS = 3.0, 2.0  # limits for ln f: a pair and its group; two cameras
+_SAME_FOCAL = 0.01  # deviation of ln f of one camera between photographs, by focusing
+_PARTNER_FOCAL_STD = 0.15  # of ln f, below which a camera helps to determine another
+_MOST_FOCAL_STD = 0.1  # of ln f, below which an individual camera is accepted
+_CENTRE_OF_PART = 0.1  # deviation of the principal point of a possible crop, over the longer side
 
 
 @dataclass(frozen=True)
 class PooledCamera:
     """One camera of a folder."""
 
-    cameras: Cameras  # of its images
-    pairs: int  # whose fits enter its focal length
-    why: str = ""  # its images have it, unless by their sizes and EXIF data or the K given
+    cameras: Cameras  # for each of its images
+    pairs: int  # number of pairs whose fits are pooled
+    why: str = ""  # why these images have it; empty if by their sizes and EXIF data or a given K
 
 
 def folder_cameras(poses: PoseRunner, cameras: Cameras) -> list[PooledCamera]:
-    """The cameras one by one, of those that had a deviation.
+    """The cameras of the folder, without those that were exact before.
 
-    poses: of pairs that are stored each with its own fit of `cameras`.
+    poses: its store holds the matched pairs, each with its own fit of `cameras`.
     """
     rows = _rows_of(poses.store.pairs("matched"))
     start = _by_models(cameras, rows)
@@ -105,7 +105,7 @@ def _rows_of(pairs: Iterable[MatchedPair]) -> list[PairRow]:
 
 
 def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
-    """The cameras before the fit by the model that most of their pairs agree with."""
+    """The cameras before the fit, each with the model that most of its pairs agree with."""
     groups = sharing(cameras)
     weights: dict[str, dict[ModelName, float]] = defaultdict(lambda: defaultdict(float))
     for row in rows:
@@ -124,12 +124,12 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
 def _is_contradicted(
     name: str, names: Sequence[str], camera: Camera, rows: Sequence[PairRow]
 ) -> bool:
-    """Whether fewer than half of the pairs of an image with the others of its group, that ought to
-    determine its camera, agree with that of the group."""
+    """Whether fewer than half of the pairs of an image within its group agree with `camera`, the
+    group's. Only pairs that should determine a camera count."""
     agreeing, count = 0, 0
     for row in rows:
         if name in row.names and {*row.names} <= {*names}:
-            if row.status == "mirrored":  # perhaps because of a wrong camera
+            if row.status == "mirrored":  # a wrong camera may be the cause
                 count += row.num_matches >= _MIN_INLIERS
             elif row.status not in ("rotation_only", "same_picture"):
                 count += row.num_inliers >= _MIN_INLIERS
@@ -139,7 +139,7 @@ def _is_contradicted(
 
 
 def _agrees(camera: Camera, other: Camera) -> bool:
-    """Whether a camera that is fitted by itself is that of its group after all."""
+    """Whether an individually fitted camera agrees with `other`, the camera of its group."""
     shift = float(np.abs(camera.K[:2, 2] - other.K[:2, 2]).max())
     near = shift < _AGREEING_STDS * math.hypot(camera.centre_std, other.centre_std)
     return near and _same_focal(camera, other, _SAME_STDS)
@@ -151,8 +151,8 @@ def _same_focal(camera: Camera, other: Camera, stds: float) -> bool:
 
 
 def _individual_camera(camera: Camera, *, doubted: bool) -> Camera:
-    """The camera of a photograph by itself, which may be zoomed or cut unless EXIF data or a K
-    state it and nothing contradicts them."""
+    """The prior camera of one photograph. It allows for zoom and cropping, unless EXIF data or a K
+    state the focal length and no pair contradicts it."""
     camera = replace(camera, identity=None)
     stated = camera.focal_source in ("exif", "given") and camera.focal_std < OTHER_STD
     if stated and not doubted:
@@ -162,12 +162,12 @@ def _individual_camera(camera: Camera, *, doubted: bool) -> Camera:
 
 
 def fit_of(row: PairRow) -> tuple[Camera, Camera] | None:
-    """The cameras that a pair with a pose fits by the assumed camera model."""
+    """The cameras that a pair fitted; None without a pose or with another camera model."""
     return row.fitted_cameras if row.success and row.camera_model == "assumed" else None
 
 
 def sharing(cameras: Cameras) -> dict[str, tuple[str, ...]]:
-    """By image name the images of its camera, of cameras with a deviation."""
+    """By image name, the images that share its camera; only for cameras with a deviation."""
     groups: dict[tuple[bool, str], list[str]] = defaultdict(list)
     for name, camera in cameras.items():
         if not camera.exact:
@@ -183,15 +183,16 @@ def by_image(pooled: Iterable[PooledCamera]) -> dict[str, Camera]:
 def pool(
     cameras: Cameras, rows: Iterable[PairRow], inside: Collection[str] = ()
 ) -> list[PooledCamera]:
-    """The cameras that have a deviation, one by one, as all pairs fit them.
+    """The cameras with a deviation, each pooled from the fits of all of its pairs.
 
-    cameras: by name, as the pairs had them. inside: images whose cameras are fitted by the pairs of
-    one camera, and by those of two images alone. Images of several sizes, and parts without EXIF
-    data, share a focal length and no principal point. The same for any order of the rows.
+    cameras: by name, as they were before the pairs fitted them. inside: images that skip the fits
+    of pairs with another camera, unless each of the two cameras took a single image. Images of
+    several sizes, and possible crops without EXIF data, share a focal length but no principal
+    point. The order of the rows does not matter.
     """
     shared = sharing(cameras)
-    # By the images of a camera: differences from its parameters, covariances, and the
-    # probabilities that the poses of the pairs are right.
+    # By the images of a camera, for each pair: difference from the camera's parameters, covariance,
+    # and probability that the pose is right.
     fits: dict[tuple[str, ...], list[tuple[np.ndarray, np.ndarray, float]]] = defaultdict(list)
     for row in rows:
         pose, fitted = row.pose, fit_of(row)
@@ -201,7 +202,7 @@ def pool(
         between = first != second and max(len(first), len(second)) > 1
         known = pose.one_place_probability
         blocks = pose.camera_covariance[:SIZE, :SIZE], pose.camera_covariance[SIZE:, SIZE:]
-        of_row = {}  # one of a pair of one camera
+        of_row = {}  # a single entry if one camera took both images
         for name, camera, block in zip(row.names, fitted, blocks, strict=True):
             if name in shared and not (between and name in inside):
                 value = _parameters(camera) - _parameters(cameras[name])
@@ -216,7 +217,7 @@ def pool(
         cut = first_camera.focal_source in ("size", "lines") and is_of_part(first_camera)
         if (cut and len(names) > 1) or len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
-        open_ = np.flatnonzero(prior)  # what is fitted
+        open_ = np.flatnonzero(prior)  # the fitted parameters
         if not len(open_):
             continue
         widest = (_MAX_STD_SHARE * prior[open_[0]]) ** 2
@@ -237,8 +238,8 @@ def pool(
 
 
 def centre_moved(before: Cameras, after: Cameras) -> bool:
-    """Whether a pooled principal point is so far from the prior's that fits with this prior are
-    off, and are better made again around the pooled camera."""
+    """Whether a pooled principal point is far from its prior. Fits with that prior are then
+    inaccurate, and should be repeated around the pooled camera."""
     return any(
         np.abs(after[name].K[:2, 2] - camera.K[:2, 2]).max() > _FAR_CENTRE_STDS * camera.centre_std
         for name, camera in before.items()
@@ -249,15 +250,15 @@ def centre_moved(before: Cameras, after: Cameras) -> bool:
 def pooled_fit(
     values: np.ndarray, covariances: np.ndarray, weight: np.ndarray, prior: np.ndarray, images: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The parameters (D,), as differences from the prior's, and their deviations (D,).
+    """The pooled parameters (D,), as differences from the prior's, and their deviations (D,).
 
-    values, covariances: (N, D) and (N, D, D) of pairs whose fits contain the prior, of the
-    deviations `prior` (D,). weight: (N,). images: that the camera took. Fits of pairs that share an
-    image err alike: as many count as there are pairs without an image in common. Fits that scatter
-    more than by their covariances widen the result.
+    values, covariances: (N, D) and (N, D, D), the fits of pairs, each including the prior of
+    deviations `prior` (D,). weight: (N,). images: number of images of the camera. Fits of pairs
+    that share an image have correlated errors: they count as at most images / 2 pairs. Fits that
+    scatter more than their covariances widen the result.
     """
     count, order = len(prior), np.lexsort(values.T[::-1])  # the same sums for any order
-    # In deviations of the prior, whose information is then 1 along each axis.
+    # In units of the prior's deviations: its information is then 1 along each axis.
     weight, values = weight[order], values[order] / prior
     variances, axes = np.linalg.eigh(covariances[order] / np.outer(prior, prior))
     information = 1 / np.maximum(variances, _MIN_VARIANCE)
@@ -268,14 +269,14 @@ def pooled_fit(
     means = np.einsum("nij,nj->ni", axes, along / np.maximum(of_matches, 1e-9))
 
     def distances(middle: np.ndarray) -> np.ndarray:
-        """Squared, of each fit, over the number of parameters."""
+        """Squared distance of each fit, over the number of parameters."""
         offset = means - middle
         return np.einsum("ni,nij,nj->n", offset, matrices, offset).clip(min=0) / count
 
     def cost(middle: np.ndarray) -> float:
         return float((weight * np.log1p(distances(middle) / EFFICIENT**2)).sum())
 
-    # From the fit that most pairs agree with: a few of great precision may be wrong.
+    # Start at the fit that most pairs agree with: a few very precise fits may be wrong.
     middle = min(values[:: 1 + len(values) // _STARTS], key=cost)
     for _ in range(_STEPS):
         distance = distances(middle)
@@ -292,8 +293,8 @@ def pooled_fit(
 
 
 def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) -> Camera:
-    """The camera with pooled differences (SIZE,) from it, and their deviations, 0 of what is not
-    fitted."""
+    """The camera moved by pooled differences `value` (SIZE,). std: their deviations (SIZE,), 0 for
+    a parameter that is not fitted."""
     moved = with_parameters(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
         moved = replace(moved, focal_source="matches", belief=None)
@@ -303,8 +304,8 @@ def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) ->
 
 
 def _parameters(camera: Camera) -> np.ndarray:
-    """(SIZE,): ln f, the principal point, pixels, the radial coefficients, 0 without them, and
-    ln fy / fx."""
+    """(SIZE,): ln f, the principal point in pixels, the radial coefficients (0 without a lens), and
+    ln(fy / fx)."""
     lens = camera.distortion
     radial = (0.0, 0.0) if lens is None else lens.radial
     return np.array(

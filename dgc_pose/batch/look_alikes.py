@@ -1,13 +1,14 @@
-"""Which pairs of a folder show one place, and which two places that look alike.
+"""Which pairs of a folder show one place, and which show two places that look alike.
 
-A pair of two places that look alike has a pose as good as any. It shows in the folder: three poses
-between three images agree if all are right, or if two are of the same deception, and never if one
-alone is wrong; and images of one place have more in common than what many images show.
+On its own, a pair of look-alike places has as good a pose as any. The folder exposes it: the three
+poses among three images agree if all are right or if two are wrong in the same way, but not if only
+one is wrong. And two images of one place share more than the parts that many images show.
 
-Triples of pairs exchange messages, a loopy belief propagation (Pearl 1988). Most folders show no
-place twice. Each is solved as such a one, in which pairs begin with their own probabilities; and as
-one with repeats, in which they begin with the context of their matches and with what no other pair
-matches, too, compared with the folder's. The solution holds that explains the pairs better.
+Triples of pairs exchange messages: loopy belief propagation (Pearl 1988). Most folders contain no
+look-alikes, called repeats. So each folder is solved twice. Without repeats, pairs start from their
+own probabilities. With repeats, they start also from the context of their matches and from the
+matched parts that other pairs lack, compared with the folder's other pairs. The second solution is
+used if it explains the pairs clearly better.
 """
 
 from __future__ import annotations
@@ -28,42 +29,42 @@ from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.pixels import Size
 
-MOST_PAIRS = 2000  # with a pose, of a folder
+MOST_PAIRS = 2000  # pairs with a pose in a folder; with more, the check is skipped
 CELLS = 80  # along the longer side of an image
-_LEAST_SHARED = 8  # cells with depths of two pairs, that their scale is measured by
-# Of three poses that agree: between rotations, degrees; and of the gap that their translations
-# leave, over the longest. Or so many times their expected errors.
+_LEAST_SHARED = 8  # cells with depths of both pairs, to measure the scale between two pairs
+# Limits for three poses to agree: the error of the rotations around the loop, degrees; the gap that
+# the translations leave, over the longest. Or, if larger, this multiple of expected errors.
 _ROTATION_DEG, _GAP, _ERRORS = 4.0, 0.2, 2.0
-_CLEAR = 2.5  # times as much: of three that do not
-_FEW = 2  # pairs of an image that have a cell
-_MOST = 0.999  # probability of a pair
-_UNKNOWN = 0.9  # probability of a pose whose own is not known
+_CLEAR = 2.5  # times these limits: beyond, three poses disagree; in between, it is unclear
+_FEW = 2  # pairs of an image with inliers in a cell, up to which the cell counts as unshared
+_MOST = 0.999  # upper bound of the probability of a pair
+_UNKNOWN = 0.9  # probability of a pose if its own is not known
 _MOST_LOG_ODDS = 5.0
-# Of a pair in a folder with repeats: for a unit of each of the values of `evidence_of_pairs`
+# Log-odds per unit of each value of `evidence_of_pairs`, in a folder with repeats
 _WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
-_QUANTILE = 0.75  # of a folder's pairs, that each is compared with
-# Log-odds, for each of its pairs, by which a folder is likelier without repeats: the least with
-# which no posed folder of `fit-folders`, left out of the fit, is taken for one with repeats
+_QUANTILE = 0.75  # of the folder's pairs, with which each pair is compared
+# Prior log-odds per pair for a folder without repeats: the smallest value with which `fit-folders`,
+# cross-validated, takes no folder of a posed scene for one with repeats
 _ORDINARY = 0.3
-# Of three poses of which 0 to 3 are right, how likely they are to agree, and not to, each up to a
-# factor
+# Likelihoods that three poses agree, and that they disagree, if 0 to 3 of them are right, each up
+# to a factor
 _AGREE, _DISAGREE = np.array([[0.8, 1.0, 0.02, 1.0], [0.8, 1.0, 1.0, 0.02]])
-_FULL_TRIPLES = 4  # of a pair; of more each counts less, as they are not independent
+_FULL_TRIPLES = 4  # of a pair; with more, each counts less, as they are not independent
 _ROUNDS, _DAMPING = 60, 0.5
 _MOST_SENT = 8.0  # log-odds
 
 
 @dataclass(frozen=True, eq=False)
 class PlacedPair:
-    """The pose of a pair, and where its inliers are.
+    """The pose of a pair, and the cells of its inliers.
 
     Attributes:
-        images: Numbers of both images, the lower first.
-        R: Rotation (3, 3) from the camera of the first to that of the second.
-        t: Direction (3,) of the translation; NaN with a rotation alone.
-        error_deg: Expected errors of R and t, nine times in ten.
-        cells: Of each image, the cells (n,) int that have inliers, in order.
-        log_depths: Their logarithms of depth (n,), in units of |t|; NaN where there is none.
+        images: Indices of both images, the lower first.
+        R: Rotation (3, 3) from the first camera to the second.
+        t: Direction (3,) of the translation; NaN for a pure rotation.
+        error_deg: Expected errors of R and t, degrees: 90 % of errors are smaller; 0 if unknown.
+        cells: For each image, its cells (n,) int with inliers, sorted.
+        log_depths: For each image, ln of the depths (n,) there, in units of |t|; NaN if unknown.
     """
 
     images: tuple[int, int]
@@ -77,7 +78,7 @@ class PlacedPair:
     def of(
         cls, pair: MatchedPair, images: tuple[int, int], cameras: Sequence[Camera]
     ) -> PlacedPair:
-        """Of a pair of these images that has a pose or a rotation. cameras: that it is of."""
+        """Place a pair of these images that has a pose or rotation, by the cameras of its pose."""
         pose = pair.row.pose
         assert pose is not None and pose.R is not None
         matches = pair.matches.subset(pose.inliers)
@@ -104,21 +105,21 @@ class PlacedPair:
 
 
 def folder_probabilities(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairRow]:
-    """The rows of the pairs that have a pose or a rotation, with the probability that it is right
-    given all others; none of more than `MOST_PAIRS` pairs."""
+    """The rows of the pairs with a pose or rotation, with the probability that it is right given
+    the whole folder. Empty if there are more than `MOST_PAIRS` such pairs."""
     rows, placed, values = evidence_of_pairs(pairs, plan, MOST_PAIRS + 1)
     if not 0 < len(rows) <= MOST_PAIRS:
         return []
     found, agree = triples(placed)
     solved = solutions(values[:, 0], by_itself(values), found, agree)
     log_odds = solved[shows_repeats(solved, values)]
-    if log_odds is solved[0]:  # a pair in no triple has its own
+    if log_odds is solved[0]:  # a pair in no triple keeps its own probability
         alone = ~np.isin(np.arange(len(rows)), found)
         own = [_UNKNOWN if r.probability is None else r.probability for r in rows]
         own_odds = _log_odds(np.clip(own, LEAST_BELIEF, _MOST))
         log_odds = np.where(alone, own_odds, log_odds)
     belief = np.round(1 / (1 + np.exp(-log_odds)), 4)
-    counts = np.zeros((len(rows), 2), np.int64)  # of triples that agree, and that do not
+    counts = np.zeros((len(rows), 2), np.int64)  # triples that agree, and that disagree
     for k in range(3):
         pair, *others = np.roll(found, k, axis=1).T
         holds = (belief[others] >= LEAST_BELIEF).all(0)
@@ -134,9 +135,9 @@ def folder_probabilities(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairR
 def evidence_of_pairs(
     pairs: Iterable[MatchedPair], plan: Plan, most: int | None = None
 ) -> tuple[list[PairRow], list[PlacedPair], np.ndarray]:
-    """The first `most` pairs that have a pose or a rotation, as rows and placed, and the evidence
-    for each pair on its own, (n, 3): log-odds, context of the matches and `log_unshared_cells`, the
-    latter two less the folder's; NaN of what is not known."""
+    """The first `most` pairs with a pose or rotation: rows, placed pairs, and the evidence for each
+    pair (n, 3). Its columns are the log-odds of the pair's own probability, the context of the
+    matches and `log_unshared_cells`, the last two minus the folder's quantile; NaN if unknown."""
     number = {name: k for k, name in enumerate(plan.names)}
     cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
     values = list[tuple[float, float]]()
@@ -147,8 +148,8 @@ def evidence_of_pairs(
         name1, name2 = row.names
         of_pair = row.fitted_cameras or (cameras[name1], cameras[name2])
         placed.append(PlacedPair.of(pair, (number[name1], number[name2]), of_pair))
-        # What is claimed holds unless other pairs speak against it. Most rotations that are of an
-        # unlikely pose are wrong.
+        # A success starts as accepted, and only other pairs can reject it. Most rotations without a
+        # likely pose are wrong.
         known = pose.one_place_probability if pose.success else pose.any_probability
         least = LEAST_BELIEF if pose.success else 1 - _MOST
         known = _UNKNOWN if known is None else min(max(known, least), _MOST)
@@ -166,7 +167,7 @@ def evidence_of_pairs(
 def by_itself(
     values: np.ndarray, weights: np.ndarray = _WEIGHTS, intercept: float = _INTERCEPT
 ) -> np.ndarray:
-    """Log-odds (n,) of pairs before the triples, by the values (n, 3) of `evidence_of_pairs`."""
+    """Log-odds (n,) of pairs in a folder with repeats, by `evidence_of_pairs` (n, 3)."""
     return (intercept + np.nan_to_num(values) @ weights).clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
 
@@ -175,8 +176,8 @@ def _log_odds(probability: np.ndarray) -> np.ndarray:
 
 
 def shows_repeats(solved: tuple[np.ndarray, np.ndarray, float], values: np.ndarray) -> bool:
-    """Whether a folder is one with repeats, by its `solutions` and the values (n, 3) of
-    `evidence_of_pairs`: not if the context of the matches is not known of half of the pairs."""
+    """Whether a folder has repeats, by its `solutions` and values (n, 3) of `evidence_of_pairs`.
+    False unless the context of the matches is known for more than half of the pairs."""
     known = np.isfinite(values[:, 1]).mean() > 0.5
     return bool(known and solved[2] > _ORDINARY * len(values))
 
@@ -184,11 +185,11 @@ def shows_repeats(solved: tuple[np.ndarray, np.ndarray, float], values: np.ndarr
 def solutions(
     probable: np.ndarray, with_repeats: np.ndarray, found: np.ndarray, agree: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Log-odds (n,) of pairs in a folder without repeats and in one with repeats, and by how much
-    the latter explain the pairs better, log-odds.
+    """Log-odds (n,) of pairs in a folder without repeats, and in a folder with repeats; and the
+    log-odds of the second explanation over the first.
 
-    probable: of their probabilities (n,); with_repeats: of `by_itself` (n,); found: triples (M, 3);
-    agree: whether these do (M,).
+    probable: log-odds of the pairs' own probabilities (n,); with_repeats: `by_itself` (n,); found:
+    triples (M, 3); agree: whether the poses of each triple agree (M,).
     """
     count = np.bincount(found.ravel(), minlength=len(probable))
     weight = np.minimum(1, _FULL_TRIPLES / np.maximum(count, 1))
@@ -205,8 +206,8 @@ def solutions(
 def _after_messages(
     before: np.ndarray, found: np.ndarray, likely: np.ndarray, weight: np.ndarray
 ) -> np.ndarray:
-    """The log-odds (n,) that the triples' messages make of those before. likely: (M, 4), of 0 to 3
-    right poses of a triple; weight: (n,), of the messages to a pair."""
+    """The log-odds `before` (n,) updated by the messages of triples. likely: (M, 4), likelihoods of
+    0 to 3 right poses in each triple; weight: (n,), of the messages to each pair."""
 
     def total(messages: np.ndarray) -> np.ndarray:
         sums = np.bincount(found.ravel(), messages.ravel(), minlength=len(before))
@@ -226,13 +227,13 @@ def _after_messages(
 
 
 def _cells(points: np.ndarray, size: Size) -> np.ndarray:
-    """Numbers (N,) of the cells of points (N, 2) of an image, row by row, with a cell around it."""
+    """Cell indices (N,) of points (N, 2), row by row, in the image's grid padded by one cell."""
     x, y = np.floor((points + 0.5) * (CELLS / max(size))).astype(np.int64).T.clip(0, CELLS - 1)
     return (y + 1) * (CELLS + 2) + x + 1
 
 
 def _pairs_by_image(pairs: Sequence[PlacedPair]) -> dict[int, list[tuple[int, int]]]:
-    """The pairs of each image, by their number, and which of their images it is."""
+    """By image, its pairs: the index of each pair, and which of its two images this is, 0 or 1."""
     found: dict[int, list[tuple[int, int]]] = defaultdict(list)
     for number, pair in enumerate(pairs):
         for side, image in enumerate(pair.images):
@@ -241,8 +242,8 @@ def _pairs_by_image(pairs: Sequence[PlacedPair]) -> dict[int, list[tuple[int, in
 
 
 def triples(pairs: Sequence[PlacedPair]) -> tuple[np.ndarray, np.ndarray]:
-    """Triples (M, 3) int of pairs between three images; and (M,) bool, whether their poses agree.
-    Those of which it is not clear are left out."""
+    """Triples (M, 3) int of pairs among three images, and whether their poses agree, (M,) bool.
+    Unclear triples are dropped."""
     number = {pair.images: k for k, pair in enumerate(pairs)}
     near: dict[int, set[int]] = defaultdict(set)
     for first, second in number:
@@ -272,8 +273,8 @@ def triples(pairs: Sequence[PlacedPair]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _log_ratios(pairs: Sequence[PlacedPair]) -> dict[tuple[int, int, int], float]:
-    """By an image and two of its pairs, the logarithm of the second one's baseline over that of
-    the first, by the depths of the cells that they share."""
+    """By an image and two of its pairs, ln(second baseline / first baseline), from the depths in
+    the cells that both pairs have."""
     ratios = {}
     for image, those in _pairs_by_image(pairs).items():
         for (first, side1), (second, side2) in combinations(those, 2):
@@ -292,8 +293,8 @@ def _log_ratios(pairs: Sequence[PlacedPair]) -> dict[tuple[int, int, int], float
 def _lengths(
     found: np.ndarray, images: np.ndarray, ratios: dict[tuple[int, int, int], float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The baselines 23 and 13 of triples, (M,) each, over 12; NaN where the images do not
-    determine them."""
+    """Baselines 23 and 13 of triples over baseline 12, (M,) each; NaN if the images do not
+    determine one."""
     keys = (
         ((i1, e12, e13), (i2, e12, e23), (i3, e23, e13))
         for (e12, e23, e13), (i1, i2, i3) in zip(found.tolist(), images.tolist(), strict=True)
@@ -308,8 +309,8 @@ def _lengths(
 def _gaps(
     leg12: np.ndarray, leg23: np.ndarray, leg13: np.ndarray, long23: np.ndarray, long13: np.ndarray
 ) -> np.ndarray:
-    """The gap (M,) that directions (M, 3) of three baselines leave, over the longest. long23,
-    long13: over baseline 12; of one that is not known, what leaves the least. NaN if none is."""
+    """The gap (M,) that three baselines of directions (M, 3) leave, over the longest. long23,
+    long13: lengths (M,) over baseline 12. If one is unknown, it minimises the gap; if both, NaN."""
     along23 = np.einsum("ni,ni->n", leg13 * long13[:, None] - leg12, leg23)
     long23 = np.where(np.isnan(long23), along23.clip(0), long23)
     along13 = np.einsum("ni,ni->n", leg12 + leg23 * long23[:, None], leg13)
@@ -319,8 +320,8 @@ def _gaps(
 
 
 def log_unshared_cells(pairs: Sequence[PlacedPair]) -> np.ndarray:
-    """The log number (n,) of each pair's grid cells in which at most `_FEW` pairs of the image have
-    inliers, there or in a cell beside; mean of both images."""
+    """ln(1 + number) (n,) of each pair's cells near which at most `_FEW` pairs of the image have
+    inliers, in the cell or beside it; mean of both images."""
     few = np.zeros((len(pairs), 2))
     for those in _pairs_by_image(pairs).values():
         has = np.zeros((len(those), CELLS + 2, CELLS + 2), bool)

@@ -1,4 +1,4 @@
-"""The options of a batch beside its matcher and estimator."""
+"""The options of a batch, apart from those of its matcher and estimator."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WORKER_GIB = 0.375
 
 @dataclass(frozen=True)
 class BatchOptions:
-    """How a batch is worked through; none of it changes the result."""
+    """How a batch is run; no option changes the result."""
 
     workers: int | None = option(
         None, "Processes that match; default: one for each core.", metavar="N", min=1, max=1024
@@ -40,7 +40,7 @@ class BatchOptions:
 
     @property
     def worker_count(self) -> int:
-        """By default a worker for each core."""
+        """The number of workers; by default one for each core."""
         return self.workers or usable_cpus()
 
     @property

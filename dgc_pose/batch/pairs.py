@@ -1,4 +1,4 @@
-"""A pair of a batch: its pose, a line of JSON, its matches, and their errors."""
+"""A pair of a batch: its pose, also as a line of JSON, its matches, and their errors."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -15,29 +15,29 @@ from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.matches import Matches
 from dgc_pose.system.files import read_as
 
-# Statuses of pairs that have no estimate: an image or camera cannot be used; matching or estimation
-# raised an error that is not about its input, after which --resume matches the pair again.
+# Statuses of pairs without an estimate. BAD_INPUT: an image or camera is unusable. FAILED: matching
+# or estimation raised an unexpected error; a resumed batch matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
-LEAST_BELIEF = 0.6  # in the folder, with which a pose holds: with fewest errors of `fit-folders`
+LEAST_BELIEF = 0.6  # folder probability to accept a pose; `fit-folders` has fewest errors with it
 
 
 @dataclass(frozen=True, eq=False)
 class PairRow:
-    """The pose of one pair, cam2_from_cam1: x2 = R x1 + t, with the translation up to scale."""
+    """The pose of one pair, cam2_from_cam1: x2 = R x1 + t, with t up to scale."""
 
     name1: str
     name2: str
-    status: str  # that of the pose, or "bad_input" or "failed"
+    status: str  # of the pose, or "bad_input" or "failed"
     reason: str  # one sentence for people
-    # Without `evidence` and `hypotheses`; read from JSON, its inliers are a number of them.
-    pose: RelativePose | None = None  # None of a pair without an estimate
+    # Without `evidence` and `hypotheses`. If read from JSON, `inliers` has only their number.
+    pose: RelativePose | None = None  # None without an estimate
     error_px: float | None = None  # expected error of a match, pixels of the originals
-    camera_model: ModelName = "assumed"  # that the matches agree with, where no K states it
-    bad_images: Mapping[str, str] = field(default_factory=dict)  # why they cannot be read, by name
+    camera_model: ModelName = "assumed"  # the model that the matches agree with
+    bad_images: Mapping[str, str] = field(default_factory=dict)  # by name, why they are unusable
     index: int = 0  # of the pair in the batch
-    # That the pose is right, as the folder has it; None without a pose, and before the result
+    # Probability of the pose given the whole folder; None without a pose, and before the result
     folder_probability: float | None = None
-    # Of the triples with pairs that hold, how many agree with it and how many do not
+    # Triples whose two other pairs are accepted: how many agree with it, and how many do not
     folder_triples: tuple[int, int] = (0, 0)
 
     @property
@@ -58,26 +58,26 @@ class PairRow:
 
     @property
     def probability(self) -> float | None:
-        """That R and t are both within 10 degrees; None if no model of it is fitted."""
+        """Probability that R and t are both within 10 degrees; None if no model of it is fitted."""
         return None if self.pose is None else self.pose.probability
 
     @property
     def turned_down(self) -> bool:
-        """Whether the pair has a pose, or a rotation, that does not hold in the folder."""
+        """Whether the folder rejects the pose or rotation of the pair."""
         return self.folder_probability is not None and self.folder_probability < LEAST_BELIEF
 
     @property
     def fitted_cameras(self) -> tuple[Camera, Camera] | None:
-        """The cameras as they are fitted to the pair alone; None if they are not fitted."""
+        """The cameras fitted to only this pair; None if none were fitted."""
         pose = self.pose
         if pose is None or pose.camera1 is None or pose.camera2 is None:
             return None
         return None if pose.camera_covariance is None else (pose.camera1, pose.camera2)
 
     def to_json(self) -> str:
-        """A line of strict JSON: the names, and the pose as `RelativePose.to_dict` has it.
+        """A line of strict JSON: the names, and the values of `RelativePose.to_dict`.
 
-        It has no time: the same input gives the same row.
+        Times are omitted, so that the same input gives the same row.
         """
         names = {"name1": self.name1, "name2": self.name2}
         if self.pose is None:
@@ -98,7 +98,7 @@ def row_of(names: tuple[str, str], pose: RelativePose, error_px: float, index: i
 
 
 def parse_row(text: str, index: int, where: str) -> PairRow:
-    """The row of a line of JSON. Raises InputError, with `where`, if it is none."""
+    """The row of a line of JSON. Raises InputError, with `where`, if the line is not a row."""
     with read_as("a row of a batch", where):
         data: Any = json.loads(text)
         names, status = (str(data["name1"]), str(data["name2"])), data["status"]
@@ -126,9 +126,9 @@ _NO_MATCHES = Matches(_NO_POINTS, _NO_POINTS, np.zeros(0), error_px=1.0)
 class MatchedPair:
     """A pair with its matches, pixels of the original images."""
 
-    row: PairRow  # of whose pose the inliers are over `matches`
+    row: PairRow  # the inliers of its pose refer to `matches`
     matches: Matches = _NO_MATCHES
-    # Even sample of the map; None without a map, and where the pose is not estimated again.
+    # Even sample of the dense map; None without a map, and if the pose is not estimated again.
     map_matches: Matches | None = None
 
 
@@ -136,7 +136,7 @@ def epipolar_error_px(
     row: PairRow, cameras: Sequence[Camera], points1: np.ndarray, points2: np.ndarray
 ) -> np.ndarray:
     """Sampson distances (N,) of matches to the pose of a pair, pixels of the originals; infinite
-    where distortion cannot be undone, and 0 without a translation. cameras: that the pose is of."""
+    where distortion cannot be undone, and 0 without a translation. cameras: the pose's cameras."""
     if row.pose is None or row.pose.E is None:
         return np.zeros(len(points1))
     camera1, camera2 = cameras

@@ -1,9 +1,9 @@
-"""The result of a batch: `pairs.jsonl`, `matches.h5`, `summary.json`, and `cameras.csv` of pooled
-cameras, in the order of the pairs, not of the work.
+"""The files of a batch's result: `pairs.jsonl`, `matches.h5`, `summary.json`, and `cameras.csv` if
+cameras were pooled. Pairs are in the order of the plan, not of the work.
 
 `matches.h5` has hloc's layout: a group `name1/name2` ("/" inside a name becomes "-") holds
 `keypoints0`, `keypoints1` (N, 2) float32, pixels of the images, (0, 0) the centre of the top-left
-pixel, `scores` (N,) float32, and `inliers` (N,) bool, which hloc passes over.
+pixel, `scores` (N,) float32, and `inliers` (N,) bool, which hloc ignores.
 """
 
 import csv
@@ -34,12 +34,12 @@ _COLUMNS = (
     *("lens_std", "aspect_std", "camera"),
     *("model", "coefficients"),  # of the lens
 )
-GROUP_BYTES = 4096  # more than HDF5 takes for a pair beside its arrays
+GROUP_BYTES = 4096  # more than HDF5 needs for a pair, without its arrays
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """The result of a batch, as its folder holds it."""
+    """The result of a batch, read from its folder."""
 
     folder: Path
     plan: Plan
@@ -53,8 +53,8 @@ class Batch:
 
 
 def read_batch(out: Path) -> Batch:
-    """The result of a finished batch. Raises InputError, with the path, if it is not finished, or
-    broken."""
+    """The result of a finished batch. Raises InputError, with the path, if the batch is unfinished
+    or its store is broken."""
     if not (out / STORE).is_file():
         raise InputError(
             f"{out}: no folder of `dgc-pose batch` of this version (it has no {STORE})"
@@ -70,7 +70,7 @@ def read_batch(out: Path) -> Batch:
 
 
 def write_files(out: Path, store: BatchStore, plan: Plan, summary: Mapping[str, Any]) -> None:
-    """Write the files of a result, whose pairs are in the store."""
+    """Write the files of a result from the pairs in the store."""
     if plan.uncertain:
         write_cameras(out, plan.final_cameras)
     with (
@@ -98,14 +98,14 @@ def write_cameras(out: Path, cameras: Mapping[str, Camera]) -> None:
         lens = camera.distortion
         of_lens = ("", "") if lens is None else (lens.model, " ".join(map(repr, lens.coefficients)))
         lines.writerow([name, *numbers, *stds, camera.identity or "", *of_lens])
-    text = table.getvalue().encode(errors="backslashreplace")  # names need be no UTF-8
+    text = table.getvalue().encode(errors="backslashreplace")  # names may not be UTF-8
     write_text(out / CAMERAS, text.decode())
 
 
 def summary_of(
     plan: Plan, rows: Sequence[PairRow], cameras: Sequence[PooledCamera]
 ) -> dict[str, Any]:
-    """The content of `summary.json`. cameras: the pooled ones."""
+    """The content of `summary.json`. cameras: the pooled cameras."""
     by_status = Counter(row.status for row in rows)
     bad = dict(plan.bad)
     for row in rows:
@@ -140,8 +140,8 @@ def summary_of(
 
 
 def _turned_down(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
-    """How many pairs are turned down between which groups of images, or within one; a group is of
-    images that pairs which hold connect."""
+    """The numbers of rejected pairs between groups of images, or within a group. Accepted pairs
+    connect the images of a group."""
     group = {name: frozenset([name]) for row in rows for name in row.names}
     for row in rows:
         first, second = (group[name] for name in row.names)

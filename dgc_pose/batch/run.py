@@ -1,4 +1,4 @@
-"""A batch from the source to the result."""
+"""Run a batch, from the source to the result."""
 
 import hashlib
 import shlex
@@ -49,10 +49,10 @@ from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
 from dgc_pose.network.weights import find_weights, shipped
 from dgc_pose.system.files import only_writer, read_bytes
 
-Progress = Callable[[str, int, int], None]  # of a stage: its name, how much is done, of how much
+Progress = Callable[[str, int, int], None]  # stage, items done, all items
 _RESUME = ArgumentName("resume")
 _EXHAUSTIVE_UP_TO = 20  # images
-_FEW_LEFT = 0.5  # of the inliers of a pair by itself
+_FEW_LEFT = 0.5  # of the inliers that a pair had on its own: with fewer there is a warning
 
 
 def run_batch(
@@ -68,22 +68,20 @@ def run_batch(
 ) -> Batch:
     """Match the pairs of a source and put the result into `out`.
 
-    choice: how pairs are chosen; None for those of the source, or if it has none, all pairs of up
-    to 20 images, and of more each image with its 10 most similar ones.
+    choice: how pairs are chosen. None: the pairs of the source; if it has none, all pairs of up to
+    20 images, or above 20 each image with its 10 most similar images.
 
-    Where a focal length has a deviation, each pair fits its own, and the principal point. From them
-    come the cameras of the folder (`folder_cameras`), and with these the poses are estimated again,
-    from the same matches.
+    If a camera has a deviation, each pair fits its own cameras. `folder_cameras` pools these fits,
+    and the poses are estimated again with the pooled cameras, from the same matches.
 
-    A batch that is resumed matches the pairs that are not done, that failed, or whose photographs
-    have changed since.
+    A resumed batch matches the pairs that are missing, that failed, or whose photographs have
+    changed.
 
-    Raises InputError if there is a batch in `out` already and `resume` is not asked for, if that
-    one had other settings, images or cameras, or if the input is unusable; OSError if the disk is
-    full.
+    Raises InputError if `out` has a batch and `resume` is not set, if that batch had other
+    settings, images or cameras, or if the input is unusable; OSError if the disk is full.
     """
     start = time.perf_counter()
-    # The reasons of bad images name the folder: it must be the same when the batch is resumed.
+    # Reasons of bad images contain the path, which must be the same when the batch is resumed.
     masks = source.masks and source.masks.resolve()
     source = replace(source, root=source.root.resolve(), masks=masks)
     if choice is None and source.pairs is None:
@@ -92,7 +90,7 @@ def run_batch(
     weights, runtime = matcher.weights, matcher.runtime
     file = find_weights(weights) if weights in shipped() else Path(weights)
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16] if file.is_file() else None
-    if runtime == "auto" and digest is not None:  # it differs from machine to machine
+    if runtime == "auto" and digest is not None:  # the default differs between machines
         runtime = default_runtime(weights, matcher.device)
     settings = {
         "command": shlex.join(sys.argv),
@@ -117,7 +115,7 @@ def run_batch(
             raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
         place = {name: i for i, name in enumerate(source.names)}
         chosen = [(place[a], place[b]) for a, b in source.pairs or ()]
-        if choice is not None:  # none by the images' features, yet
+        if choice is not None:  # "auto" has no pairs before the images are compared
             chosen = choice.pairs(len(source.names))
         pairs = np.array(chosen, dtype=np.int64).reshape(-1, 2)
         plan = Plan(source.root, *survey(source, calibration), source.names, pairs, settings)
@@ -130,7 +128,7 @@ def run_batch(
                 return read_batch(out)
         limit = options.worker_bytes
         job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks)
-        # What a matcher cannot load is an error before anything is written.
+        # A matcher that cannot be loaded raises before anything is written.
         start_workers = ray_workers if options.engine == "ray" else local_workers
         with start_workers(job, options.worker_count) as run:
             if before is None and choice is not None and choice.way == "auto":
@@ -138,7 +136,7 @@ def run_batch(
             require_groups(plan)
             with open_store(out, create=True) as store:
                 store.begin(plan, again)
-                (out / SUMMARY).unlink(missing_ok=True)  # the result of before is none any more
+                (out / SUMMARY).unlink(missing_ok=True)  # the old result is no longer valid
                 worked = _match(store, plan, run, options, progress)
                 poses = PoseRunner(store, run, options.worker_count)
                 with store.change():
@@ -155,8 +153,8 @@ def run_batch(
 def _pose(
     store: BatchStore, plan: Plan, poses: PoseRunner, progress: Progress
 ) -> tuple[Plan, list[PooledCamera]]:
-    """Store the pairs of the result, with the poses by the cameras of the folder. Returns the plan
-    with these cameras, and them one by one."""
+    """Store the pairs of the result, with poses by the cameras of the folder. Returns the plan with
+    these cameras, and the list of the pooled cameras."""
     cameras: list[PooledCamera] = []
     pairs, alone = store.pairs("matched"), store.rows("matched")
     if plan.uncertain:
@@ -165,7 +163,7 @@ def _pose(
         flipped = [row.index for row in alone if row.status == "mirrored"]
         others = [row.index for row in alone if row.status != "mirrored"]
         first = list(poses.estimate(plan.final_cameras, fit=False, only=flipped))
-        for pair in first:  # perhaps not by the folder's cameras
+        for pair in first:  # with the folder's cameras, a pair may no longer be mirrored
             alone[pair.row.index] = pair.row
         pairs = chain(first, poses.estimate(plan.final_cameras, fit=False, only=others))
     for done, pair in enumerate(_compared(pairs, alone), start=1):
@@ -176,8 +174,8 @@ def _pose(
 
 
 def _compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterator[MatchedPair]:
-    """The pairs, in which no pose is of a mirrored photograph and one that is not; and where few
-    inliers are left, a warning. alone: the rows of the pairs by themselves."""
+    """Yield the pairs. A pose between a mirrored photograph and another becomes "mirrored"; a pose
+    that lost most of its inliers gets a warning. alone: the earlier rows, to compare with."""
     mirrored = _mirrored(alone)
     inliers = {row.names: row.num_inliers if row.success else 0 for row in alone}
     for pair in pairs:
@@ -195,8 +193,8 @@ def _compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterato
 
 
 def _mirrored(rows: Sequence[PairRow]) -> set[str]:
-    """The photographs on one of two sides, by which fewest pairs are contradicted: those with a
-    pose are of one side, and those that are `mirrored` of both."""
+    """The mirrored photographs. Each photograph is put on one of two sides so that few pairs are
+    contradicted: pairs with a pose lie on one side, `mirrored` pairs join both."""
     signs: dict[str, list[tuple[str, int]]] = defaultdict(list)
     for row in rows:
         if row.success or row.status == "mirrored":
@@ -217,7 +215,7 @@ def _mirrored(rows: Sequence[PairRow]) -> set[str]:
 
 @contextmanager
 def _folder_alone(out: Path) -> Iterator[None]:
-    """The folder to this process alone; made if missing, and removed if nothing is written."""
+    """Lock the folder for this process. Creates it if missing; removes it if it stays empty."""
     is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
     if is_used and not (out / STORE).is_file():
         raise InputError(
@@ -229,14 +227,14 @@ def _folder_alone(out: Path) -> Iterator[None]:
         with only_writer(out):
             yield
     finally:
-        with suppress(OSError):  # it holds something
+        with suppress(OSError):  # not empty
             for path in made:
                 path.rmdir()
 
 
 def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan:
-    """The plan with the pairs of each image and its `number` most similar ones, and with the bad
-    images that showed up."""
+    """The plan with the pairs of each image and its `number` most similar images, and with the
+    images that turned out to be unusable."""
     features: dict[str, np.ndarray] = {}
     bad = dict(plan.bad)
     for described in run(Worker.describe, [(names,) for names in blocks_of(plan.names, 4)]):

@@ -1,5 +1,5 @@
-"""The source of a batch: photographs, their cameras and sizes, and which of them are paired: as a
-list has them, all, neighbours in a sequence, or the most similar."""
+"""The source of a batch: photographs, their cameras and sizes, and their pairs. The pairs are those
+of a list, all, neighbours in a sequence, or the most similar images."""
 
 import os
 import re
@@ -30,7 +30,7 @@ STORE = "batch.db"  # in the folder of a batch
 BATCH, PAGE = "batch", "model.html"  # in the folder of a reconstruction
 _MOST_WITH_LINES = 16  # photographs of one camera whose lines are detected
 _DATABASES = (".db", ".sqlite", ".sqlite3")
-# Of a photograph: its bytes, and the nanoseconds of its last change; then those of its mask.
+# Size in bytes and time of last change in nanoseconds, of a photograph and then of its mask.
 FileState = tuple[int, ...]
 _ROOT = ArgumentName("root")
 Way = Literal["exhaustive", "sequential", "auto"]
@@ -38,25 +38,25 @@ Way = Literal["exhaustive", "sequential", "auto"]
 
 @dataclass(frozen=True)
 class Source:
-    """Photographs, and the pairs of them if the source has pairs."""
+    """Photographs, and their pairs if the source lists pairs."""
 
     root: Path  # folder that the names are relative to
     names: tuple[str, ...]
-    pairs: tuple[tuple[str, str], ...] | None  # None: they are to be chosen
-    cameras: Mapping[str, Camera]  # those that the source itself has
-    left_out: tuple[str, ...] = ()  # what a folder holds beside images, a line for each reason
+    pairs: tuple[tuple[str, str], ...] | None  # None: to be chosen
+    cameras: Mapping[str, Camera]  # from the source itself
+    left_out: tuple[str, ...] = ()  # skipped files of a folder, a line for each reason
     masks: Path | None = None  # folder of the images' masks
 
 
 def open_source(path: Path, root: Path | None = None, masks: Path | None = None) -> Source:
     """A folder of photographs, a list of pairs, or a COLMAP database.
 
-    root: folder of the image names of a list or database; by default the file's own. Results of
-    `batch` and `reconstruct` below a folder are left out. masks: folder of their masks, see
-    `mask_file`, which are no photographs where it lies in the source.
+    root: folder of the images of a list or database; by default the file's folder. A folder is
+    searched without results of `batch` and `reconstruct`. masks: folder of the images' masks, see
+    `mask_file`; masks that lie in the source are not photographs.
 
-    Raises InputError if the source has no image, or a single one, if none of its images is in
-    `root`, or if none has a mask in `masks`; OSError if it cannot be read.
+    Raises InputError if the source has fewer than two images, if none of its images is in `root`,
+    or if none has a mask in `masks`; OSError if the source cannot be read.
     """
     if path.is_dir():
         if root is not None:
@@ -111,11 +111,11 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
 def survey(
     source: Source, calibration: Calibration
 ) -> tuple[dict[str, Camera], dict[str, str], dict[str, FileState]]:
-    """By image name: cameras of the upright images, with their sizes; the reasons of images that
-    cannot be used; and the states of the files, absent for a file without one.
+    """Three mappings by image name: the camera of the upright image, with its size; why an image is
+    unusable; and the state of its files, absent if they cannot be found.
 
-    Raises InputError if an image has no camera or one for another size, or if one K is given for
-    images that have several sizes both as stored and upright.
+    Raises InputError if an image has no camera or a camera for another size, or if one K is given
+    for images of several sizes, both as stored and upright.
     """
     cameras: dict[str, Camera] = {}
     bad: dict[str, str] = {}
@@ -131,7 +131,7 @@ def survey(
         except ImageError as error:
             bad[name] = str(error)
             continue
-        if np.linalg.det(exif_turn(header.exif.orientation)) < 0:  # which no model can hold
+        if np.linalg.det(exif_turn(header.exif.orientation)) < 0:  # no model can hold that
             bad[name] = f"{path}: its pixels as stored are a mirror image, by EXIF"
         else:
             headers[name] = header
@@ -154,7 +154,7 @@ def survey(
 
 @one_blas_thread()
 def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Camera]:
-    """The cameras with what the lines of their photographs state, of some of each camera."""
+    """The cameras after the evidence of straight lines, in some photographs of each camera."""
     groups = defaultdict[str, list[str]](list)
     for name, camera in cameras.items():
         if camera.belief is not None:
@@ -162,7 +162,7 @@ def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Came
     some = [n for names in groups.values() for n in names[:: -(-len(names) // _MOST_WITH_LINES)]]
 
     def lines(name: str) -> np.ndarray | None:
-        with suppress(DgcPoseError):  # its pairs have the reason
+        with suppress(DgcPoseError):  # its pairs report the error
             image = load_image(source.root / name)
             return log_likelihoods(masked(image, mask_file(source.masks, name)))
         return None
@@ -177,17 +177,17 @@ class PairChoice:
     """A way to choose pairs."""
 
     way: Way
-    # sequential: pairs of images at most so far apart. auto: most similar images of each image.
+    # sequential: largest distance in the sequence. auto: number of similar images for each image.
     number: int = 1
 
     def pairs(self, count: int) -> list[tuple[int, int]]:
-        """The pairs (i, j), i < j, of so many images; none for "auto", which needs their scores."""
+        """The pairs (i, j), i < j, of `count` images; none for "auto", which needs similarities."""
         widest = {"exhaustive": count, "sequential": self.number, "auto": 0}[self.way]
         return [(i, j) for i in range(count) for j in range(i + 1, min(i + widest + 1, count))]
 
 
 def parse_pair_choice(text: str) -> PairChoice:
-    """`exhaustive`, `sequential:W` or `auto:K`. Raises InputError for another text."""
+    """Parse `exhaustive`, `sequential:W` or `auto:K`. Raises InputError for any other text."""
     if text == "exhaustive":
         return PairChoice("exhaustive")
     if match := re.fullmatch("(sequential|auto):([1-9][0-9]{0,8})", text):
@@ -200,10 +200,10 @@ def parse_pair_choice(text: str) -> PairChoice:
 def similarities(
     features: Sequence[np.ndarray], progress: Callable[[int, int], None] = lambda done, of: None
 ) -> np.ndarray:
-    """Scores (N, N) float32 of all pairs, within -1 and 1; the diagonal is 1.
+    """Similarities (N, N) float32 of all pairs, from -1 to 1; the diagonal is 1.
 
-    features: for each image its coarsest cells (cells, C), of unit length. progress: takes how many
-    pairs are compared, of how many.
+    features: the coarsest features of each image, unit vectors (cells, C). progress: called with
+    the number of compared pairs, and of all pairs.
     """
     cells = [feature.astype(np.float32) for feature in features]
     scores, count = np.eye(len(cells), dtype=np.float32), len(cells)
@@ -215,17 +215,17 @@ def similarities(
 
 
 def similarity(cells1: np.ndarray, cells2: np.ndarray) -> float:
-    """The score of two images: the mean, over the cells of both, (cells, C) of unit length, of the
-    largest cosine with a cell of the other image."""
+    """The similarity of two images, of unit vectors (cells, C): the largest cosine of a cell with
+    the cells of the other image, averaged over the cells of both images."""
     cosines = cells1 @ cells2.T
     return float((cosines.max(0).sum() + cosines.max(1).sum()) / sum(cosines.shape))
 
 
 def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:
-    """The pairs (i, j), i < j, in which one image is among the `most` most similar ones of the
-    other, and those of a spanning tree of largest similarity, so that all images are connected.
+    """The pairs (i, j), i < j, of each image with its `most` most similar images. The pairs of a
+    maximum spanning tree are added, so that all images are connected.
 
-    scores: (N, N), symmetric, the larger the more similar; its diagonal does not count.
+    scores: (N, N), symmetric, larger for more similar images; the diagonal is ignored.
     """
     count = len(scores)
     others = scores.astype(np.float64).copy()
@@ -240,7 +240,7 @@ def most_similar(scores: np.ndarray, most: int) -> list[tuple[int, int]]:
 
 
 def _spanning_tree(scores: np.ndarray) -> Iterator[tuple[int, int]]:
-    """The edges of the tree of largest scores (N, N) that reaches every node (Prim 1957)."""
+    """The edges of the maximum spanning tree of scores (N, N) (Prim 1957)."""
     count = len(scores)
     outside, nearest = np.ones(count, dtype=bool), np.zeros(count, dtype=np.int64)
     outside[:1] = False

@@ -1,7 +1,7 @@
-"""The store of a batch, `batch.db`: its plan, the pairs that are matched, and its result.
+"""The store of a batch, `batch.db`: its plan, its matched pairs and its result.
 
-It is an SQLite database, of which a kill at any moment leaves each change whole or undone. A pair
-has a row of JSON, the arrays of its pose, and those of its matches, float32, as an .npz each.
+It is an SQLite database: a kill at any moment leaves each change complete or undone. It holds for
+each pair a row of JSON and two .npz archives: the arrays of the pose, and the matches in float32.
 """
 
 import errno
@@ -31,8 +31,8 @@ _BY_PHOTOGRAPHS = ("K", "focal_std", "focal_source")
 _RESUME = ArgumentName("resume")
 _TABLES = (
     "facts (name TEXT PRIMARY KEY, value TEXT)",
-    "matched (pair INTEGER PRIMARY KEY, row TEXT, pose BLOB, matches BLOB)",  # each by itself
-    # As the folder's cameras have them; without matches if these are as they were.
+    "matched (pair INTEGER PRIMARY KEY, row TEXT, pose BLOB, matches BLOB)",  # each pair on its own
+    # Poses by the folder's cameras; `matches` is NULL if they equal those of `matched`.
     "result (pair INTEGER PRIMARY KEY, row TEXT, pose BLOB, matches BLOB)",
 )
 _ADD = {
@@ -49,26 +49,25 @@ Table = Literal["matched", "result"]
 class Plan:
     """The work of a batch."""
 
-    root: Path  # of the image names
+    root: Path  # folder that the image names are relative to
     cameras: Mapping[str, Camera]  # by name, with the image's size; absent for bad images
-    bad: Mapping[str, str]  # the reason by name, of images that are not matched
+    bad: Mapping[str, str]  # by name, why an image is not matched
     states: Mapping[str, FileState]  # of the photographs' files, by name
     names: tuple[str, ...]
     pairs: np.ndarray  # (P, 2) int64, indices of `names`
-    # All that the result depends on besides, and the `command` that made the batch; JSON
+    # Everything else that the result depends on, and the `command` of the batch; values of JSON
     settings: Mapping[str, Any]
-    # The cameras with the focal lengths that all pairs determine; None before the result is there,
-    # and where all cameras are exact.
+    # The cameras pooled from all pairs; None before the result, and if all cameras are exact
     pooled: Mapping[str, Camera] | None = None
 
     @property
     def uncertain(self) -> bool:
-        """Whether a part of a camera is estimated from the pairs."""
+        """Whether any camera parameter is estimated from the pairs."""
         return any(not camera.exact for camera in self.cameras.values())
 
     @property
     def final_cameras(self) -> Mapping[str, Camera]:
-        """The cameras that the poses of the result are of."""
+        """The cameras of the poses in the result."""
         return {**self.cameras, **(self.pooled or {})}
 
     def pair(self, index: int) -> tuple[str, str]:
@@ -97,7 +96,7 @@ def plan_data(plan: Plan) -> dict[str, Any]:
 
 
 def parse_plan(data: Mapping[str, Any]) -> Plan:
-    """The plan of `plan_data`. Raises anything for other data."""
+    """The plan of `plan_data`. Other data may raise any exception."""
     if data["version"] != _VERSION:
         raise ValueError(f"of version {data['version']}, and this is version {_VERSION}")
     cameras, pooled = (
@@ -120,12 +119,10 @@ def parse_plan(data: Mapping[str, Any]) -> Plan:
 
 
 def continued(before: Plan, now: Plan, out: Path) -> Plan:
-    """The plan `now` with the pairs of the batch `before`, which is to be resumed in `out`.
+    """The plan `now` with the pairs of the batch `before`, to resume that batch in `out`.
 
-    Photographs may have changed: their pairs are matched again.
-
-    Raises InputError, naming the batch's command, if it had other settings, images, pairs, or other
-    cameras of photographs that have not changed.
+    Raises InputError if `before` had other images, settings or pairs, or other cameras of unchanged
+    photographs. Changed photographs may have other cameras.
     """
     changed = sorted({*now.names} ^ {*before.names})
     if changed and now.root == before.root:
@@ -148,11 +145,11 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
 
 
 def _facts(plan: Plan, names: Collection[str], *, pairs: bool) -> Any:
-    """What must be the same to go on with a batch. names: of the images whose cameras count; pairs:
-    whether the pairs do."""
+    """The facts that must be equal to resume a batch. names: images whose cameras are compared;
+    pairs: whether the pairs are compared."""
     cameras = []
     for data in (camera_data(plan.cameras[name]) for name in names if name in plan.cameras):
-        # What no K states is of the photographs, and the lines of one count for all of a camera.
+        # Without a given K, the photographs determine the camera, and the lines of one affect all.
         open_ = _BY_PHOTOGRAPHS if data["focal_source"] != "given" else ()
         cameras.append({k: v for k, v in data.items() if k not in ("warnings", *open_)})
     settings = {k: v for k, v in plan.settings.items() if k != "command"}
@@ -162,8 +159,8 @@ def _facts(plan: Plan, names: Collection[str], *, pairs: bool) -> Any:
 
 @contextmanager
 def open_store(out: Path, *, create: bool = False) -> Iterator["BatchStore"]:
-    """The store in a folder. Raises InputError, with the path, if there is none, unless it is to be
-    created."""
+    """The store in a folder. Raises InputError, with the path, if it is missing and `create` is
+    False."""
     path = out / STORE
     uri = f"{path.resolve().as_uri()}?mode={'rwc' if create else 'rw'}"
     with read_as(_WHAT, path):
@@ -173,15 +170,15 @@ def open_store(out: Path, *, create: bool = False) -> Iterator["BatchStore"]:
 
 
 class BatchStore:
-    """The pairs of a batch. What reads raises InputError, with the path, for a file that is broken;
-    what writes, OSError."""
+    """The pairs of a batch. Reading a broken file raises InputError, with the path; a failed write
+    raises OSError."""
 
     def __init__(self, path: Path, database: sqlite3.Connection) -> None:
         self._path, self._database = path, database
 
     @contextmanager
     def change(self) -> Iterator[None]:
-        """Around what writes: all of it is done, or after an error or a kill nothing."""
+        """A transaction: after an error or a kill, none of its writes remains."""
         try:
             with self._database:
                 self._database.execute("BEGIN IMMEDIATE")
@@ -190,7 +187,7 @@ class BatchStore:
             raise OSError(errno.EIO, f"SQLite: {error}", str(self._path)) from None
 
     def begin(self, plan: Plan, again: Collection[int] = ()) -> None:
-        """Store the plan, and remove a result and the pairs that are to be matched again."""
+        """Store the plan, and remove any result and the pairs to match again."""
         with self.change():
             for table in _TABLES:
                 self._database.execute(f"CREATE TABLE IF NOT EXISTS {table}")
@@ -205,7 +202,7 @@ class BatchStore:
         self._put_fact("summary", summary)
 
     def add(self, table: Table, pairs: Collection[MatchedPair]) -> None:
-        """Store pairs, within a `change`; those of the result are matched before."""
+        """Store pairs, within a `change`. Pairs of "result" must be in "matched" already."""
         for pair in pairs:
             row, pose = pair.row, pair.row.pose
             of_pose = {} if pose is None else {"inliers": pose.inliers}
@@ -221,14 +218,14 @@ class BatchStore:
 
     @property
     def plan(self) -> Plan | None:
-        """None if a kill came before it was stored."""
+        """The plan; None if a kill came before it was stored."""
         with read_as(_WHAT, self._path):
             data = self._fact("plan")
             return None if data is None else parse_plan(data)
 
     @property
     def summary(self) -> Mapping[str, Any] | None:
-        """That of the result; None if there is none."""
+        """The summary of the result; None without a result."""
         with read_as(_WHAT, self._path):
             data = self._fact("summary")
             return None if data is None else dict(data)
@@ -238,18 +235,18 @@ class BatchStore:
         return [parse_row(text, pair, self._where(pair)) for pair, text in self.lines(table)]
 
     def lines(self, table: Table) -> list[tuple[int, str]]:
-        """The rows as JSON, each after the number of its pair."""
+        """The index of each pair and its row as JSON, in the order of the pairs."""
         with read_as(_WHAT, self._path):
             return list(self._database.execute(f"SELECT pair, row FROM {table} ORDER BY pair"))
 
     def indices(self, table: Table) -> list[int]:
-        """The numbers of the pairs of a table, in their order."""
+        """The indices of the pairs of a table, in ascending order."""
         with read_as(_WHAT, self._path):
             found = self._database.execute(f"SELECT pair FROM {table} ORDER BY pair")
             return [pair for (pair,) in found]
 
     def pairs(self, table: Table, only: Collection[int] | None = None) -> Iterator[MatchedPair]:
-        """The pairs of a table in their order; only: the numbers of some."""
+        """Yield the pairs of a table in ascending order. only: indices of some pairs."""
         for index in self.indices(table) if only is None else sorted(only):
             yield self._pair(table, index)
 
@@ -295,7 +292,7 @@ class BatchStore:
         kinds = {kind for (kind,) in self._database.execute("SELECT type FROM sqlite_master")}
         if not kinds:
             return None
-        if kinds & {"view", "trigger"}:  # which might never end
+        if kinds & {"view", "trigger"}:  # reading one might never end
             raise ValueError("a view or a trigger")
         found = self._database.execute("SELECT value FROM facts WHERE name = ?", (name,)).fetchone()
         return None if found is None else json.loads(found[0])

@@ -1,5 +1,5 @@
-"""Workers of a batch, which match pairs and estimate poses: in this process, in processes of this
-machine, or on a Ray cluster; and the order of their tasks, in which each image is loaded few times.
+"""The workers of a batch match pairs and estimate poses: in this process, in processes of this
+machine, or on a Ray cluster. Their tasks are ordered so that each image is loaded few times.
 """
 
 import logging
@@ -28,39 +28,39 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.pose import solve_pair
 from dgc_pose.system.parallel import process_pool
 
-# Bytes of an image's features beside its pixels, roughly: of the encoder (7 MiB), for refinement
-# (12 MiB for each part of the image that is matched), and of copies for the search of views (4).
+# Approximate bytes of an image's features, without its pixels: encoder (7 MiB), refinement (12 MiB
+# for each matched part of the image), and copies for the search of views (4 MiB).
 FEATURE_BYTES = 24 * 2**20
-# Of ln f: below, a pooled camera is better than one that a single pair fits.
+# Standard deviation of ln f up to which a camera is known: better than the fit of a single pair.
 KNOWN_FOCAL_STD = 0.05
 BLOCK = 32  # pairs handed to a worker at a time, and stored together
-_BLOCKS_HELD = 4  # of matches in memory, for each worker
+_BLOCKS_HELD = 4  # blocks of matches in memory, for each worker
 Item = TypeVar("Item")
 Cameras = Mapping[str, Camera]  # by image name
-# A method of `Worker`, and its arguments: what is done.
+# A method of `Worker`, and the arguments of one call.
 Work = Callable[..., Any]
 Task = tuple[Any, ...]
-# Does tasks, several times; the outcomes come in any order and are the same whatever the workers.
+# Runs tasks; may be called repeatedly. Outcomes come in any order and do not depend on the workers.
 Run = Callable[[Work, Sequence[Task]], Iterator[Any]]
 
 
 @dataclass(frozen=True)
 class Job:
-    """The settings that all pairs of a batch share; it is sent to each worker once."""
+    """The settings that all pairs of a batch share. Each worker receives them once."""
 
-    root: Path  # of the image names
-    cameras: Cameras  # with the size of the image
-    bad: Mapping[str, str]  # reasons by name, of images that are known to be unusable
+    root: Path  # folder that the image names are relative to
+    cameras: Cameras  # each with the size of its image
+    bad: Mapping[str, str]  # by name, why an image is known to be unusable
     matcher: MatcherOptions
     estimation: EstimationOptions
-    memory_bytes: int  # of images and features that a worker keeps
+    memory_bytes: int  # limit of the images and features that a worker keeps
     masks: Path | None = None  # folder of the images' masks
 
 
 class Worker:
-    """Loads the matcher once, and does tasks. Images and features stay in memory within the bound
-    of the job, the least recently used are dropped. A bad image makes its pairs bad, and stops
-    nothing.
+    """Loads the matcher once and runs tasks. Keeps images and features in memory up to the job's
+    limit, and drops the least recently used. An unusable image makes its pairs bad, but does not
+    stop the batch.
 
     Raises what `load_matcher` raises.
     """
@@ -71,7 +71,7 @@ class Worker:
         self.matcher = job.matcher.load(self.cache)
 
     def describe(self, names: Sequence[str]) -> dict[str, np.ndarray | str]:
-        """The coarsest features of images (cells, C) float16 by name, or why an image is bad."""
+        """By image name, the coarsest features (cells, C) float16, or why the image is bad."""
         described: dict[str, np.ndarray | str] = {}
         for name in names:
             if (image := self._image(name)) is None:
@@ -81,16 +81,16 @@ class Worker:
         return described
 
     def match(self, pairs: Sequence[tuple[int, tuple[str, str]]]) -> list[MatchedPair]:
-        """Pairs, each by its index and its names, as they are by themselves."""
+        """Match pairs, given by index and names, and estimate the pose of each on its own."""
         cameras = self.job.cameras
         return [_done(index, names, self._matched, names, cameras) for index, names in pairs]
 
     def estimate(
         self, pairs: Sequence[MatchedPair], cameras: Cameras, fit_cameras: bool
     ) -> list[MatchedPair]:
-        """Pairs that are matched, with their poses by other cameras than before.
+        """Estimate the poses of matched pairs again, with new cameras.
 
-        fit_cameras: whether each pair fits them anew, also those that are known already.
+        fit_cameras: whether each pair also refits cameras that are known already.
         """
         return [
             _done(pair.row.index, pair.row.names, self._estimated, pair, cameras, fit_cameras)
@@ -113,10 +113,10 @@ class Worker:
         if row.pose is None or all(self.job.cameras[name].exact for name in names):
             return pair
         both = camera1, camera2 = cameras[names[0]], cameras[names[1]]
-        if row.status == "mirrored":  # perhaps by wrong cameras
+        if row.status == "mirrored":  # wrong cameras may be the cause
             exact = camera1.exact and camera2.exact
             return pair if exact else self._matched(names, cameras)
-        # Two cameras err each by itself, and so does each without an identity.
+        # Errors of two cameras are independent, and so are those of images without an identity.
         known = camera1.identity is not None and camera1.identity == camera2.identity
         known &= all(c.focal_std <= KNOWN_FOCAL_STD and not is_of_part(c) for c in both)
         matches = replace(pair.matches, weights=self.matcher.fingerprint)
@@ -128,7 +128,7 @@ class Worker:
         return MatchedPair(row_of(names, pose, matches.error_px), matches, pair.map_matches)
 
     def _image(self, name: str) -> Image | None:
-        """An image; None if it cannot be used, with the reason in `bad`."""
+        """The image; None if it is unusable, with the reason in `bad`."""
         if name in self.bad:
             return None
         try:
@@ -146,10 +146,10 @@ class Worker:
 def _done(
     index: int, names: tuple[str, str], work: Callable[..., MatchedPair], *arguments: Any
 ) -> MatchedPair:
-    """The outcome of work on a pair, or the pair with its error."""
+    """The outcome of work on a pair; after an error, a row with the error as its reason."""
     try:
         pair = work(*arguments)
-    except MemoryError:  # every further pair would meet it too
+    except MemoryError:  # every further pair would raise it too
         raise
     except DgcPoseError as error:
         pair = MatchedPair(PairRow(*names, BAD_INPUT, str(error)))
@@ -160,10 +160,10 @@ def _done(
 
 @contextmanager
 def local_workers(job: Job, workers: int) -> Iterator[Run]:
-    """Workers on this machine; a single one works in this process.
+    """Workers on this machine; a single worker runs in this process.
 
-    Raises what `load_matcher` raises, before a process starts, and DgcPoseError if a process ends;
-    `--resume` goes on after that.
+    Raises what `load_matcher` raises, before any process starts, and DgcPoseError if a process
+    dies; the batch can then be resumed.
     """
     if workers == 1:
         worker = Worker(job)
@@ -178,10 +178,10 @@ def local_workers(job: Job, workers: int) -> Iterator[Run]:
 
 @contextmanager
 def ray_workers(job: Job, workers: int) -> Iterator[Run]:
-    """Actors of the cluster at RAY_ADDRESS, or of one that is started on this machine.
+    """Actors on the cluster at RAY_ADDRESS, or on a new cluster on this machine.
 
     All machines of the cluster need the package, and the images at the same path. Raises InputError
-    without Ray. Running tasks raises DgcPoseError if an actor ends; `--resume` goes on after that.
+    without Ray. Running tasks raises DgcPoseError if an actor dies; the batch can then be resumed.
     """
     require({"engine ray": "ray"})
     import ray
@@ -217,15 +217,15 @@ def ray_workers(job: Job, workers: int) -> Iterator[Run]:
         yield run
     finally:
         for actor in actors:
-            ray.kill(actor)  # a cluster that others use stays
+            ray.kill(actor)  # the cluster may be shared, and keeps running
         if starts:
             ray.shutdown()
 
 
 class CoreWorker:
-    """A worker whose process uses one core: each other core has a worker too.
+    """A worker whose process uses one core, because every core has a worker.
 
-    The first task loads the matcher, so that what this raises is the error of a task.
+    The first task loads the matcher, so that a loading error is an error of a task.
     """
 
     def __init__(self, job: Job) -> None:
@@ -255,17 +255,17 @@ def _do(work: Work, *task: Any) -> Any:
 
 @dataclass(frozen=True)
 class PoseRunner:
-    """Estimates the poses of stored pairs by workers."""
+    """Estimates the poses of stored pairs with workers."""
 
-    store: BatchStore  # of the pairs as they are matched
+    store: BatchStore  # holds the matched pairs
     run: Run
     workers: int
 
     def estimate(
         self, cameras: Cameras, *, fit: bool, only: Collection[int] | None = None
     ) -> Iterator[MatchedPair]:
-        """The pairs with their poses by these cameras, in any order. fit: whether each pair fits
-        its cameras; otherwise those alone do whose cameras are not known. only: some pairs."""
+        """Yield the pairs with their poses by these cameras, in any order. fit: whether every pair
+        refits its cameras, or only pairs without known cameras. only: indices of some pairs."""
         indices = self.store.indices("matched") if only is None else only
         size = block_size(len(indices), self.workers)
         pairs = self.store.pairs("matched", indices)
@@ -279,24 +279,24 @@ class PoseRunner:
 
 
 def tile_order(pairs: np.ndarray, capacity: int) -> np.ndarray:
-    """Indices (P,) of the pairs (P, 2) of images in the order to work in: by tiles, of which the
-    images fit into memory together.
+    """Indices (P,) of image pairs (P, 2) in working order: tile by tile, where the images of one
+    tile fit into memory together.
 
-    capacity: images whose features fit into the memory of one worker.
+    capacity: number of images whose features fit into the memory of one worker.
     """
     low, high = np.sort(pairs, axis=1).T
     side = max(1, capacity // 2)
     tile1, tile2 = low // side, high // side
-    # Back and forth along the rows of tiles: a row begins with the tile that the last ended at.
+    # Back and forth along the rows of tiles: a row begins at the column where the last one ended.
     column = np.where(tile1 % 2 == 0, tile2, -tile2)
     return np.lexsort((low, high, column, tile1))
 
 
 def block_size(pairs: int, workers: int) -> int:
-    """Pairs of a block: fewer in a small batch, so that all workers have something to do."""
+    """Number of pairs in a block: fewer in a small batch, so that every worker gets some."""
     return min(BLOCK, max(1, pairs // (4 * workers)))
 
 
 def blocks_of(items: Sequence[Item], size: int) -> list[Sequence[Item]]:
-    """Runs of at most `size` successive items."""
+    """The items in blocks of at most `size`."""
     return [items[i : i + size] for i in range(0, len(items), size)]

@@ -1,1 +1,1 @@
-"""From the matches of a batch to a COLMAP database and a reconstruction."""
+"""A COLMAP database and a reconstruction from the matches of a batch."""

@@ -1,6 +1,6 @@
-"""From a finished batch to key points that its pairs share, in a COLMAP database or hloc's files.
+"""Key points that the pairs of a finished batch share, as a COLMAP database or hloc's files.
 
-A batch is of upright images; COLMAP reads the pixels as stored, and the files are of these.
+A batch works on upright images. COLMAP reads the stored pixels, and the files refer to these.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,21 +25,21 @@ from dgc_pose.model import HALF_PIXEL
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import replaced, require_room, save_text, staged
 
-# More than a database takes: empty, and for each key point and match, with SQLite's log.
+# Upper bounds of a database's size with SQLite's log: empty, per key point and per match.
 _EMPTY_BYTES, _KEY_POINT_BYTES, _MATCH_BYTES = 2**18, 16, 32
 
 
 class NoPairError(InputError):
-    """No pair of a batch has a pose that holds."""
+    """No pair of a batch has an accepted pose."""
 
 
 def share(
     batch: Batch, per_image: int, progress: Callable[[int, int], None] = lambda done, of: None
 ) -> SharedMatches:
-    """The shared key points of a batch, of the pixels as stored. per_image: most corners of an
-    image.
+    """The shared key points of a batch, in stored pixels. per_image: most corners of an image.
 
-    Raises NoPairError if no pair has a pose; ImageError if an image cannot be read any more.
+    Raises NoPairError if no pair has an accepted pose or rotation; ImageError if an image can no
+    longer be read.
     """
     pairs = pair_geometries(batch)
     if not pairs:
@@ -55,14 +55,14 @@ def share(
 
 
 def _to_stored(path: Path) -> tuple[np.ndarray, Size]:
-    """The turn (2, 2) of an upright image to the pixels as stored, and its (width, height)."""
+    """The rotation (2, 2) from an upright image to its stored pixels, and its (width, height)."""
     header = image_header(path)
     return exif_turn(header.exif.orientation).T, header.size
 
 
 def pair_geometries(batch: Batch) -> list[PairGeometry]:
-    """The pairs with a pose or a rotation that holds in the folder, the matches that fit it, and
-    the cameras: those of the folder, or as the pair fitted them."""
+    """The pairs whose pose or rotation the folder accepts, with its inliers, and the cameras that
+    the pair fitted or else the folder's cameras."""
     geometries, final = [], batch.plan.final_cameras
     for pair in batch.pairs():
         row, pose = pair.row, pair.row.pose
@@ -73,8 +73,8 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
 
 
 def write_shared(batch: Batch, shared: SharedMatches, database: Path) -> None:
-    """Write the database of key points of `share`, over what is there. Raises as
-    `write_database`."""
+    """Write the key points of `share` as a database, replacing an existing file. Raises what
+    `write_database` raises."""
     plan = batch.plan
     turns = {name: _to_stored(plan.root / name) for name in plan.final_cameras}
     cameras = {name: camera.turned(*turns[name]) for name, camera in plan.final_cameras.items()}
@@ -87,7 +87,7 @@ def write_shared(batch: Batch, shared: SharedMatches, database: Path) -> None:
 
 
 def _as_stored(row: PairRow, turn1: np.ndarray, turn2: np.ndarray) -> PairRow:
-    """A row whose pose is of the pixels as stored. turn1, turn2: (2, 2) from the upright images."""
+    """The row with its pose for stored pixels. turn1, turn2: rotations (2, 2) from upright."""
     turn1, turn2 = (np.block([[t, np.zeros((2, 1))], [0, 0, 1]]) for t in (turn1, turn2))
     pose = row.pose
     assert pose is not None and pose.R is not None  # by its status
@@ -102,21 +102,21 @@ def write_database(
     shared: SharedMatches,
     rows: Iterable[PairRow],
 ) -> None:
-    """Write a database, whole or not at all, over what is there.
+    """Write a database, completely or not at all, replacing an existing file.
 
-    names: all images; those without a camera are left out. rows: those of the pairs of `shared`
-    among others.
+    names: all images; images without a camera are skipped. rows: at least the rows of the pairs in
+    `shared`.
 
     Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
     DgcPoseError if pycolmap fails.
     """
-    # pycolmap leaves out the system's error, and SQLite may lose its log without one.
+    # pycolmap omits the system's error, and SQLite may lose its log without an error.
     key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
     require_room(path, _EMPTY_BYTES + _KEY_POINT_BYTES * key_points + _MATCH_BYTES * matches)
     with replaced(path) as temporary:
         try:
-            # Without a transaction of pycolmap, whose end terminates the process when a disk is
-            # full. There is nothing to undo: the file has not taken its name.
+            # No pycolmap transaction: committing one kills the process when the disk is full. None
+            # is needed, because the file does not have its final name yet.
             with pycolmap.Database.open(temporary) as database:
                 ids = _write_images(database, names, cameras)
                 for name, points in shared.key_points.items():
@@ -130,14 +130,14 @@ def write_database(
         except RuntimeError as error:
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         for ending in ("-wal", "-shm", "-journal"):
-            # SQLite would take a log of the old database for one of the new.
+            # SQLite would apply a log of the old database to the new one.
             Path(f"{path}{ending}").unlink(missing_ok=True)
 
 
 def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeometry:
-    """COLMAP's two-view geometry of a row of a status in `CONFIGURATIONS`.
+    """COLMAP's two-view geometry of a row with a status in `CONFIGURATIONS`.
 
-    matches: (M, 2) uint32, indices of key points, all of them inliers.
+    matches: (M, 2) uint32, indices of key points, all inliers.
     """
     geometry = pycolmap.TwoViewGeometry()
     geometry.inlier_matches = matches
@@ -157,8 +157,9 @@ def two_view_geometry(row: PairRow, matches: np.ndarray) -> pycolmap.TwoViewGeom
 def _write_images(
     database: pycolmap.Database, names: Sequence[str], cameras: Mapping[str, Camera]
 ) -> dict[str, int]:
-    """The id of each image. Images of the same K, size and distortion share a camera, unless each
-    has an uncertain focal length and no identity, or may be a part of another."""
+    """Write images, cameras, rigs and frames; return the id of each image. Images with equal K,
+    size and distortion share a camera, unless it is uncertain and without an identity or possibly
+    of a crop."""
     camera_ids: dict[tuple[object, ...], int] = {}
     ids = {}
     for name in (name for name in names if name in cameras):
@@ -182,7 +183,7 @@ def _write_images(
 
 
 def write_hloc(folder: Path, shared: SharedMatches) -> None:
-    """Write hloc's three files of shared key points, over what is there.
+    """Write hloc's three files of shared key points, replacing existing files.
 
     `features.h5` has `<image>/keypoints` (float32, (0, 0) the centre of the first pixel) and
     `scores`; `matches.h5` has `name0/name1` with `matches0` (int32, -1 for none) and

@@ -1,4 +1,4 @@
-"""How a batch becomes a model, also as options of the commands."""
+"""Options of the reconstruction of a model from a batch; most are options of commands too."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,10 +11,10 @@ MapperName = Literal["incremental", "global"]
 
 @dataclass(frozen=True)
 class ReconstructionOptions:
-    """How a batch becomes a model.
+    """How a model is reconstructed from a batch.
 
-    Raises InputError, naming the field, for a value out of range, and for two of the three that
-    bring the model into metres.
+    Raises InputError, naming the field, for a value out of range, and if more than one of `gps`,
+    `scale` and `marker` is set.
     """
 
     per_image: int = option(
@@ -41,7 +41,7 @@ class ReconstructionOptions:
     )
 
     min_images: int = option(3, min=2)  # of a model
-    refine_centres: bool = False  # bundle adjustment changes principal points that no K states
+    refine_centres: bool = False  # bundle adjustment changes principal points of uncertain cameras
 
     def __post_init__(self) -> None:
         check_options(self)

@@ -1,5 +1,5 @@
-"""From a finished batch to its models, points and a summary in one folder: by pycolmap's mappers,
-and in metres by GPS positions of photographs, the distance of two cameras, or markers."""
+"""Reconstruct models, points and a summary from a finished batch, with pycolmap's mappers; in
+metres by GPS positions of photographs, the distance between two cameras, or markers."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
@@ -27,16 +27,16 @@ from dgc_pose.system.texts import write_json
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
 MIN_IMAGES = 3  # of a model
-_KEY_POINT_BYTES, _POINT_BYTES = 40, 120  # more than a model and its point file take for each
+_KEY_POINT_BYTES, _POINT_BYTES = 40, 120  # upper bounds in the model and point file
 _SEED = 0
-_MAX_ERROR_M = 15.0  # of a GPS position that agrees with the model
-_AS_WELL = 1.5  # times the median residual, up to which another similarity fits as well
+_MAX_ERROR_M = 15.0  # inlier threshold of RANSAC for GPS positions
+_AS_WELL = 1.5  # ratio of median residuals up to which another similarity fits as well
 _OWN_FRAME = "the model's own"
-_MIN_WIDTH = 0.02  # of GPS positions, as a share of their length: less is a line
+_MIN_WIDTH = 0.02  # positions whose width is a smaller share of their length lie on a line
 
 
 class MappingError(DgcPoseError):
-    """COLMAP made no model."""
+    """COLMAP made no model, or the model does not agree with GPS."""
 
 
 def reconstruct(
@@ -45,16 +45,16 @@ def reconstruct(
     options: ReconstructionOptions | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[list[Model], SharedMatches, dict[str, Any]]:
-    """Write `database.db`, `sparse/` and `points.ply` into `out`, over what is there.
+    """Write `database.db`, `sparse/` and `points.ply` into `out`, replacing existing files.
 
-    Returns the models, that with the most images first; what they are of; and the unit and frame of
-    the first as `to_metres`. The others, of further scenes, each in axes of its own, are in
-    `sparse/1`, ... by their size. Bundle adjustment refines the cameras of a batch that had no
-    focal length for one of them.
+    Returns the models, the one with the most images first; their matches; and the unit and
+    frame of the first model, see `to_metres`. The other models show further scenes. They are
+    in `sparse/1`, ... by size, each in axes of its own. Bundle adjustment also refines intrinsics
+    if a camera of the batch was uncertain, see `refines`.
 
-    Raises MappingError if COLMAP makes no model; InputError if `sparse` holds other files than a
-    model's, another process writes into `out`, or no pair has a pose; both as `to_metres` too;
-    ImageError if an image cannot be read any more; OSError if the disk is full.
+    Raises MappingError if COLMAP makes no model; InputError if `sparse` contains files that are not
+    part of a model, another process writes into `out`, or no pair has a pose; what `to_metres`
+    raises; ImageError if an image can no longer be read; OSError if the disk is full.
     """
     options = options or ReconstructionOptions()
     mapping = replace(options, refine_intrinsics=refines(batch, options))
@@ -76,8 +76,8 @@ def reconstruct(
 
 
 def write_models(out: Path, found: Sequence[pycolmap.Reconstruction], root: Path) -> list[Model]:
-    """Write `sparse/`, `sparse/1/`, ... and the points of the first model, over what is there, and
-    read the models. root: of their image names."""
+    """Write `sparse/`, `sparse/1/`, ... and the points of the first model, replacing what is
+    there, and load the models. root: folder that the image names are relative to."""
     with replaced_folder(out / MODEL) as folder:
         for number, model in enumerate(found):
             (folder / str(number or "")).mkdir(exist_ok=True)
@@ -89,8 +89,8 @@ def write_models(out: Path, found: Sequence[pycolmap.Reconstruction], root: Path
 
 
 def require_new(out: Path, names: Sequence[str], *, resume: bool) -> bool:
-    """Whether a result of these names is in `out`. Raises InputError if it is, and a run shall not
-    resume; and if `sparse` holds other files than a model's."""
+    """Whether `out` has a file of these names. Raises InputError if it has and `resume` is False,
+    and if `sparse` contains files that are not part of a model."""
     there = [out / name for name in names if (out / name).exists()]
     if there and not resume:
         hint = "continues that run and replaces its result"
@@ -100,8 +100,8 @@ def require_new(out: Path, names: Sequence[str], *, resume: bool) -> bool:
 
 
 def refines(batch: Batch, options: ReconstructionOptions) -> bool:
-    """Whether bundle adjustment changes the cameras: not those of two images, which do not
-    determine them."""
+    """Whether bundle adjustment changes the intrinsics: by the option, or if a camera is uncertain
+    and models have at least three images. Two images do not determine intrinsics."""
     stds = ((c.focal_std, c.lens_std, c.aspect_std) for c in batch.plan.cameras.values())
     unknown = options.min_images >= MIN_IMAGES and any(map(any, stds))
     return options.refine_intrinsics or unknown
@@ -115,12 +115,12 @@ def write_summary(
     metric: Mapping[str, Any],
     seconds: Mapping[str, float],
 ) -> dict[str, Any]:
-    """Write `summary.json`. All but the last as of `reconstruct`. seconds: by stage. Returns its
-    data."""
+    """Write `summary.json` and return its data. models, shared, metric: from `reconstruct`.
+    seconds: by stage."""
     names, largest = batch.plan.names, models[0]
     colmap = largest.colmap
     assert colmap is not None
-    taken: dict[int, list[str]] = {}  # the images of each camera
+    taken: dict[int, list[str]] = {}  # images by camera
     for image in colmap.images.values():
         if image.has_pose:
             taken.setdefault(image.camera_id, []).append(image.name)
@@ -170,9 +170,9 @@ def write_summary(
 
 
 def map_database(database: Path, images: Path, options: ReconstructionOptions) -> list[Any]:
-    """COLMAP's models, that with the most images first. Raises MappingError if there is none.
+    """COLMAP's models, the one with the most images first. Raises MappingError without a model.
 
-    One thread alone: with more, models differ in their last digits.
+    Runs in one thread: with more, models differ in their last digits.
     """
     pycolmap.set_random_seed(_SEED)
     with scratch_folder() as folder:
@@ -192,8 +192,8 @@ def map_database(database: Path, images: Path, options: ReconstructionOptions) -
 def adjust(
     model: pycolmap.Reconstruction, names: Collection[str], *, centres: bool = False
 ) -> None:
-    """Bundle adjustment of a model, which changes the cameras of these images, and keeps all other
-    cameras. centres: whether it changes their principal points too."""
+    """Run bundle adjustment, in which only these images' cameras change their intrinsics. centres:
+    whether their principal points change too."""
     images = [image for image in model.images.values() if image.has_pose]
     cameras = {image.camera_id for image in images if image.name in names}
     config = pycolmap.BundleAdjustmentConfig()
@@ -214,7 +214,7 @@ def _pipeline_options(options: ReconstructionOptions) -> Any:
     refine = options.refine_intrinsics
     if options.mapper == "incremental":
         settings = pycolmap.IncrementalPipelineOptions()
-        if options.min_images < MIN_IMAGES:  # a pair whose pose holds is a model
+        if options.min_images < MIN_IMAGES:  # a pair with an accepted pose is a model
             settings.mapper.init_min_num_inliers = settings.mapper.abs_pose_min_num_inliers
             settings.mapper.init_min_tri_angle = settings.mapper.filter_min_tri_angle
             settings.triangulation.ignore_two_view_tracks = False
@@ -235,10 +235,11 @@ def _pipeline_options(options: ReconstructionOptions) -> Any:
 def known_metres(
     paths: Mapping[str, Path], options: ReconstructionOptions
 ) -> tuple[dict[str, Any], str]:
-    """What is known before the matching, and the frame: of GPS the positions (3,) by name, metres
-    from the first; of `scale` the distance, by both names.
+    """The metric data that exist before the matching, by image name, and the name of their frame.
+    With `gps`, positions (3,) in metres from the first; with `scale`, the distance for both names.
 
-    Raises InputError for fewer than three positions or a line of them, and for an unknown name.
+    Raises InputError for fewer than three GPS positions, for positions on a line, and for a `scale`
+    that is not two images and metres.
     """
     if options.scale:
         *pair, metres = options.scale.split(",")
@@ -269,11 +270,11 @@ def known_metres(
 def to_metres(
     model: pycolmap.Reconstruction, paths: Mapping[str, Path], options: ReconstructionOptions
 ) -> dict[str, Any]:
-    """Bring a model into metres, by a scale or, by GPS, a similarity of RANSAC; for the summary the
-    unit, the frame and the errors, nothing without an option for it.
+    """Bring a model into metres: by a scale factor, or with `gps` by a similarity from RANSAC.
+    Returns unit, frame and errors for the summary; empty if no option is set.
 
-    Raises MappingError if GPS does not agree with the model, InputError as `known_metres`, as
-    `marker_side` and for a camera of `scale` that is not in the model; ImageError.
+    Raises MappingError if GPS does not agree with the model; InputError for a camera of `scale`
+    that is not in the model; what `known_metres` and `marker_side` raise; ImageError.
     """
     known, frame = known_metres(paths, options)
     centres = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
@@ -311,14 +312,14 @@ def to_metres(
 def _upright(
     aligned: pycolmap.Sim3d, model: pycolmap.Reconstruction, centres: np.ndarray, places: np.ndarray
 ) -> pycolmap.Sim3d:
-    """A similarity, or if it turns cameras in a plane at `centres`, (N, 3), upside down, it and 180
-    degrees about their length, where that brings them as near to `places`, (N, 3) metres: of a
-    narrow survey the noise of the altitudes would decide. One of cameras on a line is kept.
-    """
+    """The similarity `aligned`, rotated by 180 degrees about the long axis of the camera centres
+    (N, 3) if it puts cameras in a plane upside down and the rotated one fits `places` (N, 3) in
+    metres as well: in a narrow survey the noise of altitudes would decide. Cameras on a line keep
+    `aligned`."""
     at = aligned * centres
     _, (length, width, _), (axis, _, normal) = np.linalg.svd(at - at.mean(0), full_matrices=False)
     posed = [image.cam_from_world().rotation for image in model.images.values() if image.has_pose]
-    # Down is y of an upright photograph, and z of one from above.
+    # Down is y in an upright photograph, and z in one taken from above.
     lower = aligned.rotation * np.sum([(0, 2, 1) @ turn.matrix() for turn in posed], 0)
     half = 2 * np.outer(axis, axis) - np.eye(3)
     by_half = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(half), at.mean(0) - half @ at.mean(0))

@@ -1,10 +1,10 @@
-"""Key points that all pairs of an image share, by tracking.
+"""Key points that all pairs of an image share, found by tracking corners.
 
-A reconstruction needs points that are seen in three views and more, and matches of a dense matcher
-lie at fresh places in each pair. So for each image corners are chosen that many of its pairs have
-matches at. In each pair the local affinity of the matches predicts where a corner lies in the other
-image, and alignment of patches locates it there to a fraction of a pixel. A corner and its
-locations are one track: nothing is merged, so no match is moved.
+A reconstruction needs points seen in three or more views, but a dense matcher's matches lie at
+different pixels in each pair. So each image gets corners near the matches of many of its pairs. In
+each pair, the local affinity of the matches predicts where a corner lies in the other image, and
+patch alignment refines this location to a fraction of a pixel. A corner and its locations form one
+track. No key points are merged, so no match is moved.
 """
 
 from collections import defaultdict
@@ -23,11 +23,11 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching.align import MIN_ZNCC, PATCH_RADIUS, locate, nearby_corners
 from dgc_pose.matching.patches import LocalMatches, consistent
 
-_AFFINITY_MATCHES = 12  # matches that a local affinity is fitted to
+_AFFINITY_MATCHES = 12  # number of matches to fit a local affinity
 # Farthest match that predicts a corner in the other image, as a share of the longer side.
 _MAX_DISTANCE_TO_MATCH = 0.015
-_MAX_UNSMOOTHED_SCALE = 1.5  # scale between images up to which neither is smoothed
-_MAX_SHIFT_PX = 3.0  # by alignment, pixels of the other image
+_MAX_UNSMOOTHED_SCALE = 1.5  # scale between images below which neither is smoothed
+_MAX_SHIFT_PX = 3.0  # largest shift by alignment, pixels of the other image
 _MAX_ERROR_PX = 1.0  # Sampson distance to the pose of the pair
 
 
@@ -36,8 +36,8 @@ class PairGeometry:
     """A pair whose images show the same scene."""
 
     row: PairRow  # of status ok, planar or rotation_only
-    cameras: tuple[Camera, Camera]  # that the pose is of
-    matches: Matches  # that fit the pose
+    cameras: tuple[Camera, Camera]  # of the pose
+    matches: Matches  # inliers of the pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class SharedMatches:
     """Key points of images, and matches between them."""
 
     key_points: Mapping[str, np.ndarray]  # (N, 2) float64 by image, (0, 0) the first pixel's centre
-    # (M, 2) uint32, indices of key points, by pair; a pair that shares none is absent
+    # (M, 2) uint32, indices of key points, by pair; a pair without matches is absent
     pairs: Mapping[tuple[str, str], np.ndarray]
 
 
@@ -57,8 +57,8 @@ def track_corners(
 ) -> SharedMatches:
     """Key points and matches of all images of the pairs.
 
-    load: an image by its name; it is called for neighbouring images again and again, and should
-    cache the latest ones. per_image: most corners of an image, evenly spread.
+    load: returns an image by its name. It is called repeatedly for neighbouring images, and should
+    cache the latest. per_image: most corners of an image, evenly spread.
     """
     by_names = {pair.row.names: pair for pair in pairs}
     pairs_of: defaultdict[str, list[PairGeometry]] = defaultdict(list)
@@ -71,7 +71,7 @@ def track_corners(
     matches = {names: [] for names in by_names}
 
     def numbered(name: str, points: np.ndarray) -> np.ndarray:
-        """The indices (N,) of new key points."""
+        """Add key points; their indices (N,)."""
         first = sum(map(len, key_points[name]))
         key_points[name].append(points)
         return np.arange(first, first + len(points))
@@ -87,7 +87,7 @@ def track_corners(
             names = (name, other) if (name, other) in matches else (other, name)
             ends = ends if names[0] == name else ends[::-1]
             matches[names].append((np.column_stack(ends), zncc))
-        # Two images that share a corner of a third are matched there too, if they are a pair.
+        # Two images that show one corner of this image are matched there too, if they are a pair.
         for names in permutations(tracks, 2):
             if names in by_names:
                 (corner1, points1, zncc1), (corner2, points2, zncc2) = (tracks[n] for n in names)
@@ -110,8 +110,7 @@ def track_corners(
 
 
 def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
-    """Matches among (M, 2) in which no key point occurs twice: the best scored ones, in their
-    order."""
+    """The best scored of matches (M, 2), in their order, so that no key point occurs twice."""
     best = np.ones(len(index), dtype=bool)
     order = np.argsort(-scores, kind="stable")
     for side in (0, 1):
@@ -124,8 +123,8 @@ def one_to_one(index: np.ndarray, scores: np.ndarray) -> np.ndarray:
 def _tracks_of(
     name: str, pairs: Sequence[PairGeometry], load: Callable[[str], Image], per_image: int
 ) -> tuple[np.ndarray, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """The corners (N, 2) of an image, and by other images of its pairs which of these they have,
-    where, and their ZNCC."""
+    """The corners (N, 2) of an image; and by name of each other image, which corners (M,) it shows,
+    their points (M, 2) there, and the ZNCC (M,)."""
     image = load(name)
     grey = _grey(image)
     matches_of_pairs = []  # with the image `name` as image 2
@@ -149,9 +148,9 @@ def _tracks_of(
 def _transferred(
     image2: Image, image1: Image, matches: LocalMatches, corners: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Where corners (N, 2) of image 2 lie in image 1: which have a match near and patches that can
-    be aligned (M,), where (M, 2), their ZNCC (M,); and the scale of image 1 over image 2. matches:
-    consistent ones of both images."""
+    """Locate corners (N, 2) of image 2 in image 1: indices (M,) of the corners with a match nearby
+    and patches that can be aligned, their points (M, 2) and ZNCC (M,), and the scale of image 1
+    over image 2. matches: consistent matches of both images."""
     distance, nearest = nearest_to(corners, matches.points2)
     index = np.flatnonzero(distance <= _MAX_DISTANCE_TO_MATCH * max(image2.size))
     if len(index) == 0:
@@ -173,7 +172,7 @@ def _transferred(
 def points_in(
     image: Image, reference: Image, matches: Matches, corners: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which corners (N, 2) of a reference an image shows, (M,) int, and where, (M, 2).
+    """Indices (M,) of those corners (N, 2) of a reference that an image shows, and points (M, 2).
 
     matches: points1 in the reference, points2 in the image.
     """
@@ -182,8 +181,8 @@ def points_in(
 
 
 def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: int) -> np.ndarray:
-    """At most so many corners (N, 2), evenly spread: of each block the one near matches of the most
-    pairs, then the strongest."""
+    """At most `most` corners (N, 2), evenly spread: in each block, the corner near matches of most
+    pairs; of several, the strongest."""
     parts = []
     for matches in matches_of_pairs:
         corners, strengths = nearby_corners(grey, matches.points2)
@@ -193,7 +192,7 @@ def _choose(grey: np.ndarray, matches_of_pairs: Sequence[LocalMatches], most: in
     if len(rows) == 0:
         return np.zeros((0, 2))
     _, first, corner = np.unique(rows[:, :2], axis=0, return_index=True, return_inverse=True)
-    corner = np.argsort(np.argsort(first))[corner.ravel()]  # numbered as they come first
+    corner = np.argsort(np.argsort(first))[corner.ravel()]  # numbered by first occurrence
     support, strength = np.bincount(corner), np.zeros(len(first))
     strength[corner] = rows[:, 2]
     points = rows[np.sort(first), :2]
@@ -206,7 +205,7 @@ def _grey(image: Image) -> np.ndarray:
 
 
 def _smoothed(grey: np.ndarray, scale: float) -> np.ndarray:
-    """An image that shows things `scale` times larger, without what the smaller one cannot show."""
+    """An image, blurred to the detail of one in which the scene is `scale` times smaller."""
     if scale < _MAX_UNSMOOTHED_SCALE:
         return grey
     blurred: np.ndarray = cv2.GaussianBlur(grey, (0, 0), 0.5 * float(np.sqrt(scale**2 - 1)))

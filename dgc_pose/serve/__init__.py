@@ -1,7 +1,7 @@
-"""A page on this machine that estimates poses: `dgc-pose serve`.
+"""A local web page that estimates poses: `dgc-pose serve`.
 
-The server trusts no client: see `guard` for who may ask, and below how much may be sent and how
-long anything may take.
+The server trusts no client: `guard` decides which requests it answers, and the constants and
+options below limit their size and duration.
 """
 
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ from dgc_pose.system.options import option
 
 UPLOAD_SECONDS = 60.0  # for sending one image
 DECODE_SECONDS = 10.0  # for reading one image
-IMAGES = 64  # that are stored, of five pages of 12; the oldest is dropped first
+IMAGES = 64  # stored images, enough for five pages of 12; the least recently used is dropped first
 
 
 @dataclass(frozen=True)
 class ServeOptions:
-    """The address, and the limits."""
+    """The address and the limits of the server."""
 
     port: int = option(0, "Port on 127.0.0.1; 0 for any that is free.", min=0, max=65535)
     browser: bool = option(True, "Open the page in the browser.")

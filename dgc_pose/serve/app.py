@@ -1,4 +1,4 @@
-"""The server: the page, images in, poses out."""
+"""The server: it sends the page, receives images, and answers with poses."""
 
 import asyncio
 import json
@@ -38,7 +38,7 @@ _MAX_NAME = 200  # characters of an image's name
 
 
 class WorkError(DgcPoseError):
-    """A request that came to no result; the message is one line for the client."""
+    """A request without a result; the message is one line for the client."""
 
     status = 422  # of HTTP
 
@@ -52,11 +52,11 @@ class Gone(InputError):
 async def in_turn(
     thread: ThreadPoolExecutor, function: Callable[..., Value], *arguments: Any, seconds: float
 ) -> Value:
-    """What the function returns, called in a pool's only thread. A call that is cancelled gives up
-    its place; once it has begun it runs to its end, and its result is dropped.
+    """Call a function in a pool's only thread, and return its result. A cancelled call leaves the
+    queue; if it is running already, it runs to its end and its result is dropped.
 
-    seconds: of the call, with its wait for those before it. Raises WorkError if the time has passed
-    or the function fails.
+    seconds: limit of the call, with the time in the queue. Raises WorkError if the time is over or
+    the function fails.
     """
     try:
         with anyio.fail_after(seconds):
@@ -65,7 +65,7 @@ async def in_turn(
         text = f"stopped after {seconds:g} seconds"
     except (DgcPoseError, OSError) as error:
         text = " ".join(str(error).split())
-    except Exception as error:  # of any library
+    except Exception as error:  # from any library
         traceback.print_exc()
         text = f"the server failed: {type(error).__name__}"
     raise WorkError(text)
@@ -74,8 +74,8 @@ async def in_turn(
 class Server:
     """The images, the threads that work on them, and an ASGI application.
 
-    folder: for the images; empty, and removed by the caller when the server has ended. token: what
-    the page must know. hosts: see `guard.local_hosts`.
+    folder: empty folder for the images; the caller removes it when the server has ended. token:
+    secret of the page. hosts: see `guard.local_hosts`.
     """
 
     def __init__(
@@ -90,9 +90,9 @@ class Server:
         self.options = options
         self._token, self._estimator = token, estimator
         self._folder = folder
-        # By an identifier, which is never part of a path; those used last are the last ones.
+        # By identifier, which is never part of a path; the most recently used image is last.
         self._images: dict[str, StoredImage] = {}
-        # A photograph need not wait for a pose.
+        # Two threads, so that photographs do not wait for poses.
         self._decoding, self._estimating = ThreadPoolExecutor(1), ThreadPoolExecutor(1)
         self.app = Starlette(
             routes=[
@@ -112,7 +112,7 @@ class Server:
         return Response(text, media_type="text/html")
 
     async def _image(self, request: Request) -> Response:
-        """An image, the body as it is; answers with its identifier, its size and a picture."""
+        """Receive an image as the raw body; answer with its identifier, size and a picture."""
         most = self.options.max_megabytes
         too_large = (
             f"the file is too large: at most {most:g} MB are taken "
@@ -141,14 +141,14 @@ class Server:
         return JSONResponse({"id": identifier, "name": name, **shown})
 
     async def _pose(self, request: Request) -> Response:
-        """Lines of JSON: what is being done, and at last the result or an error."""
+        """Answer with lines of JSON: the progress, and last the result or an error."""
         data = await _json(request)
         image1, image2 = (self._sent(data.get(key)) for key in ("image1", "image2"))
         lines = self._progress(image1, image2, data.get("camera"))
         return StreamingResponse(lines, media_type="application/x-ndjson")
 
     def _sent(self, identifier: object) -> StoredImage:
-        """An image by its identifier. Raises Gone if there is none."""
+        """The image of an identifier. Raises Gone if the server does not have it."""
         image = self._images.pop(str(identifier), None)
         if image is None:
             raise Gone("the image is no longer there: send it again")
@@ -182,24 +182,24 @@ class Server:
             while "progress" in line:
                 line = await lines.get()
                 yield json.dumps(line) + "\n"
-        finally:  # also where the client has left, which ends the response
+        finally:  # also if the client has left, which ends the response
             gone.set()
             task.cancel()
 
 
 def preview(path: Path, max_pixels: int) -> dict[str, Any]:
-    """Size (width, height) of an upright image, and a picture for the browser, which may not read
-    the file. Raises ImageError, without the path, if it cannot be read or has too many pixels."""
+    """Size (width, height) of an upright image, and a picture, as the browser may not support the
+    file's format. Raises ImageError, without the path, for an unreadable or too large image."""
     try:
         width, height = image_size(path)
-        if width * height > max_pixels:  # before they are decoded
+        if width * height > max_pixels:  # checked before decoding
             raise ImageError(
                 f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
                 "(--max-megapixels of dgc-pose serve)"
             )
         image = load_image(path)
     except DgcPoseError as error:
-        # The path is none of the client's business.
+        # The client must not see the path.
         raise ImageError(str(error).replace(str(path), "the file")) from None
     return {
         "size": list(image.size),
@@ -208,13 +208,13 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
 
 
 async def _refused(request: Request, error: Exception) -> Response:
-    """The line of an error; none for a client that left before its request was complete."""
+    """The line of an error; empty for a client that left before its request was complete."""
     return PlainTextResponse(str(error), getattr(error, "status", 400))
 
 
 async def _body(request: Request, most: int, too_large: str) -> bytes:
-    """A body of at most so many bytes. Raises HTTPException for a larger one, before it is read if
-    its length is announced."""
+    """A body of at most `most` bytes. Raises HTTPException for a larger body, before reading it if
+    the request states its length."""
     received = bytearray()
     if int(request.headers.get("content-length", 0)) > most:
         raise HTTPException(413, too_large)
@@ -226,7 +226,7 @@ async def _body(request: Request, most: int, too_large: str) -> bytes:
 
 
 async def _json(request: Request) -> Mapping[str, Any]:
-    """The object that a request holds. Raises InputError for anything else."""
+    """The JSON object in a request. Raises InputError for anything else."""
     body = await _body(request, _MAX_JSON, "the request is too long")
     try:
         data = json.loads(body)

@@ -1,4 +1,4 @@
-"""A pose, estimated and described for the page."""
+"""Estimate a pose, and describe it for the page."""
 
 import shlex
 from collections.abc import Callable, Mapping
@@ -20,25 +20,25 @@ from dgc_pose.viz.figure import warp_image
 from dgc_pose.viz.model_page import pose_scene
 
 SHOWN_MATCHES = 3000  # more would slow the page down
-SHOWN_CELLS = 96  # of the map along a side, for the point under the pointer
-_COVERED = 0.01  # of image 2 that the map must cover, or there is nothing to see
+SHOWN_CELLS = 96  # most cells of the map along a side, for the point under the pointer
+_COVERED = 0.01  # smallest share of image 2 that the map must cover to be shown
 _MAX_TEXT = 300  # characters of a K
 
 
 @dataclass(frozen=True)
 class StoredImage:
-    """An image that a client has sent, and that could be read."""
+    """A readable image that a client has sent."""
 
     path: Path
-    name: str  # of the client; for texts alone, never opened
+    name: str  # from the client; only shown, never opened
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """A matcher that is loaded, and the poses by it described for the page."""
+    """Estimates poses with a loaded matcher, and describes them for the page."""
 
     matcher: Matcher
-    weights: str | None  # as the command takes them; None for the default
+    weights: str | None  # value of --weights; None for the default
 
     def estimate(
         self,
@@ -47,10 +47,10 @@ class Estimator:
         stored2: StoredImage,
         camera: object,
     ) -> dict[str, Any]:
-        """The pose and what the page shows of it, as values of JSON.
+        """The pose and everything that the page shows with it, as values of JSON.
 
-        report: takes what is being done, for people; what it raises ends the work. camera: as of
-        `requested_cameras`.
+        report: called with a text for people before each step; an exception from it ends the work.
+        camera: `data` of `requested_cameras`.
         """
         report("reading the images")
         image1, image2 = (
@@ -60,7 +60,7 @@ class Estimator:
         report("matching and estimating the pose")
         result = solve_pair(image1, image2, cameras, self.matcher)
         report("drawing")
-        F = None  # for pixels, of the pinhole cameras
+        F = None  # fundamental matrix for pixels of the pinhole cameras
         if (E := result.pose.E) is not None:
             matrix = fundamental_from_essential(E, result.camera1.K, result.camera2.K)
             F = (matrix / np.abs(matrix).max()).tolist()
@@ -82,9 +82,9 @@ class Estimator:
 
 
 def _matches(result: PairResult) -> dict[str, list[Any]]:
-    """At most `SHOWN_MATCHES` matches, inliers before outliers, each in a random order, so that the
-    first few are spread over the images: points to 0.01 pixels, whether they are inliers,
-    confidence, and the residual in pixels or null."""
+    """At most `SHOWN_MATCHES` matches: points to 0.01 pixels, whether they are inliers, confidence,
+    and residual in pixels or null. Inliers come before outliers, each in random order, so that the
+    first few spread over the images."""
     matches, pose, residuals = result.matches, result.pose, result.residuals_px
     points = np.hstack([matches.points1, matches.points2])
     chosen = np.flatnonzero(np.isfinite(points).all(1))
@@ -99,8 +99,8 @@ def _matches(result: PairResult) -> dict[str, list[Any]]:
 
 
 def _correspondences(dense_map: CorrespondenceMap | None) -> dict[str, Any] | None:
-    """The map at a grid of at most `SHOWN_CELLS` cells a side: row after row the points in image 1
-    to 0.1 pixels and the matchability, and the pixels of image 2 of the first and the last cell."""
+    """The map on a grid of at most `SHOWN_CELLS` cells a side, row by row: points in image 1 to 0.1
+    pixels, and matchability; and the pixels of the first and last cell in image 2."""
     if dense_map is None:
         return None
     thin = dense_map.thinned(-(-max(dense_map.matchability.shape) // SHOWN_CELLS))
@@ -116,8 +116,8 @@ def _correspondences(dense_map: CorrespondenceMap | None) -> dict[str, Any] | No
 
 
 def _map(result: PairResult) -> dict[str, Any]:
-    """The share of image 2 that the map covers; unless that is next to nothing, image 1 warped onto
-    image 2, as transparent as it is unmatchable, and the matchability."""
+    """The share of image 2 that the map covers. From `_COVERED` on, also pictures: image 1 warped
+    onto image 2, transparent where matchability is low, and the matchability."""
     dense_map = result.correspondence_map
     assert dense_map is not None
     warped = warp_image(result.image1.pixels, dense_map.map, result.image2.size)
@@ -143,12 +143,12 @@ def _map(result: PairResult) -> dict[str, Any]:
 def requested_cameras(
     data: object, image1: Image, image2: Image
 ) -> tuple[tuple[Camera, Camera], tuple[str, str]]:
-    """The cameras of both images that a client asks for, checked, and each as --K takes it. No path
-    that a client names is opened.
+    """The cameras of both images that a client requests, checked, and each as a value of --K. Paths
+    from a client are never opened.
 
-    data: the client's JSON: `kind`; of "k" `k1` and `k2`, texts, the second empty if one camera
-    took both; of "fov" `fov`, the horizontal field of view of both images, degrees. Raises
-    InputError for anything else.
+    data: the client's JSON with a `kind`: "auto"; "k" with texts `k1` and `k2`, the second empty if
+    one camera took both images; or "fov" with `fov`, the horizontal field of view of both images in
+    degrees. Raises InputError for anything else.
     """
     request = data if isinstance(data, Mapping) else {}
     match request.get("kind"):
@@ -182,7 +182,7 @@ def _text(value: object) -> str:
 
 
 def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]) -> str:
-    """The command that gives the same pose. cameras: as --K takes them."""
+    """The command that gives the same pose. cameras: values of --K."""
     files = [f"./{name}" if name.startswith("-") else name for name in names]
     k1, k2 = cameras
     flags = ["--K", k1] if k1 == k2 else ["--K1", k1, "--K2", k2]
@@ -190,7 +190,7 @@ def command(names: tuple[str, str], cameras: tuple[str, str], weights: list[str]
 
 
 def python_text(names: tuple[str, str], cameras: tuple[str, str], matcher: str) -> str:
-    """The Python that gives the same pose."""
+    """The Python code that gives the same pose."""
     k1, k2 = cameras
     ks = f"K1={k1!r}" if k1 == k2 else f"K1={k1!r},\n    K2={k2!r}"
     return (

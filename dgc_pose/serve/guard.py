@@ -1,8 +1,8 @@
-"""Who may ask: pages of this server alone, in a browser that was given the token.
+"""Access control: only pages of this server, in a browser that was given the token.
 
-Three ways in are closed. Another site whose name leads to 127.0.0.1 (DNS rebinding) sends its own
-name as Host. A page of another origin sends its Origin, and cannot set the header of the token
-without a permission that is never given. A program of another user does not know the token.
+It blocks three attacks. A site whose name resolves to 127.0.0.1 (DNS rebinding) sends its own name
+as Host. A page of another origin sends its Origin, and cannot set the token's header without a CORS
+permission, which the server never gives. A program of another user does not have the token.
 """
 
 import secrets
@@ -27,10 +27,10 @@ HEADERS = {
 
 
 class Guard:
-    """Refuses with 403, before anything is read, what does not come from our own page."""
+    """Answers 403 to requests that do not come from the server's page, before reading them."""
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str]) -> None:
-        """hosts: the values of the header Host that are ours, such as 127.0.0.1:8000."""
+        """hosts: the accepted values of the header Host, such as 127.0.0.1:8000."""
         self._app, self._token, self._hosts = app, token, hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -55,7 +55,7 @@ class Guard:
         if foreign or (origin is not None and origin.removeprefix("http://") not in self._hosts):
             return "this server answers to its own pages only"
         if path.startswith("/static/"):
-            return None  # the same for everyone
+            return None  # public
         tokens = request.query_params if path == "/" else headers
         token = tokens.get("token" if path == "/" else TOKEN_HEADER, "")
         if not secrets.compare_digest(token.encode(), self._token.encode()):

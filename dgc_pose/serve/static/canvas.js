@@ -1,6 +1,6 @@
-// What all drawings share.
+// Functions that all drawings share.
 
-/** An image of an address, decoded; null for none. */
+/** The decoded image of a URL; null without a URL. */
 export async function picture(url) {
   if (!url) return null;
   const image = new Image();
@@ -9,7 +9,7 @@ export async function picture(url) {
   return image;
 }
 
-/** A canvas as wide as it is shown and of this height; its context, width and height, CSS pixels. */
+/** Size a canvas to its shown width and this height. Its context, width and height, CSS pixels. */
 export function prepared(canvas, height) {
   const width = canvas.clientWidth;
   canvas.style.height = `${height}px`;
@@ -20,14 +20,14 @@ export function prepared(canvas, height) {
   return [paint, width, height];
 }
 
-/** The residuals of the inliers in order, and the one that 95 % of them do not exceed; undefined
-    without any. */
+/** The sorted residuals of the inliers, and their 95th percentile, which is undefined without
+    residuals. */
 export function inlierResiduals({ residual, inlier }) {
   const sorted = residual.filter((value, n) => value !== null && inlier[n]).sort((a, b) => a - b);
   return [sorted, sorted[Math.floor(0.95 * (sorted.length - 1))]];
 }
 
-/** A colour of the style sheet, light or dark as the page is. */
+/** A colour of the style sheet, for the light or dark page. */
 export function colour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 }

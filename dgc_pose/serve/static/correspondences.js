@@ -1,17 +1,17 @@
-// The dense map, at a grid of cells of image 2. Points are in pixels of the originals.
+// The dense map on a grid of cells of image 2. Points are in pixels of the originals.
 
-const MATCHABLE = 0.1; // a cell below has no point in image 1
+const MATCHABLE = 0.1; // a cell with less matchability has no point in image 1
 
 export class Correspondences {
-  /** As the server sends them; size1: width and height of image 1. */
+  /** The first argument is from the server; size1: width and height of image 1. */
   constructor({ columns, rows, first, last, points, matchability }, size1) {
     Object.assign(this, { columns, rows, first, points, matchability, size1 });
     this.step = [(last[0] - first[0]) / (columns - 1 || 1), (last[1] - first[1]) / (rows - 1 || 1)];
   }
 
-  /** The point of a pixel of image 2 in image 1, and its matchability; null for none. */
+  /** The point in image 1 for a pixel of image 2, and its matchability; null without a point. */
   inImage1(x, y) {
-    // Between four cells; the rim half a cell wide goes on as the last cells do.
+    // Bilinear between four cells; extrapolated in the outer half cell.
     const [u, v] = [(x - this.first[0]) / this.step[0], (y - this.first[1]) / this.step[1]];
     const column = Math.min(this.columns - 2, Math.max(0, Math.floor(u)));
     const row = Math.min(this.rows - 2, Math.max(0, Math.floor(v)));
@@ -30,8 +30,8 @@ export class Correspondences {
     return matchability >= MATCHABLE && this.isInside(point) ? point : null;
   }
 
-  /** The point of a pixel of image 1 in image 2: of the cell whose point is nearest, moved by what
-      the cells beside it say of the rest; null if no cell is near. */
+  /** The point in image 2 for a pixel of image 1: the cell whose point is nearest, corrected by the
+      slopes to its neighbours; null if no cell is near. */
   inImage2(x, y) {
     let [best, least] = [-1, Infinity];
     this.points.forEach(([px, py], cell) => {
@@ -56,7 +56,7 @@ export class Correspondences {
     };
   }
 
-  /** How far the map's point moves per cell along one axis. */
+  /** The change of the map's point from cell to cell along one axis. */
   slope(cell, place, count, stride) {
     const [before, after] = [place > 0 ? cell - stride : cell, place < count - 1 ? cell + stride : cell];
     const apart = (after - before) / stride;

@@ -1,4 +1,4 @@
-// The page: K and photographs in, a pose out.
+// The page: it takes K and photographs, and shows a pose.
 import { picture } from "./canvas.js";
 import { droppedFiles, endPairs, estimatePairs, listPairs, newest as newestPairs, photographsOf } from "./pairs.js";
 import { drawHistogram, drawMap } from "./plots.js";
@@ -9,19 +9,19 @@ import { bundledPair, estimated, sendFile } from "./server.js";
 import { View } from "./view.js";
 
 const at = (id) => document.getElementById(id);
-const images = [null, null]; // as the server described them
-const refused = ["", ""]; // why the photograph that was last sent to a place is not there
+const images = [null, null]; // the server's answers for both images
+const refused = ["", ""]; // for each place, why its latest photograph was rejected
 let result = null;
-let resultInputs = ""; // those that it is of, see `inputs`
-let pairsKnown = ""; // of the table, see `known`
+let resultInputs = ""; // the `inputs` of the result
+let pairsKnown = ""; // the `known` camera of the table
 let pictures = null; // of both images, and of the map
-let shownImages = 0; // so far; each has a number
-let running = 0; // of the newest request; older answers are ignored
-let drawn = 150; // matches, as chosen; a result may have fewer
+let shownImages = 0; // count of images shown, which numbers them
+let running = 0; // number of the newest request; older answers are ignored
+let drawn = 150; // chosen number of matches; a result may have fewer
 const view = new View(at("view"), at("pointed"));
 const scene = new Scene(at("scene"));
 
-/** Show what is being done, and what is wrong after the photographs that were refused. */
+/** Show the progress, and the errors: first those of rejected photographs. */
 function begin(text, error = "") {
   at("error").textContent = [...refused, error].filter(Boolean).join("; ");
   at("error").hidden = !at("error").textContent;
@@ -36,18 +36,18 @@ function kind() {
   return document.querySelector("input[name=kind]:checked").value;
 }
 
-/** What is known of K, as a text. */
+/** The inputs about K, as a text. */
 function known() {
   const fields = [...document.querySelectorAll(`[data-kind=${kind()}] input`)];
   return JSON.stringify([kind(), fields.map(({ value }) => value.trim())]);
 }
 
-/** All that a result depends on, as a text. */
+/** All inputs of a result, as a text. */
 function inputs() {
   return JSON.stringify([images.map((image) => image?.number), known()]);
 }
 
-/** What is of other inputs than those on the page is greyed out. */
+/** Grey out results whose inputs differ from those on the page. */
 function compare() {
   at("result").classList.toggle("stale", inputs() !== resultInputs);
   at("pairs").classList.toggle("stale", known() !== pairsKnown);
@@ -64,14 +64,14 @@ function show(index, image) {
   compare();
 }
 
-/** Send photographs. One takes this place, two take both, more give a table of their pairs. */
+/** Send photographs. One fills the place `index`, two fill both, more give a table of pairs. */
 async function sendAll(index, files) {
   const [number, photographs, sent, failures] = [endPairs(), photographsOf(files), [], []];
   for (const file of photographs) {
     begin(`sending ${file.name}`);
     await sendFile(file).then((image) => sent.push(image), ({ message }) => failures.push(message));
   }
-  if (photographs.length > 2 && number !== newestPairs) return; // others have been dropped
+  if (photographs.length > 2 && number !== newestPairs) return; // newer photographs were dropped
   sent.slice(0, 2).forEach((image, n) => show(photographs.length > 1 ? n : index, image));
   refused[index] = failures.join("; ");
   begin("");
@@ -169,7 +169,7 @@ for (const index of [0, 1]) {
     droppedFiles(event.dataTransfer).then((files) => sendAll(index, files)).catch(fail);
   });
 }
-// A file dropped beside the zones would replace the page.
+// By default, a file dropped outside the zones would replace the page.
 for (const name of ["dragover", "drop"]) addEventListener(name, (event) => event.preventDefault());
 
 at("estimate").addEventListener("click", estimate);

@@ -1,14 +1,14 @@
-// The table of pairs: all pairs of several photographs, estimated one after another. A row keeps what
-// it shows; a pair that is chosen is estimated again.
+// The table of pairs: all pairs of several photographs, estimated one after another. A row keeps
+// only the shown facts; choosing a pair estimates it again.
 import { element, facts, verdict } from "./result.js";
 import { estimated } from "./server.js";
 
-const MOST = 12; // photographs, of 66 pairs
+const MOST = 12; // photographs, which make 66 pairs
 const at = (id) => document.getElementById(id);
 let rows = [];
 export let newest = 0; // number of the newest table; answers for older ones are ignored
 
-/** What was dropped as files, with those below folders; no hidden ones. To be called at once. */
+/** The dropped files, also below folders, without hidden ones. Call it within the drop event. */
 export function droppedFiles({ items }) {
   return Array.fromAsync(filesOf([...items].map((item) => item.webkitGetAsEntry()).filter(Boolean)));
 }
@@ -16,13 +16,13 @@ export function droppedFiles({ items }) {
 async function* filesOf(entries) {
   for (const entry of entries.filter(({ name }) => !name.startsWith("."))) {
     if (entry.isFile) yield new Promise((done, failed) => entry.file(done, failed));
-    const reader = entry.isDirectory && entry.createReader(); // which gives a hundred at a time
+    const reader = entry.isDirectory && entry.createReader(); // gives a hundred entries at a time
     const more = () => new Promise((done, failed) => reader.readEntries(done, failed));
     for (let some; reader && (some = await more()).length;) yield* filesOf(some);
   }
 }
 
-/** Of more than two files the photographs, the first `MOST` in the order of their names. */
+/** One or two files as they are; of more files, the first `MOST` photographs by name. */
 export function photographsOf(files) {
   at("taken").textContent = "";
   if (files.length <= 2) return files;
@@ -35,13 +35,13 @@ export function photographsOf(files) {
   return taken;
 }
 
-/** End the table: no further pair is estimated. Returns the number of a next one. */
+/** End the table: no further pair is estimated. Returns the number of the next table. */
 export function endPairs() {
   at("pairs").hidden = true;
   return ++newest;
 }
 
-/** List the pairs of images. choose: takes both images of a row that is clicked. */
+/** List the pairs of images. choose: called with both images of a clicked row. */
 export function listPairs(images, choose) {
   rows = images.flatMap((first, n) => images.slice(n + 1).map((second) => {
     const row = Object.assign(element("tr", ""), { pair: [first, second] });
@@ -58,7 +58,7 @@ export function listPairs(images, choose) {
   at("pairs").hidden = !rows.length;
 }
 
-/** Fill the table, row after row. */
+/** Estimate the pairs and fill the table, row by row. */
 export async function estimatePairs(camera) {
   const number = ++newest;
   for (const row of rows) row.replaceChildren(row.cells[0]);
@@ -80,7 +80,7 @@ export async function estimatePairs(camera) {
 function fill(row, { pose, reason }) {
   const { sort, title, why } = verdict(pose, reason);
   row.insertCell().append(element("b", title, sort), element("small", pose.success ? "" : why));
-  const known = new Map(facts(pose)); // by the names that the columns have
+  const known = new Map(facts(pose)); // by the names of the columns
   for (const { textContent: name } of [...at("pairs").querySelectorAll("th")].slice(2)) {
     Object.assign(row.insertCell(), { textContent: known.get(name) ?? "" }).dataset.name = name;
   }

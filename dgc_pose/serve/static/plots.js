@@ -1,10 +1,10 @@
 // The map over image 2, and the histogram of the residuals.
 import { colour, inlierResiduals, prepared } from "./canvas.js";
 
-const TALL = 180; // of the histogram, CSS pixels
+const TALL = 180; // height of the histogram, CSS pixels
 const BARS = 40;
 
-/** Image 2 with the warped image 1 over it, or with the matchability. share: of the upper one. */
+/** Draw image 2 under the warped image 1 or under the matchability. share: opacity of the upper. */
 export function drawMap(canvas, second, warp, matchability, share) {
   if (!warp) return;
   const aspect = second.naturalHeight / second.naturalWidth;
@@ -18,7 +18,7 @@ export function drawMap(canvas, second, warp, matchability, share) {
   paint.globalAlpha = 1;
 }
 
-/** Bars of the residuals, outliers on top of inliers; the last one holds all that are larger. */
+/** Draw a histogram of residuals, outliers on top of inliers; the last bar has all larger ones. */
 export function drawHistogram(canvas, { residual, inlier }) {
   const [paint, width, height] = prepared(canvas, TALL);
   const known = residual.map((value, n) => [value, inlier[n]]).filter(([value]) => value !== null);

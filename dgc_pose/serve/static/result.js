@@ -1,4 +1,4 @@
-// What a result says in words and numbers.
+// A result in words and numbers.
 
 const at = (id) => document.getElementById(id);
 const SUCCESS = { ok: "R and t are known, t up to scale.", planar: "R and t are known, t up to scale, from a nearly planar scene." };
@@ -8,7 +8,7 @@ const BASES = {
   fov: "K comes from the field of view: if the angle is wrong, so is the pose.",
 };
 
-/** Fill in the verdict and the facts. kind: how K was said. */
+/** Fill in the verdict and the facts. kind: how K was given. */
 export function describe(result, kind) {
   const { pose, reason } = result;
   const explanations = pose.status === "ambiguous" ? pose.alternatives : [];
@@ -79,7 +79,7 @@ function matrix(rows) {
   return table;
 }
 
-/** One of several poses that explain the matches alike. */
+/** One of several poses that explain the matches equally well. */
 function explanation(pose, n) {
   const likely = `probability ${likelihood(pose.probability)}`;
   return equations(pose, `Pose ${n + 1}: ${likely}, ${pose.num_inliers} inliers, rotation ${angle(pose.R)}`);
@@ -96,7 +96,7 @@ function alternatives(others) {
   }));
 }
 
-/** What is known of a pose: each its name, its value, and what the value is of. */
+/** The facts about a pose, each [name, value, explanation]; the explanation may be missing. */
 export function facts(pose) {
   const lines = [];
   if (pose.R) lines.push(["rotation angle", angle(pose.R)]);
@@ -122,13 +122,13 @@ function likelihood(probability) {
   return probability < 0.005 ? "below 1 %" : `${(100 * probability).toFixed(0)} %`;
 }
 
-/** Of a rotation matrix, in degrees. */
+/** The angle of a rotation matrix, as a text in degrees. */
 function angle(R) {
   const cosine = (R[0][0] + R[1][1] + R[2][2] - 1) / 2;
   return `${(Math.acos(Math.min(1, Math.max(-1, cosine))) * 180 / Math.PI).toFixed(2)}°`;
 }
 
-/** The numbers of K, and what the focal length is known from. */
+/** The numbers of K, and the source of the focal length. */
 function intrinsics({ K, focal_std, focal_source, model }) {
   const [fx, fy, cx, cy] = [K[0][0], K[1][1], K[0][2], K[1][2]].map((value) => value.toFixed(1));
   const deviation = focal_std > 0 ? ` ± ${(focal_std * (K[0][0] + K[1][1]) / 2).toFixed(1)}` : "";

@@ -1,15 +1,15 @@
-// A result as a file.
+// Save a result as a file.
 import { colour } from "./canvas.js";
 
 const GAP = 14; // between the parts of a picture, CSS pixels
-const LINE = 22; // of its text, CSS pixels
+const LINE = 22; // height of a line of text, CSS pixels
 
 export function saveJson({ pose, names, sizes, matches, command }) {
   const text = JSON.stringify({ ...pose, images: names, sizes, matches, command }, null, 2);
   save("pose.json", new Blob([text + "\n"], { type: "application/json" }));
 }
 
-/** What is drawn, each part as large as on the page, below lines of text. */
+/** Save the drawings as one picture, each as large as on the page, below lines of text. */
 export function savePng(texts, canvases) {
   const unit = devicePixelRatio;
   const parts = canvases.filter((part) => part.clientWidth);
@@ -38,7 +38,7 @@ export function savePng(texts, canvases) {
   canvas.toBlob((blob) => save("pose.png", blob), "image/png");
 }
 
-/** The lines of a text that fit into a width. */
+/** A text broken into lines that fit into a width. */
 function broken(paint, text, width) {
   const lines = [""];
   for (const word of text.split(" ")) {

@@ -1,23 +1,22 @@
-// Cameras and points in space (x right, y down, z forward), seen from a place that mouse, fingers and
-// keys move.
+// Cameras and points in space (x right, y down, z forward); mouse, fingers and keys move the view.
 import { colour, prepared } from "./canvas.js";
 
 const VIEWS = { aslant: [-35, 25], above: [0, 89], behind: [0, 0] }; // azimuth and elevation, degrees
-const ROOM = 80; // CSS pixels around what is drawn, of both sides together
-const CLOSEST = 2.2; // than a ball around all, at most: turned, more would leave the canvas
-const FAR = 2.6; // of the eye from the middle, in radii of what is drawn
+const ROOM = 80; // margins around the drawing, CSS pixels, both sides together
+const CLOSEST = 2.2; // largest initial zoom, over that of a ball around the scene, which may turn
+const FAR = 2.6; // distance of the eye from the middle, in radii of the scene
 const STEP = 6; // degrees that an arrow key turns
 const KEYS = { ArrowLeft: [STEP, 0], ArrowRight: [-STEP, 0], ArrowUp: [0, STEP], ArrowDown: [0, -STEP] };
 const ZOOMS = { "+": 1.15, "=": 1.15, "-": 1 / 1.15 };
-const PYRAMID = [1, 2, 3, 4, 1, 0, 2, 3, 0, 4]; // a line through a camera's centre and its corners
-const QUICK = 5000; // points drawn while it moves
-const REST = 200; // milliseconds after which all of them are drawn
+const PYRAMID = [1, 2, 3, 4, 1, 0, 2, 3, 0, 4]; // a line through a camera's corners and centre (0)
+const QUICK = 5000; // points drawn while the view moves
+const REST = 200; // milliseconds of rest after which all points are drawn
 
 export class Scene {
-  /** alone: whether it fills the page, and has photographs. */
+  /** alone: whether the scene fills the page and shows photographs. */
   constructor(canvas, alone = false) {
     Object.assign(this, { canvas, alone, points: null, names: true, photographs: alone });
-    this.fingers = new Map(); // places of the pointers that are down, by their identifiers
+    this.fingers = new Map(); // positions of pressed pointers, by identifier
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       this.fingers.set(event.pointerId, [event.clientX, event.clientY]);
@@ -27,7 +26,7 @@ export class Scene {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener("wheel", (event) => {
-      if (!(alone && window === top) && document.activeElement !== canvas) return; // the wheel scrolls the page
+      if (!(alone && window === top) && document.activeElement !== canvas) return; // let the wheel scroll
       event.preventDefault();
       this.zoomBy(Math.exp(-event.deltaY / 500));
     }, { passive: false });
@@ -43,13 +42,13 @@ export class Scene {
     }
   }
 
-  /** Cameras, each with its centre and from the top left on its corners, a label and a photograph; and
-      points in a random order. Null for neither. */
+  /** Show cameras and points in random order; null for an empty scene. A camera has its centre and
+      then its corners from the top left on, a label and a photograph. */
   show(content) {
     this.points = content?.points ?? null;
     if (!content) return;
     this.cameras = content.cameras;
-    this.turnedDown = content.turned_down ?? []; // pairs of cameras, joined by dashes
+    this.turnedDown = content.turned_down ?? []; // rejected pairs of cameras, joined by dashes
     this.styles = this.points.rgb.map((rgb) => `rgb(${rgb})`);
     this.all = [...this.points.xyz, ...this.cameras.flatMap((camera) => camera.corners)];
     const ranges = [0, 1, 2].map((axis) => range(this.all, axis));
@@ -58,13 +57,13 @@ export class Scene {
     this.lookFrom("aslant", false);
   }
 
-  /** See it from one of `VIEWS`. */
+  /** Show the scene from one of `VIEWS`. */
   lookFrom(name, drawn = true) {
     [this.azimuth, this.elevation] = VIEWS[name];
     const places = this.all.map(this.projection(0, 0, 1));
     const ranges = [0, 1].map((axis) => range(places, axis));
     this.extent = ranges.map(([low, high]) => Math.max(high - low, 2 / FAR / CLOSEST));
-    this.focus = ranges.map(([low, high]) => (low + high) / 2); // what lies at the canvas's middle
+    this.focus = ranges.map(([low, high]) => (low + high) / 2); // at the middle of the canvas
     this.zoom = 1;
     if (drawn) this.draw();
   }
@@ -80,7 +79,7 @@ export class Scene {
     this.drawSoon();
   }
 
-  /** One pointer turns, or moves the scene with Shift or the right button; two zoom. */
+  /** One pointer turns the scene, or moves it with Shift; two pointers zoom. */
   drag(event) {
     const before = this.fingers.get(event.pointerId);
     if (!before) return;
@@ -96,7 +95,7 @@ export class Scene {
     this.drawSoon();
   }
 
-  /** A part of the points in the next frame, all of them once it rests. */
+  /** Draw some of the points in the next frame, and all of them once the view rests. */
   drawSoon() {
     cancelAnimationFrame(this.frame);
     clearTimeout(this.rest);
@@ -112,11 +111,11 @@ export class Scene {
     this.scale = this.zoom * Math.min((width - ROOM) / this.extent[0], (height - ROOM) / this.extent[1]);
     const seen = this.projection(width / 2 - this.scale * this.focus[0], height / 2 - this.scale * this.focus[1], this.scale);
     const { xyz } = this.points;
-    const things = []; // places with numbers of points, and of cameras with their corners
+    const things = []; // [x, y, depth, index] of points; cameras also with their corners
     for (let n = 0; n < xyz.length; n += Math.ceil(xyz.length / most) || 1) things.push([...seen(xyz[n]), n]);
     const places = this.cameras.map((camera) => camera.corners.map(seen));
     places.forEach((corners, n) => things.push([0, 0, (corners[1][2] + corners[3][2]) / 2, n, corners]));
-    things.sort((a, b) => b[2] - a[2]); // the far ones first
+    things.sort((a, b) => b[2] - a[2]); // farthest first
     const size = FAR * this.radius * Math.max(2, width / Math.min(500, Math.max(160, 4 * Math.sqrt(xyz.length))));
     const pair = places.length === 2;
     const style = (n) => (pair && n ? "camera2" : "camera1");
@@ -135,7 +134,7 @@ export class Scene {
       }
     }
     if (!this.names) return;
-    // A name stands beyond the centre, away from the other cameras.
+    // A label stands beside its camera's centre, away from the other cameras.
     const middle = [0, 1].map((axis) => places.reduce((sum, [centre]) => sum + centre[axis] / places.length, 0));
     Object.assign(paint, { textAlign: "center", textBaseline: "middle", lineWidth: 3, strokeStyle: colour("shade") });
     paint.font = `${pair ? "bold 15px" : "12px"} system-ui, sans-serif`;
@@ -148,8 +147,8 @@ export class Scene {
     });
   }
 
-  /** A function of points: their places on the canvas, and the distance from the eye's plane. x, y: of
-      the middle. */
+  /** A function from a point to its place on the canvas and its depth. x0, y0: place of the scene's
+      middle. */
   projection(x0, y0, scale) {
     const [azimuth, elevation] = [this.azimuth, this.elevation].map((angle) => angle * Math.PI / 180);
     const [sa, ca, se, ce] = [Math.sin(azimuth), Math.cos(azimuth), Math.sin(elevation), Math.cos(elevation)];
@@ -164,7 +163,7 @@ export class Scene {
   }
 }
 
-/** The least and the largest coordinate of points along an axis. */
+/** The smallest and largest coordinate of points along an axis. */
 function range(points, axis) {
   return points.reduce(([low, high], point) => [Math.min(low, point[axis]), Math.max(high, point[axis])], [Infinity, -Infinity]);
 }
@@ -177,7 +176,7 @@ function stroke(paint, style, thick, places) {
   paint.stroke();
 }
 
-/** A photograph on the corners of a camera: half of it above the affine map that fits the other half. */
+/** Draw a photograph onto a camera's corners: as two triangles, each by its own affine map. */
 function lay(paint, photograph, [, a, b, c, d]) {
   const { width, height } = photograph;
   const opposite = [b[0] + d[0] - c[0], b[1] + d[1] - c[1]];

@@ -1,10 +1,10 @@
-// What is asked of the server.
+// Requests to the server.
 
 const token = document.querySelector("meta[name=token]").content;
 const GONE = 410; // the status of an image that the server has dropped
 const SILENT = "the server does not answer: is dgc-pose serve still running?";
 
-/** Its answer. Raises an Error with what it says, and the status if there is one. */
+/** The server's answer. Raises an Error with its text, and the status if there is one. */
 async function ask(path, body, type) {
   const headers = { "x-dgc-pose-token": token, "content-type": type };
   const answer = await fetch(path, { method: "POST", headers, body }).catch(() => null);
@@ -13,7 +13,7 @@ async function ask(path, body, type) {
   throw Object.assign(new Error(await answer.text()), { status: answer.status });
 }
 
-/** Send a photograph. Returns it as the server describes it, with a way to send it again. */
+/** Send a photograph. Returns the server's description, with a function that sends it again. */
 export async function sendFile(file) {
   try {
     const content = await file.arrayBuffer().catch(() => { throw new Error("the file cannot be read"); });
@@ -32,8 +32,8 @@ export function bundledPair() {
   }));
 }
 
-/** What is being done, and the result; an Error in its place is raised. Images that the server has
-    dropped are sent again. */
+/** Yield the progress, and then the result; raises an Error from the server. Images that the server
+    has dropped are sent again. */
 export async function* estimated(images, camera) {
   const request = () => ask(
     "/poses", JSON.stringify({ image1: images[0].id, image2: images[1].id, camera }), "application/json",

@@ -1,17 +1,17 @@
-// Both images with their matches, and what belongs to the point under the pointer: the epipolar lines
-// and the point that the map has for it. Points are in pixels of the originals, (0, 0) the centre of
+// Both images with their matches. For the point under the pointer: epipolar lines, and its point
+// in the other image by the dense map. Points are in pixels of the originals, (0, 0) the centre of
 // the top-left pixel.
 import { inlierResiduals, prepared } from "./canvas.js";
 import { Correspondences } from "./correspondences.js";
 
 const GAP = 8; // between the images, CSS pixels
-const NEAR = 12; // how far the pointer may be from a match, CSS pixels
-const NARROW = 560; // below, the images stand one above the other where they are larger so, CSS pixels
+const NEAR = 12; // largest distance of the pointer from a match, CSS pixels
+const NARROW = 560; // CSS pixels; a narrower canvas stacks the images if that makes them larger
 const EPIPOLAR = "#ffe14d";
-const UNDECIDED = "#f2f5f8"; // of matches without a pose, which are neither inliers nor outliers
+const UNDECIDED = "#f2f5f8"; // colour of matches without a pose: neither inliers nor outliers
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
-/** Both images, and what is drawn on them. */
+/** Both images, with the drawings on them. */
 export class View {
   constructor(canvas, text) {
     this.canvas = canvas;
@@ -35,7 +35,7 @@ export class View {
     this.largest = known.at(-1) ?? null;
   }
 
-  /** Show inliers up to a share of the largest residual. Returns that residual, null if unknown. */
+  /** Show inliers up to a share of the largest residual. Returns the limit, null if unknown. */
   setLimit(share) {
     this.limit = this.largest === null ? null : share * this.largest;
     return this.limit;
@@ -63,7 +63,7 @@ export class View {
     this.describe(nearest, other);
   }
 
-  /** The matches drawn, by number: inliers up to the residual, and outliers if asked for. */
+  /** The indices of the drawn matches: inliers up to the limit, and outliers if chosen. */
   shown() {
     const { inlier, residual } = this.result.matches;
     const posed = this.scale !== null;
@@ -86,7 +86,7 @@ export class View {
     return `rgb(${Math.round(255 * share)}, ${Math.round(255 * (1 - share))}, 255)`;
   }
 
-  /** A point of an image on the canvas. */
+  /** The place on the canvas of a point of an image. */
   place(image, x, y) {
     const { left, top, scale } = this.places[image];
     return [left + (x + 0.5) * scale, top + (y + 0.5) * scale];
@@ -97,7 +97,7 @@ export class View {
     const [from, to] = [this.place(0, x1, y1), this.place(1, x2, y2)];
     const [line, dot] = strong ? [2.5, 5] : [1.2, 2];
     paint.globalAlpha = faint ? 0.25 : 0.85;
-    for (const [style, edge] of [["#000a", 0.6], [strong ? "#ffffff" : this.colour(n), 0]]) { // on a dark edge
+    for (const [style, edge] of [["#000a", 0.6], [strong ? "#ffffff" : this.colour(n), 0]]) { // a dark edge first
       paint.strokeStyle = paint.fillStyle = style;
       paint.lineWidth = line + 2 * edge;
       paint.beginPath();
@@ -123,17 +123,17 @@ export class View {
     paint.stroke();
   }
 
-  /** The lines of the pointer's epipolar plane: in its image (first) and in the other. */
+  /** The epipolar lines of the pointer's point: first in its own image, then in the other. */
   epipolarLines() {
     const [image, x, y] = this.pointer;
     const F = this.result.F;
     const matrix = image === 0 ? F : transposed(F); // to lines of the other image
     const [a, b, c] = apply(matrix, [x, y, 1]);
-    // All points of the line in the other image have the line of this plane in the pointer's.
+    // Any point on the line in the other image has the same epipolar line in the pointer's image.
     return [apply(transposed(matrix), [-a * c, -b * c, a * a + b * b]), [a, b, c]];
   }
 
-  /** A line a x + b y + c = 0 across its image. */
+  /** Draw a line a x + b y + c = 0 across its image. */
   drawLine(paint, image, [a, b, c]) {
     const norm = Math.hypot(a, b);
     if (!(norm > 0)) return; // the point is the epipole
@@ -157,7 +157,7 @@ export class View {
     paint.restore();
   }
 
-  /** Point at a place of the canvas, CSS pixels; at nothing beside the images and without a place. */
+  /** Set the pointer to a place of the canvas, CSS pixels; unset it outside or without a place. */
   pointAt(x, y) {
     if (!this.places) return;
     const image = this.places.findIndex(({ left, top, width, height }) => (
@@ -170,7 +170,7 @@ export class View {
     this.draw();
   }
 
-  /** The arrows move the pointer, with Shift by one pixel of the screen; across the gap too. */
+  /** The arrow keys move the pointer, with Shift by one CSS pixel; also into the other image. */
   key(event) {
     if (!this.places || event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.key === "Escape") this.pointAt();
@@ -191,14 +191,14 @@ export class View {
     this.pointAt(...inside(leaves ? to : from));
   }
 
-  /** The point that the map has for the pointer, in the other image; null for none. */
+  /** The pointer's point in the other image, by the map; null without one. */
   corresponding() {
     if (!this.pointer || !this.correspondences) return null;
     const [image, x, y] = this.pointer;
     return image === 0 ? this.correspondences.inImage2(x, y) : this.correspondences.inImage1(x, y);
   }
 
-  /** The match that the pointer is at, of those drawn; null for none. */
+  /** The index of the drawn match nearest to the pointer; null if none is near. */
   nearest() {
     if (!this.pointer || !this.options.lines) return null;
     const [image, x, y] = this.pointer;
@@ -239,12 +239,12 @@ export class View {
   }
 }
 
-/** Where the images stand on a canvas of this width: side by side, or one above the other. */
+/** The places of the images on a canvas of this width: side by side, or one above the other. */
 function placed(sizes, width) {
-  const most = Math.max(360, 0.85 * innerHeight); // of the height
+  const most = Math.max(360, 0.85 * innerHeight); // largest height
   const [aspect1, aspect2] = sizes.map(([w, h]) => w / h);
-  const tall = Math.min(most, (width - GAP) / (aspect1 + aspect2)); // of each beside the other
-  const wide = Math.min(width, (most - GAP) / (1 / aspect1 + 1 / aspect2)); // of each above the other
+  const tall = Math.min(most, (width - GAP) / (aspect1 + aspect2)); // height if side by side
+  const wide = Math.min(width, (most - GAP) / (1 / aspect1 + 1 / aspect2)); // width if stacked
   const above = width < NARROW && wide > tall * Math.max(aspect1, aspect2);
   let [left, top] = [(width - (above ? wide : tall * (aspect1 + aspect2) + GAP)) / 2, 0];
   return sizes.map(([w, h]) => {
@@ -256,7 +256,7 @@ function placed(sizes, width) {
   });
 }
 
-/** From a line a x + b y + c = 0 to a point. */
+/** The distance from a line a x + b y + c = 0 to a point. */
 function distance([a, b, c], { x, y }) {
   return Math.abs(a * x + b * y + c) / Math.hypot(a, b);
 }
