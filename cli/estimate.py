@@ -92,7 +92,9 @@ def estimate(
         if outputs.map is not None:
             dense = result.correspondence_map
             if dense is None:
-                raise InputError(ArgumentName("map"), f"is not made with {matcher.weights}")
+                raise InputError(
+                    ArgumentName("map"), f"needs a dense map, and {matcher.weights} has none"
+                )
             names = ("map", "grid", "matchability")
             write_npz(stage(outputs.map), {name: getattr(dense, name) for name in names})
         if outputs.plot is not None:

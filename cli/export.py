@@ -68,7 +68,7 @@ def export(model: Path, to: str, images: Path | None, out: Path) -> None:
     MODEL is the folder of a COLMAP model, or a folder of `dgc-pose reconstruct`.
     """
     if out.exists():
-        raise InputError(ArgumentName("out"), f"{out} is there already")
+        raise InputError(ArgumentName("out"), f"{out} exists already")
     read = read_colmap(model)
     with replaced_folder(out) as folder:
         write_nerfstudio(read, images, folder, out)

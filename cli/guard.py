@@ -50,7 +50,7 @@ class OutputFile(click.Path):
             picture_format(path)
         require_no_input([path], _inputs(context))
         if output_target(path).exists() and not overwrites():
-            raise InputError(f"{path} is there already: --overwrite replaces it")
+            raise InputError(f"{path} exists already: --overwrite replaces it")
 
 
 class OutputFolder(NamedPath):

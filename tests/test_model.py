@@ -270,5 +270,5 @@ def test_what_nerfstudio_cannot_hold_is_one_line_and_leaves_nothing(
         words = ("--to", "nerfstudio", *words, "--out", tmp_path / "o")
         assert_refused(run("export", source, *words), expected)
     there = run("export", model, "--to", "nerfstudio", "--out", images)
-    assert_refused(there, f"--out {images} is there already")
+    assert_refused(there, f"--out {images} exists already")
     assert contents(tmp_path) == before

@@ -56,16 +56,14 @@ def read_batch(out: Path) -> Batch:
     """The result of a finished batch. Raises InputError, with the path, if the batch is unfinished
     or its store is broken."""
     if not (out / STORE).is_file():
-        raise InputError(
-            f"{out}: no folder of `dgc-pose batch` of this version (it has no {STORE})"
-        )
+        raise InputError(f"{out} has no {STORE}: it is not a batch folder of this version")
     with open_store(out) as store:
         plan, summary = store.plan, store.summary
         if plan is None or summary is None:
-            raise InputError(f"{out}: the batch there is not finished: --resume goes on with it")
+            raise InputError(f"{out}: the batch is unfinished: --resume continues it")
         rows = store.rows("result")
     if [row.names for row in rows] != [plan.pair(i) for i in range(len(plan.pairs))]:
-        raise InputError(f"{out / STORE}: the rows are of other pairs than the plan's")
+        raise InputError(f"{out / STORE}: its rows and its plan list different pairs")
     return Batch(out, plan, rows, summary)
 
 

@@ -112,7 +112,7 @@ def run_batch(
                 if before is not None:
                     again = {row.index for row in store.rows("matched") if row.status == FAILED}
         if before is not None and not options.resume:
-            raise InputError(f"{out}: holds a batch already:", _RESUME, "goes on with it")
+            raise InputError(f"{out} has a batch already:", _RESUME, "continues it")
         place = {name: i for i, name in enumerate(source.names)}
         chosen = [(place[a], place[b]) for a, b in source.pairs or ()]
         if choice is not None:  # "auto" has no pairs before the images are compared
@@ -182,12 +182,12 @@ def _compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterato
         row, pose = pair.row, pair.row.pose
         one = mirrored.intersection(row.names)
         if pose is not None and pose.t is not None and len(one) == 1:
-            why = f"by most pairs {one.pop()} is a mirror image of the other photographs"
+            why = f"most pairs show {one.pop()} as a mirror image of the other photographs"
             none = np.zeros_like(pose.inliers)
             pose = RelativePose("mirrored", why, none, pose.num_matches)
             row = replace(row, status=pose.status, reason=why, pose=pose)
         elif pose is not None and row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
-            few = f"the folder's cameras leave {row.num_inliers} of {before} inliers"
+            few = f"only {row.num_inliers} of {before} inliers remain with the folder's cameras"
             row = replace(row, pose=replace(pose, warnings=(*pose.warnings, few)))
         yield replace(pair, row=row)
 
@@ -218,9 +218,7 @@ def _folder_alone(out: Path) -> Iterator[None]:
     """Lock the folder for this process. Creates it if missing; removes it if it stays empty."""
     is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
     if is_used and not (out / STORE).is_file():
-        raise InputError(
-            f"{out}: is there already, and no folder of `dgc-pose batch` of this version"
-        )
+        raise InputError(f"{out}: exists already, and is not a batch folder of this version")
     made = [path for path in (out, *out.parents) if not path.exists()]
     out.mkdir(parents=True, exist_ok=True)
     try:

@@ -60,7 +60,7 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
     """
     if path.is_dir():
         if root is not None:
-            raise InputError(_ROOT, f"is for a list or a database, and {path} is a folder")
+            raise InputError(_ROOT, f"applies to a list or a database, and {path} is a folder")
         source = _of_folder(path, masks)
     elif not path.is_file():
         raise InputError(path, "is not a folder, video, list or database")
@@ -69,10 +69,8 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
         listed = read_database(path) if is_database else read_pair_list(path)
         source = Source(root or path.parent, listed.names, listed.pairs or None, listed.cameras)
     if len(source.names) < 2:
-        what = "no image" if not source.names else "a single image"
-        raise InputError(
-            "; ".join([f"{path}: {what} there, and a pair needs two", *source.left_out])
-        )
+        what = "no image" if not source.names else "one image"
+        raise InputError("; ".join([f"{path}: {what}, and a pair needs two", *source.left_out]))
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(
             _ROOT,
@@ -139,8 +137,8 @@ def survey(
     stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
     if calibration.common is not None and len(stored) > 1 and len(upright) > 1:
         first, second, *_ = map(times, stored)
-        sizes = f"is one for images of several sizes ({first} and {second})"
-        raise InputError(ArgumentName("K"), f"{sizes}: a file can state a K for each image")
+        sizes = f"is one, for images of several sizes ({first} and {second})"
+        raise InputError(ArgumentName("K"), f"{sizes}: give a file with a K for each image")
     for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)

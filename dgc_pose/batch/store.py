@@ -133,7 +133,7 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     unchanged = [n for n in now.names if now.states.get(n) == before.states.get(n)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     if old != new:
-        other = "is of another folder, other options, pairs or cameras, by"
+        other = "has another folder, other options, pairs or cameras, by"
         command = before.settings.get("command", "another version")
         raise InputError(f"{out / STORE} {other} `{command}`:", _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}

@@ -136,7 +136,7 @@ class Worker:
             size = self.job.cameras[name].size
             if size is not None and tuple(size) != image.size:
                 path = self.job.root / name
-                raise ImageError(f"{path}: the size in its header is not that of its pixels")
+                raise ImageError(f"{path}: its header states another size than its pixels have")
             return image
         except DgcPoseError as error:
             self.bad[name] = str(error)
@@ -204,9 +204,9 @@ def ray_workers(job: Job, workers: int) -> Iterator[Run]:
             yield from pool.map_unordered(lambda actor, task: actor.do.remote(work, *task), tasks)
         except ray.exceptions.RayActorError as error:
             raise DgcPoseError(
-                f"a worker of Ray ended ({reason(error)}):",
+                f"a Ray worker ended ({reason(error)}):",
                 ArgumentName("resume"),
-                "goes on from the pairs that were done",
+                "continues after the finished pairs",
             ) from None
         except ray.exceptions.RayTaskError as error:
             raise error.cause from None

@@ -44,9 +44,9 @@ def share(
     pairs = pair_geometries(batch)
     if not pairs:
         down = sum(row.turned_down for row in batch.rows)
-        first = "".join(f"; of the first {row.reason}" for row in batch.rows[:1])
+        first = "".join(f"; the first: {row.reason}" for row in batch.rows[:1])
         first = f"; {down} are rejected as look-alikes" if down else first
-        raise NoPairError(f"{batch.folder}: no pair of this batch has a pose that holds{first}")
+        raise NoPairError(f"{batch.folder}: no pair of this batch has an accepted pose{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")
     cache = ImageCache(2**29)
     shared = track_corners(pairs, lambda n: cache.read(root, n, masks), per_image, progress)
@@ -192,7 +192,9 @@ def write_hloc(folder: Path, shared: SharedMatches) -> None:
     """
     for names in shared.pairs:
         if any(len(name.split()) != 1 for name in names):
-            raise InputError(f"hloc's pairs file cannot hold the names {names}: no blanks")
+            raise InputError(
+                f"the names {names} contain blanks, which hloc's pairs file cannot hold"
+            )
     folder.mkdir(parents=True, exist_ok=True)
     counts = {name: len(points) for name, points in shared.key_points.items()}
     size = 12 * sum(counts.values()) + 6 * sum(counts[name0] for name0, _ in shared.pairs)

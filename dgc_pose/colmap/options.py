@@ -47,5 +47,5 @@ class ReconstructionOptions:
         check_options(self)
         stated = [ArgumentName(n) for n in ("gps", "scale", "marker") if getattr(self, n)]
         if len(stated) > 1:
-            both = "both bring the model into metres, and one is needed"
+            both = "both set the scale: give only one"
             raise InputError(stated[0], "and", stated[1], both)

@@ -27,7 +27,6 @@ from dgc_pose.system.texts import write_json
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
 OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are written
 MIN_IMAGES = 3  # of a model
-_KEY_POINT_BYTES, _POINT_BYTES = 40, 120  # upper bounds in the model and point file
 _SEED = 0
 _MAX_ERROR_M = 15.0  # inlier threshold of RANSAC for GPS positions
 _AS_WELL = 1.5  # ratio of median residuals up to which another similarity fits as well
@@ -94,7 +93,7 @@ def require_new(out: Path, names: Sequence[str], *, resume: bool) -> bool:
     there = [out / name for name in names if (out / name).exists()]
     if there and not resume:
         hint = "continues that run and replaces its result"
-        raise InputError(f"{there[0]} is there already:", ArgumentName("resume"), hint)
+        raise InputError(f"{there[0]} exists already:", ArgumentName("resume"), hint)
     require_model_folder(out / MODEL, several=True)
     return bool(there)
 
@@ -183,8 +182,8 @@ def map_database(database: Path, images: Path, options: ReconstructionOptions) -
             raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
     if not models:
         raise MappingError(
-            f"{database}: pycolmap's {options.mapper} mapper made no model of {options.min_images} "
-            "images"
+            f"{database}: pycolmap's {options.mapper} mapper found no model of "
+            f"{options.min_images} images or more"
         )
     return sorted(models.values(), key=lambda m: (-m.num_reg_images(), -m.num_points3D()))
 
@@ -292,7 +291,7 @@ def to_metres(
         aligned = pycolmap.align_reconstruction_to_locations(*args)
         if aligned is None:
             cameras = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
-            raise MappingError(f"pycolmap has no similarity that brings {cameras}")
+            raise MappingError(f"no similarity brings {cameras}")
         similarity = _upright(aligned, model, np.array([centres[n] for n in both]), places)
         off = [np.linalg.norm(similarity * centres[name] - known[name]) for name in both]
         errors["median_gps_residual_m"] = round(float(np.median(off)), 3)

@@ -124,7 +124,7 @@ def process_pool(size: int, start: Callable[..., None], *arguments: Any) -> Iter
         codes = codes - {0, -signal.SIGTERM} or codes  # the pool stops the others by SIGTERM
         ends = (signal.Signals(-n).name if n < 0 else f"exit code {n}" for n in sorted(codes))
         ended = f"a worker process ended ({', '.join(ends)}):"
-        hint = "goes on from the pairs that were done"
+        hint = "continues after the finished pairs"
         raise DgcPoseError(ended, ArgumentName("resume"), hint) from None
     pool.shutdown()
 

@@ -271,5 +271,5 @@ def test_photographs_of_several_zooms_have_no_camera_in_common(tmp_path):
         found = cameras[name]
         assert found.focal == pytest.approx(camera.focal, rel=0.06)
         assert abs(np.log(found.focal / camera.focal)) < 3 * found.focal_std
-    reason = "most pairs of its size agree with a focal length of each photograph"
+    reason = "most pairs of its size fit a separate focal length for each photograph"
     assert [one.why for one in listed] == COUNT * [reason]

@@ -66,7 +66,7 @@ def test_what_differs_is_refused_with_the_command_and_nothing_changes(
         run_sift(photos, out, start_workers=killed_after(1))
     before = {path: path.read_bytes() for path in out.iterdir()}
     apply, options, *words = CHANGES[change]
-    made = "is of another folder, other options, pairs or cameras, by"
+    made = "has another folder, other options, pairs or cameras, by"
     (words,) = words or [f"batch.db {made} `dgc-pose batch 'my photos'`: "]
     source = photos if apply is None else apply(photos)
     options = {k: tmp_path / "masks" if k == "masks" else v for k, v in options.items()}

@@ -168,7 +168,7 @@ def test_unusable_input(photos, whole, tmp_path):
         (tmp_path / "none", "out", "is not a folder, video"),
         (database, "out", "not a COLMAP database"),
         (alike, "out", "^a-view.png view1.png and a/view.png view1.png have one name in matches"),
-        (photos[0], str(whole), "holds a batch already"),
+        (photos[0], str(whole), "has a batch already"),
         (photos[0], str(tmp_path), "no folder of `dgc-pose batch`"),
     ):
         with pytest.raises(InputError, match=reason):
@@ -215,7 +215,7 @@ def test_inliers_that_the_cameras_of_the_folder_lose_are_told():
     rows = [_row("a", "b", inliers=4), _row("b", "c", inliers=5), _row("c", "d", inliers=1)]
     lost, kept, refused = _judged(alone, rows)
     assert lost.pose is not None
-    assert lost.pose.warnings == ("the folder's cameras leave 4 of 9 inliers",)
+    assert lost.pose.warnings == ("only 4 of 9 inliers remain with the folder's cameras",)
     assert kept == rows[1] and refused == rows[2]
 
 

@@ -28,8 +28,8 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("command", "count", "reason"),
     [
-        ("batch", 0, "no image there, and a pair needs two"),
-        ("reconstruct", 1, "a single image there, and a pair needs two"),
+        ("batch", 0, "no image, and a pair needs two"),
+        ("reconstruct", 1, "one image, and a pair needs two"),
         ("reconstruct", 2, "2 images, and a model needs 3"),
     ],
 )
@@ -115,6 +115,6 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(folder / "b.png"), whole[:150])
     options = ["--out", out, "--pairs", "exhaustive", *SIFT]
     assert_refused(run("batch", folder, *options), "no camera for a.png", "--K")
-    reason = "--K is one for images of several sizes (240x150 and 240x180)"
+    reason = "--K is one, for images of several sizes (240x150 and 240x180)"
     assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()

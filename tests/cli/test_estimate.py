@@ -140,7 +140,7 @@ def test_a_camera_that_is_not_stated_is_auto(folder, network):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (("--weights", "sift", "--map", "m.npz"), "--map is not made with sift"),
+        (("--weights", "sift", "--map", "m.npz"), "--map needs a dense map, and sift has none"),
         (("--baseline", "1m"), "--baseline must be METRES[,STD]"),
         (("--K", "300,300,159.5"), "--K"),
         (("--fov", "60"), "--fov and --K exclude each other"),

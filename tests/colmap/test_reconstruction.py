@@ -89,7 +89,7 @@ def test_the_command_from_folder_to_model(
     assert summary["pairs"] == 10 and summary["mean_track_length"] > 3
     files = {"database.db", "points.ply", "model.html", "summary.json"}
     assert {path.name for path in out.iterdir()} == {"batch", "sparse", *files}
-    assert_refused(run(*arguments), "is there already")
+    assert_refused(run(*arguments), "exists already")
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)
     assert f"{COUNT} of {COUNT} images" in run(*arguments, "--resume", "--view").output
@@ -179,7 +179,7 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
     still[60:120, 80:160] = second.pixels[60:120, 80:160]
     write_views(tmp_path / "still", [first, View(still, second.R, second.t)])
     pair = run_sift(tmp_path / "still", tmp_path / "none")
-    with pytest.raises(InputError, match=r"that holds; of the first .* stay at the same pixels"):
+    with pytest.raises(InputError, match=r"accepted pose; the first: .* stay at the same pixels"):
         reconstruct(pair, tmp_path / "other")
     assert not (tmp_path / "other" / "sparse").exists()
 

@@ -98,9 +98,9 @@ def test_each_bad_value_is_refused_in_one_line_and_changes_nothing(folder, begin
         ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
         ((*EXPORT, "--database", "views/one.png"), ""),
         ((*EXPORT, "--hloc", "batch"), ""),
-        (RECONSTRUCT, "is there already"),
+        (RECONSTRUCT, "exists already"),
         ((*RECONSTRUCT, "--resume"), "sparse contains files"),
-        ((*ESTIMATE, *K, "--json", "junk"), "junk is there already: --overwr"),
+        ((*ESTIMATE, *K, "--json", "junk"), "junk exists already: --overwr"),
     ],
     ids=str,
 )

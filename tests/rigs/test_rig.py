@@ -99,7 +99,7 @@ def test_the_model_is_written_but_not_over_another(placed: tuple[Path, Rig]) -> 
         np.testing.assert_allclose(model.poses[stored], of.cam_from_world, atol=1e-9)
         np.testing.assert_allclose(model.cameras[stored].K, of.camera.K, atol=1e-9)
     assert sum(name.startswith("walk/") for name in model.poses) == 3 and len(model.poses) == 5
-    with pytest.raises(InputError, match="sparse is there already: resume continues"):
+    with pytest.raises(InputError, match="sparse exists already: resume continues"):
         estimate_rig(folder / "frames", out, folder / "walk", **QUICK)
 
 
