@@ -83,7 +83,7 @@ def _missing(what: str, extra: str) -> str | None:
 
 
 def reason(failure: BaseException) -> str:
-    """The first line of a library's message, shortened, after its class if it has no letters."""
+    """The first line of a library's message, shortened; with its class if it has no letters."""
     text = str(failure).strip().partition("\n")[0].strip()
     if isinstance(failure, KeyError) and failure.args:
         text = f"no {text}"

@@ -183,7 +183,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
             of_image = replace(calibration, by_name=stated_camera)
             camera = of_image.camera(root, name, header)
-            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses fit no other
+            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses belong to it
             # Poses for the pixels as stored are rotated with the image.
             K = of_image.stated(root, name)
             turn = exif_turn(1 if K is None else orientation_of(K, header))

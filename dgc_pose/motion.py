@@ -45,7 +45,7 @@ _MOST = 0.9  # quantile of the motion over the picture that these limits apply t
 _CELLS = 16  # along the longer side of the picture
 _MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of the picture that agrees
 # Shares of the matched cells: the least that agree on a motion; the least that stay although the
-# motion would move them, which shows that only objects moved; the most that stay if the camera did.
+# motion would move them, so only objects moved; the most that stay if the camera moved.
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
 _MAJORITY = 0.6  # a larger part that moves together may be the scene behind a still lens hood
 _MIRRORED = 0.3  # share of random triangles that are mirrored: real motions mirror up to 0.21
@@ -208,8 +208,8 @@ def _sampled(matched: _Matched) -> tuple[np.ndarray, float]:
 
 
 def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool, str]:
-    """The motion; whether the camera moved; and why that is open, or "". common: a rotation (3, 3)
-    to start from, beside rest. If only people or objects moved, the matches that stay decide."""
+    """The motion; whether the camera moved; and why that is open, or "". Fits start at rest and at
+    the rotation `common` (3, 3). If only people or objects moved, the matches that stay decide."""
     x1, x2, weights, pixel = matched
     wide = _WIDE * pixel
     starts = (np.eye(3), 0.0), (np.eye(3), wide), (common, wide)  # the loss has several minima

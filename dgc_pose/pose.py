@@ -48,7 +48,7 @@ STEPS: Mapping[Effort, Sequence[Step]] = {
 # The search for matches ends if all hypotheses together are less probable than the first number;
 # or if they are at least as probable as the second and the likeliest has the third as its share.
 _MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
-_LIKELY = 0.9  # least probability of a pose of the mirror image that shows that image 2 is mirrored
+_LIKELY = 0.9  # image 2 is mirrored if its mirror image has a pose of at least this probability
 _DOUBT = -1.0  # log-odds of another camera given the matches, above which they are refined
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # expected errors above which `auto` runs "guided" even for a certain pose
@@ -184,7 +184,7 @@ def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
 
 
 def _is_clear(pose: RelativePose) -> bool:
-    """Whether the hypotheses nearly certainly contain the right pose, and clearly as the first."""
+    """Whether some hypothesis is nearly certainly right, and this is clearly the first one."""
     likely = (pose.any_probability or 0.0) >= _MAX_SEARCHED
     return likely and pose.hypotheses[0].share >= _CLEAR_SHARE
 
@@ -269,7 +269,7 @@ class PairResult:
     Attributes:
         image1: Image 1.
         image2: Image 2.
-        prior1: Camera of image 1 before the estimation, from the stated K or without one.
+        prior1: Camera of image 1 before the estimation: as stated, from EXIF data or assumed.
         prior2: Camera of image 2 before the estimation.
         matches: The N matches that the pose was estimated from.
         correspondence_map: The dense map; None for a matcher without one.
@@ -301,7 +301,7 @@ class PairResult:
     def points3d(self) -> np.ndarray:
         """The points (N, 3) float64 of the matches in camera 1's frame (OpenCV axes), in metres if
         the length of t is known, else in units of the distance between the cameras. A point lies on
-        the ray of camera 1, where that of camera 2 comes nearest.
+        the ray of camera 1, where the ray of camera 2 comes nearest.
 
         NaN for outliers and for points not in front of both cameras; all NaN without R and t.
         """

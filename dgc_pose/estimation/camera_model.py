@@ -86,8 +86,8 @@ class CameraModel:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))  # of the pose, rad^2
     stds: float = math.inf  # largest deviation from K, in standard deviations of the fit
     focal_std: float = 0.0  # of ln f of the less certain camera, by the fit
-    # The rest only of the likeliest model. (6, 6), rad^2, the deviations of the other models' poses
-    # within 10 degrees of its pose, by probability; the probability that the right pose is one.
+    # Only of the likeliest model: the covariance (6, 6), rad^2, that the other models' poses within
+    # 10 degrees of its pose add; and the probability that the right pose is within 10 degrees.
     pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     agreement: float = 1.0
     doubt: float = -math.inf  # log-odds of the likeliest other model, from the matches only
@@ -236,7 +236,7 @@ def _is_open(camera: Camera) -> bool:
 
 
 def is_edited(camera: Camera) -> bool:
-    """Whether the picture may be squeezed or cropped: no EXIF data show it as a camera wrote it."""
+    """Whether the picture may be squeezed or cropped: EXIF data do not show that a camera wrote it."""
     by_picture = camera.focal_source in ("size", "lines")
     return _is_open(camera) and (by_picture or is_of_part(camera))
 

@@ -1,4 +1,4 @@
-"""The measurements that the verdict rests on."""
+"""The measurements behind the verdict."""
 
 import math
 from dataclasses import dataclass, replace

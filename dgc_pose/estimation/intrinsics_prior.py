@@ -60,7 +60,7 @@ EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
 _SEEN_AND_LENS = np.eye(2 + SIZE)[[0, 1, 5, 6]]  # x and y of a point, c and d
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
-_OF_PART = 0.01  # deviation of a principal point, over the longer side, above which it is a crop's
+_OF_PART = 0.01  # least deviation of the principal point of a crop, over the longer side
 _SECOND_LENS_STD = 2.0  # of d, over that of c; in telephones d is -2 to -4 times c
 
 

@@ -34,8 +34,8 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.parallel import in_threads
 
 _SAMPLED = 500  # matches
-# Matches that each one sampled stands for at most, if K is stated. Further effects of lenses and
-# shutters are in all matches, and another camera would explain a part of them.
+# Most matches that a sampled match stands for, if K is stated. Further effects of lenses and
+# shutters are in all matches, and another camera would explain a part of these effects.
 _MOST_WEIGHT = 6.0
 _ITERATIONS = 120  # of a RANSAC run at most
 # Largest errors in each round of a fit, thresholds: from a start, and from a fit.
@@ -146,8 +146,8 @@ class _Sample:
         return bool((self.error < 1).mean() > _EXPLAINED)
 
     def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
-        """The model with the likeliest of its fits; without a fit, by the slopes at the pose of the
-        assumed cameras, if these show that it is hopeless."""
+        """The model with the likeliest of its fits. If the slopes at the pose of the assumed
+        cameras show that it is hopeless, the estimate from the slopes instead."""
         joint = JointFit(self.joint.problem.of_cameras(model.cameras))
         own, others = [_to_middles(cameras) for cameras in (assumed.cameras, model.cameras)]
         turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
@@ -188,8 +188,8 @@ class _Sample:
         return max([model, *valued], key=lambda each: each.log_evidence)
 
     def valued(self, model: CameraModel, pose: JointPose, joint: JointFit) -> CameraModel:
-        """The model with a pose and its evidence; without a pose if it explains the inliers of the
-        assumed cameras worse than these do, unless it has far more inliers."""
+        """The model with a pose and its evidence. If it explains the inliers of the assumed cameras
+        worse than these do, and has not far more inliers, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
@@ -203,7 +203,7 @@ class _Sample:
     def _along_slopes(
         self, model: CameraModel, prior: IntrinsicsPrior, pose: JointPose
     ) -> CameraModel:
-        """The model at the minimum of the quadratic function with these slopes."""
+        """The model at the minimum of the quadratic approximation by `slopes`."""
         hessian, gradient, tangent = self.slopes
         basis = np.zeros((len(gradient), 5 + len(prior)))
         basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis

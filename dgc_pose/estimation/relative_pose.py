@@ -37,7 +37,7 @@ from dgc_pose.system.parallel import one_blas_thread
 _DEFAULTS = EstimationOptions()
 # Matches that stay at the same pixels:
 _STAY_PX = 1.0  # their largest motion; or the expected error of the matches, if this is larger
-_NEAR = 3.0  # times this is a small motion: a moving camera has as many of these
+_NEAR = 3.0  # times this: limit of a small motion. A moving camera has as many small motions.
 _MIN_COUNT, _MIN_SHARE = 20, 0.04  # their least number, and share of the matches
 _MOST_ERROR_DEG = 2.0  # largest error of R that allows them to be points far away
 _MOST = 0.6  # their share of the matches up to which the others decide

@@ -40,8 +40,7 @@ _MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides of one size: the larger of both 
 _source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
-# For an image: equations (4, 2, 4) of the corners, pixels times depths; axis (4,) of depths; side,
-# px.
+# For an image: equations (4, 2, 4) of corners, pixels times depths; axis (4,) of depths; side, px.
 _View = tuple[np.ndarray, np.ndarray, float]
 
 

@@ -21,7 +21,7 @@ def distorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
 
 
 def undistorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
-    """The inverse of `distorted`; NaN beyond the radius at which the distorted one stops growing."""
+    """The inverse of `distorted`; NaN beyond the radius at which `distorted` stops growing."""
     if not np.any(coefficients):
         return points
     seen = np.linalg.norm(points, axis=1)
