@@ -61,7 +61,7 @@ _FAR_FROM_MIDDLE = -0.5
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _ASPECT_STD = 0.3  # of ln fy / fx of squeezed pixels
-_CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
+_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
 # Deviations of other cameras than K states: ln f; principal point over the longer side; lens.
 _STATED_STD, _STATED_CENTRE_STD, _STATED_LENS_STD = 0.5, 0.05, 0.15
 # Distances of K's principal point from the middle, over the longer side: off it, and far off it.
@@ -236,7 +236,7 @@ def _is_open(camera: Camera) -> bool:
 
 
 def is_edited(camera: Camera) -> bool:
-    """Whether the picture may be squeezed or cropped: EXIF data do not show that a camera wrote it."""
+    """Whether the picture may be squeezed or cropped: no EXIF data show that a camera wrote it."""
     by_picture = camera.focal_source in ("size", "lines")
     return _is_open(camera) and (by_picture or is_of_part(camera))
 
