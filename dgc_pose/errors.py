@@ -4,18 +4,18 @@ from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-_REASON = 160  # characters of a library's message that an error has
+_REASON = 160  # most characters of a library's message in an error
 
 
 class ArgumentName(str):
-    """The name of an argument or a field in a message. A command puts its flag in its place."""
+    """The name of an argument or a field in a message. A command replaces it by the flag."""
 
 
 class DgcPoseError(Exception):
     """Base of every error that dgc-pose raises; its message is one line, for people.
 
-    args: the parts of the message, between which it has blanks. A part that is a Path is the file
-    that the error is about.
+    args: the parts of the message, which blanks join. A part that is a Path is the file that the
+    error is about.
     """
 
     @property
@@ -39,7 +39,7 @@ class WeightsError(DgcPoseError):
     """Weights that are missing, unreadable or of another network; the message holds the file."""
 
 
-# The modules of each extra of setup.cfg, by the name that pip installs them by.
+# For each extra of setup.cfg: its modules, and the package that pip installs for each.
 EXTRAS = {
     "fit": {"scipy": "scipy", "sklearn": "scikit-learn"},
     "heic": {"pillow_heif": "pillow-heif"},
@@ -50,15 +50,14 @@ EXTRAS = {
 
 
 def is_installed(module: str) -> bool:
-    """Whether a module is there; it is not imported."""
+    """Whether a module is installed; does not import it."""
     return find_spec(module) is not None
 
 
 def require(needs: Mapping[str, str]) -> None:
-    """Raise InputError, with the command that installs what is missing, unless these extras are
-    installed.
+    """Raise InputError, with the command that installs it, if one of these extras is missing.
 
-    needs: what is asked for, such as an option, and the name of its extra.
+    needs: by feature, such as an option, the name of the extra that it needs.
     """
     for what, extra in needs.items():
         if message := _missing(what, extra):
@@ -66,7 +65,7 @@ def require(needs: Mapping[str, str]) -> None:
 
 
 def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | None:
-    """The message for an import that failed; None if the module is of no extra that is missing.
+    """The message for an import that failed; None if no missing extra contains the module.
 
     what: the command or option that needed it.
     """
@@ -84,7 +83,7 @@ def _missing(what: str, extra: str) -> str | None:
 
 
 def reason(failure: BaseException) -> str:
-    """The first line of a library's message, shortened; the name of its class if it says little."""
+    """The first line of a library's message, shortened; with its class if it has no letters."""
     text = str(failure).strip().partition("\n")[0].strip()
     if isinstance(failure, KeyError) and failure.args:
         text = f"no {text}"
@@ -99,6 +98,6 @@ def printable(text: str) -> str:
 
 
 def shortened(text: str, most: int = _REASON) -> str:
-    """A text of at most so many characters: its middle is left out if it is long."""
+    """A text of at most `most` characters: a longer one loses its middle."""
     half = most // 2
     return text if len(text) <= most else f"{text[:half]} ... {text[5 - half :]}"

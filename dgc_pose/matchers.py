@@ -1,4 +1,4 @@
-"""Matchers by name: the network's weights and what runs them, SIFT, detectors and vismatch."""
+"""Matchers by name: networks with their weights and runtime, SIFT, detectors and vismatch."""
 
 from __future__ import annotations
 
@@ -24,14 +24,13 @@ RUNTIME_HELP = (
     "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for dgcm-lite0 on the CPU, else torch."
 )
 _ONNX = ".onnx"
-NAMES = ("sift", f"*{_ONNX}", f"{PREFIX}*")  # of the matchers that are no network of ours
-_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # of a graphics card, on Linux and in WSL
+NAMES = ("sift", f"*{_ONNX}", f"{PREFIX}*")  # of matchers other than our networks
+_DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # devices of GPUs, on Linux and in WSL
 
 
 @dataclass(frozen=True)
 class MatcherOptions:
-    """Which matcher, and how it matches. Raises InputError, naming the field, for a value out of
-    range.
+    """The matcher and its settings. Raises InputError, naming the field, for a value out of range.
 
     Attributes:
         matching: How matches are selected from a dense map and refined.
@@ -52,14 +51,14 @@ class MatcherOptions:
 
     @property
     def is_network(self) -> bool:
-        """Whether the name is that of a network of ours, which makes a dense map, and whose
-        features refine its matches and choose pairs."""
+        """Whether the matcher is one of our networks: it makes a dense map, and its features refine
+        the matches and choose pairs."""
         return self.weights != "sift" and not (
             self.weights.startswith(PREFIX) or self.weights.endswith(_ONNX)
         )
 
     def load(self, cache: ImageCache | None = None, engine: Engine | None = None) -> Matcher:
-        """The matcher; see `load_matcher`. engine: of a network that is loaded already."""
+        """The matcher; see `load_matcher`. engine: the engine of a network, if it is loaded."""
         name = self.weights
         if name == "sift":
             return SiftMatcher(cache)
@@ -86,13 +85,13 @@ def load_matcher(
     matching: MatchingOptions | None = None,
     cache: ImageCache | None = None,
 ) -> Matcher:
-    """A matcher by its name; by default what `dgc-pose estimate` uses.
+    """A matcher by its name; by default that of `dgc-pose estimate`.
 
     name: shipped weights ("dgcm-lite0"), a path to weights (see `load_network`), or one of `NAMES`.
-    device: of the network. runtime: what runs it, see `load_engine`. matching: how matches are
-    selected from a dense map and refined. cache: `ImageCache(bytes)` to keep what is computed of
-    an image from pair to pair, of one matcher alone; None to keep it of the last three images, for
-    a network some 35 MB each beside their pixels.
+    device: for the network. runtime: runs the network, see `load_engine`. matching: how matches are
+    selected from a dense map and refined. cache: `ImageCache(bytes)` keeps what this matcher, and
+    no other, computes from an image for the next pairs; None keeps it for the last three images,
+    for a network some 35 MB each beside their pixels.
 
     Raises WeightsError if weights cannot be loaded, InputError if there is no such matcher or
     device.
@@ -106,11 +105,11 @@ def load_matcher(
 def load_engine(
     weights: str | Path = DEFAULT_WEIGHTS, *, device: str = "auto", runtime: RuntimeName = "auto"
 ) -> Engine:
-    """An engine of shipped weights by name, or of those of a file (see `network.weights`).
+    """An engine for shipped weights, by name, or for the weights in a file (see `network.weights`).
 
-    runtime: "onnx" runs weights of the presets with graphs on the CPU and never imports torch;
-    "torch" runs all; "auto" is `default_runtime`. Raises WeightsError if the weights cannot be
-    loaded, InputError if there is no such device, or the runtime is not there or cannot run them.
+    runtime: "onnx" runs presets that have graphs, on the CPU, and never imports torch; "torch" runs
+    all weights; "auto" is `default_runtime`. Raises WeightsError if the weights cannot be loaded,
+    InputError if there is no such device, or if the runtime is missing or cannot run the weights.
     """
     path = find_weights(weights)
     if runtime == "auto":
@@ -128,8 +127,8 @@ def load_engine(
 
 
 def default_runtime(weights: str | Path = DEFAULT_WEIGHTS, device: str = "auto") -> RuntimeName:
-    """ONNX Runtime for shipped weights that have graphs, on the CPU, and for any of ours where
-    torch is not installed; else torch. Raises as `find_weights` does."""
+    """On the CPU, ONNX Runtime for `DEFAULT_WEIGHTS`, and for all our weights if torch is not
+    installed; else torch. Raises as `find_weights`."""
     if find_weights(weights).suffix != SUFFIX or device not in ("auto", "cpu"):
         return "torch"
     if not is_installed("torch"):
@@ -139,10 +138,10 @@ def default_runtime(weights: str | Path = DEFAULT_WEIGHTS, device: str = "auto")
 
 
 def device_type(name: str) -> str:
-    """Where the device of that name is, "cpu" or "cuda"; "auto" is a GPU if torch can use one.
+    """The type of a device by its name, "cpu" or "cuda"; "auto" is a GPU if torch can use one.
 
-    Imports torch only if it is asked for a GPU, or there is a GPU's driver. Raises InputError for
-    an unknown name or a missing device.
+    Imports torch only for a GPU by name, or if a GPU's driver is present. Raises InputError for an
+    unknown name or a missing device.
     """
     if name == "cpu" or (name == "auto" and not (is_installed("torch") and _may_have_gpu())):
         return "cpu"

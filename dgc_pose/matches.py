@@ -16,20 +16,20 @@ class Matches:
     """Point matches between two images, in pixels of the original images.
 
     Points of OpenCV's shape (N, 1, 2), or of a batch of one, (1, N, 2), become (N, 2). Raises
-    InputError if the shapes do not agree, and for a value that its attribute does not allow.
-    Coordinates may be non-finite: the estimation drops and counts such matches.
+    InputError if the shapes do not agree or a value is out of range. Coordinates may be non-finite:
+    the estimation drops and counts such matches.
 
     Attributes:
         points1: Points (N, 2) float64 in image 1, pixels of the original.
         points2: Points (N, 2) float64 in image 2, pixels of the original.
-        confidence: Confidence (N,) float64 in [0, 1]; of a map's matches the matchability.
+        confidence: Confidence (N,) float64 in [0, 1]; for matches of a map, the matchability.
         error_px: Expected error of a good match, pixels of the original images; positive.
-        key_points: Whether the matches are independent detections (key points). Errors of a dense
-            map's matches are correlated among neighbours.
-        weights: Fingerprint of the weights of the network that made the matches; None if none did.
-            The probability of a pose is fitted on the matches of certain weights.
-        surroundings: How alike both images are around the matches, over how alike they are at them,
-            any finite number; None if it is not known, and if nothing surrounds them.
+        key_points: Whether the matches are independent detections (key points). In matches of a
+            dense map, errors of neighbours are correlated.
+        weights: Fingerprint of the weights of the network that made the matches; None for other
+            matchers. The probability of a pose is fitted on the matches of certain weights.
+        surroundings: Similarity of the images around the matches divided by that at the matches,
+            any finite number; None if it is unknown or nothing surrounds the matches.
     """
 
     points1: np.ndarray
@@ -78,13 +78,13 @@ class Matches:
         )
 
     def swapped(self) -> Matches:
-        """The same of image 2 and image 1."""
+        """The matches from image 2 to image 1."""
         return replace(self, points1=self.points2, points2=self.points1)
 
     @classmethod
     def joined(cls, parts: Sequence[Matches]) -> Matches:
-        """The matches of all parts, those that are equal to the pixel once. The expected error is
-        the largest of the parts', and all else as of the first."""
+        """The matches of all parts, without repeated ones (the same to the pixel). The expected
+        error is the largest of the parts; all else is from the first part."""
         points1, points2, confidence = (
             np.concatenate([getattr(part, name) for part in parts])
             for name in ("points1", "points2", "confidence")

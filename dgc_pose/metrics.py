@@ -29,8 +29,8 @@ def epipolar_residuals_px(
 ) -> np.ndarray:
     """Symmetric epipolar distances (N,) of matches in pixels under E (3, 3), without distortion.
 
-    points1, points2: (N, 2) pixels of the cameras' images, as distorted as those are. NaN if that
-    cannot be undone.
+    points1, points2: (N, 2) pixels of the images, with distortion. NaN where the distortion cannot
+    be undone.
     """
     F = fundamental_from_essential(E, camera1.K, camera2.K)
     ideal1, ideal2 = ideal_pixels(points1, camera1), ideal_pixels(points2, camera2)
@@ -38,8 +38,8 @@ def epipolar_residuals_px(
 
 
 def ideal_pixels(points: np.ndarray, camera: Camera) -> np.ndarray:
-    """Pixels (..., 2) of a camera, where they would be without the distortion of its lens; NaN if
-    that cannot be undone."""
+    """Pixels (..., 2) of a camera without the distortion of its lens; NaN where it cannot be
+    undone."""
     if camera.distortion is None:
         return points
     normalised = camera.normalise(points.reshape(-1, 2)).reshape(points.shape)

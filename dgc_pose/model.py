@@ -1,6 +1,6 @@
-"""A model: images with cameras and poses, and points if there are any; COLMAP's, NeRF's, a table's.
+"""A model: images with cameras, poses and optional points, from COLMAP, NeRF or a table.
 
-COLMAP has (0.5, 0.5) at the centre of the top-left pixel, a `Model` (0, 0).
+The centre of the top-left pixel is (0.5, 0.5) in COLMAP and (0, 0) in a `Model`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import naming_path, replaced_folder
 from dgc_pose.system.texts import write_json
 
-HALF_PIXEL = 0.5  # that COLMAP's pixels are more
+HALF_PIXEL = 0.5  # offset of COLMAP's pixel coordinates
 _MODEL_FILES = {"cameras", "images", "points3D", "frames", "rigs", "project"}  # without endings
 _NO_POINTS = np.zeros((0, 3))
-# nerfstudio's lenses, and its names of COLMAP's parameters
+# Lenses that nerfstudio supports, and its names for COLMAP's parameters.
 _PERSPECTIVE = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
 _FISHEYE = {"SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "OPENCV_FISHEYE"}
 _NERFSTUDIO = {"f": "fl_x", "fx": "fl_x", "fy": "fl_y", "k": "k1"}
@@ -41,15 +41,15 @@ class Model:
 
     Attributes:
         root: Folder of the image names.
-        cameras: By image name, with the size of the image.
+        cameras: Cameras by image name, with the size of the image.
         poses: cam_from_world (3, 4), [R | t] with x = R X + t, by image name.
-        points: Points (N, 3) float64, world; none without points.
-        colours: Their colours (N, 3) uint8, RGB.
-        seen: By image name which points the image shows, indices (M,), and where, (M, 2) pixels;
-            absent for an image that shows none.
+        points: Points (N, 3) float64, world; N may be 0.
+        colours: Colours (N, 3) uint8, RGB, of the points.
+        seen: By image name, the indices (M,) of the points that the image shows, and their pixels
+            (M, 2). An image that shows none has no entry.
         warnings: Sentences about what is missing, for people.
-        colmap: COLMAP's own form, of the pixels as stored, with the tracks and all images; None of
-            another kind or without points.
+        colmap: COLMAP's reconstruction, in pixels as stored, with the tracks and all images; None
+            for other formats, and without points.
     """
 
     root: Path
@@ -63,8 +63,8 @@ class Model:
 
     @classmethod
     def of_colmap(cls, colmap: pycolmap.Reconstruction, root: Path) -> Model:
-        """COLMAP's model of images of a folder, all without an EXIF orientation: the files are not
-        read. Raises InputError for a camera without a focal length."""
+        """COLMAP's model of the images in the folder `root`. Assumes that they have no EXIF
+        orientation, and reads no file. Raises InputError for a camera without a focal length."""
         points = [*colmap.points3D.values()]
         index = {key: number for number, key in enumerate(colmap.points3D)}
         images = [image for image in colmap.images.values() if image.has_pose]
@@ -91,14 +91,14 @@ class Model:
 
     @cached_property
     def extent(self) -> float:
-        """The largest distance of two cameras, in the model's unit."""
+        """The largest distance between two cameras, in the model's unit."""
         centres = np.stack([self.centre(name) for name in self.poses])
         return max(float(np.linalg.norm(centres - centre, axis=1).max()) for centre in centres)
 
     def require_addable(self, out: Path, paths: Iterable[str | Path]) -> None:
-        """Raise InputError if the folder `out` holds other files than a model's, an image of these
-        paths has the name of another or of one of the model, also of one that is not in its folder,
-        or its pixels as stored are a mirror image."""
+        """Raise InputError if the folder `out` contains files that are not part of a model, if an
+        image of these paths has the name of another one or of an image of the model (even of one
+        whose file is missing), or if its pixels as stored are a mirror image."""
         require_model_folder(out)
         known = self.colmap.images.values() if self.colmap else ()
         names = {*self.poses} | {image.name for image in known}
@@ -113,18 +113,18 @@ class Model:
             names.add(path.name)
 
     def write(self, folder: Path, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> None:
-        """Write COLMAP's binary files of `extended` over what is there. Raises InputError as
-        `extended`; OSError."""
+        """Write the result of `extended` as COLMAP's binary files, replacing the folder. Raises
+        InputError as `extended`; OSError."""
         written = self.extended(added)
         with replaced_folder(folder) as new:
             written.write_binary(new)
 
     def extended(self, added: Mapping[Path, tuple[Camera, np.ndarray]]) -> pycolmap.Reconstruction:
-        """A copy of COLMAP's own form, or of the cameras and poses in it, of the pixels as stored,
-        with further upright images by their files, each with a camera of its own, its
-        cam_from_world (3, 4) and no points.
+        """A copy of `colmap`, or a reconstruction of the cameras and poses if it is None, in pixels
+        as stored, with further images.
 
-        Raises InputError if COLMAP cannot hold a camera.
+        added: by file, the camera and cam_from_world (3, 4) of each upright image. Each gets its
+        own camera and no points. Raises InputError if COLMAP cannot represent a camera.
         """
         images = [(path.name, path, *view) for path, view in added.items()]
         if self.colmap is not None:
@@ -147,14 +147,15 @@ class Model:
 
 
 def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -> Model:
-    """The model of a file or folder, with its images in the folder `images`.
+    """The model in a file or folder, with its images in the folder `images`.
 
     source: the folder of a COLMAP model or of `dgc-pose reconstruct`; NeRF's transforms.json; or a
-    .csv with name, qw, qx, qy, qz, tx, ty, tz of cam_from_world and fx, fy, cx, cy. Images that are
-    missing are left out with a warning.
+    .csv with name, qw, qx, qy, qz, tx, ty, tz of cam_from_world and fx, fy, cx, cy. Skips missing
+    images with a warning.
 
-    Raises InputError if there are no poses, several models, a pose that is none, no two images, or
-    a camera that does not fit its image; ImageError for a broken image; OSError.
+    Raises InputError if there are no poses, several models, fewer than two images, a pose that is
+    not rigid, a mirrored image, or a camera that does not fit its image; ImageError for a broken
+    image; OSError.
     """
     path, root = model_path(Path(source)), Path(images)
     if not root.is_dir():
@@ -182,8 +183,8 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
             of_image = replace(calibration, by_name=stated_camera)
             camera = of_image.camera(root, name, header)
-            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses are of these
-            # A model of the pixels as stored is turned with them.
+            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses belong to it
+            # Poses for the pixels as stored are rotated with the image.
             K = of_image.stated(root, name)
             turn = exif_turn(1 if K is None else orientation_of(K, header))
             if np.linalg.det(turn) < 0:
@@ -198,7 +199,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
 
 
 def read_colmap(source: Path) -> pycolmap.Reconstruction:
-    """COLMAP's model in a folder. Raises InputError if there is none, or one without images."""
+    """COLMAP's model in a folder. Raises InputError if there is none, or one without poses."""
     path = model_path(source)
     if not path.is_dir():
         raise InputError(ArgumentName("model"), f"{path} is not a folder of COLMAP's files")
@@ -209,12 +210,12 @@ def read_colmap(source: Path) -> pycolmap.Reconstruction:
 
 
 def model_path(path: Path) -> Path:
-    """The file or the folder of COLMAP's files that a source stands for."""
+    """The file, or the folder of COLMAP's files, of a source. Raises InputError without one."""
     if not path.is_dir():
         if not path.exists():
             raise InputError(ArgumentName("model"), f"{path}: no such file or folder")
         return path
-    for folders in ("", "*/", "sparse/*/"):  # the last of results
+    for folders in ("", "*/", "sparse/*/"):  # the last: in a folder of results
         files = [f for ending in ("bin", "txt") for f in path.glob(f"{folders}cameras.{ending}")]
         models = sorted({file.parent for file in files})
         if len(models) > 1:
@@ -226,13 +227,13 @@ def model_path(path: Path) -> Path:
 
 
 def _image_name(root: Path, name: str, folder: Path) -> str | None:
-    """The name, relative to the root, of the image that a model in a folder has under a name: that
-    path, from either, or its last part; NeRF's names may lack their ending. None if there is none.
-    """
+    """The path from `root` of the image that a model in `folder` calls `name`; None if there is no
+    such file. Tries the name as a path from `root`, then from `folder`, then its last part. NeRF's
+    names may lack their ending."""
     stated = os.path.normpath(os.path.join(os.path.realpath(folder), name))
     relative = os.path.relpath(stated, os.path.realpath(root))
     for candidate in dict.fromkeys((os.path.normpath(name), relative, Path(name).name)):
-        if candidate.startswith(os.pardir + os.sep):  # of another folder
+        if candidate.startswith(os.pardir + os.sep):  # outside of the root
             continue
         if os.path.isfile(root / candidate):
             return candidate
@@ -244,7 +245,7 @@ def _image_name(root: Path, name: str, folder: Path) -> str | None:
 
 
 def require_model_folder(folder: Path, *, several: bool = False) -> None:
-    """Raise InputError unless this is a folder of nothing but a model's files, or not there.
+    """Raise InputError if the folder is a file, or contains files that are not part of a model.
 
     several: whether it may have the folders 1, 2, ... of further models.
     """
@@ -269,10 +270,10 @@ def write_nerfstudio(
     model: pycolmap.Reconstruction, images: Path | None, out: Path, at: Path
 ) -> None:
     """Write nerfstudio's transforms.json, with world_from_cam for the axes right, up, backwards,
-    and points.ply into an empty folder `out`, which is moved to `at`.
+    and points.ply into the empty folder `out`, which the caller then moves to `at`.
 
-    images: folder of the photographs, which the frames then name by their paths from `at`. Raises
-    InputError for a lens that nerfstudio does not have, and for fisheyes beside others; OSError.
+    images: folder of the photographs; with it, frames name them by their paths from `at`. Raises
+    InputError for a lens that nerfstudio lacks, and for fisheyes beside other lenses; OSError.
     """
     lenses = {image.camera.model.name for image in model.images.values()}
     if not (lenses <= _PERSPECTIVE or lenses <= _FISHEYE):

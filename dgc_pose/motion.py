@@ -1,10 +1,10 @@
 """Whether a fixed camera has moved between two pictures, and by how much.
 
-A match goes from the normalised point x1 to x2 = project(R x1) + rho g(t): the rotation, and the
-parallax g of a shift t, in median depths, times the inverse depth rho, about 1. Across the parallax
-a match errs by its noise alone; along it, rho is not known either. R and t minimise a Cauchy loss
-of both errors. A rotation alone, t = 0, is no special case. People and objects are outliers, and
-each cell of the picture has the same weight, so that textured objects do not outvote walls.
+A match maps the normalised point x1 to x2 = project(R x1) + rho g(t). R is the rotation, t the
+shift in median depths, g(t) its parallax, and rho, about 1, the inverse depth. Across the parallax
+the error of a match is noise; along it, the unknown rho adds to the noise. R and t minimise a
+Cauchy loss of both errors. A pure rotation, t = 0, is no special case. People and objects are
+outliers. All cells of the picture have the same weight: textured objects do not outvote walls.
 """
 
 from __future__ import annotations
@@ -38,23 +38,24 @@ from dgc_pose.system.parallel import one_blas_thread
 if TYPE_CHECKING:
     from dgc_pose.pose import CameraSource, ImageSource, MatcherSource
 
-STILL_DEG = 0.05  # the picture of a still camera moves by less, with the error added
-# The picture of a moved camera moves by more, with so many times the error subtracted.
+STILL_DEG = 0.05  # the camera is still if the motion of the picture plus its error is less
+# The camera has moved if the motion of the picture exceeds this and this many times its error.
 _LEAST_DEG, _SIGNIFICANT = 0.01, 2.0
-_MOST = 0.9  # share of the picture that these hold for
+_MOST = 0.9  # quantile of the motion over the picture that these limits apply to
 _CELLS = 16  # along the longer side of the picture
-_MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of all cells that agree
+_MIN_MATCHES, _COVERED = 50, 0.1  # the second is the least share of the picture that agrees
 # Shares of the matched cells: the least that agree on a motion; the least that stay although the
-# motion would move them, so that what moves are objects; and the most that stay if all has moved.
+# motion would move them, so only objects moved; the most that stay if the camera moved.
 _AGREE, _STAY, _NOTHING = 0.4, 0.15, 0.1
-_MAJORITY = 0.6  # a part that moves together and is larger may be the scene, beside a lens hood
-_MIRRORED = 0.3  # share of random triangles that are mirrored: motions mirror up to 0.21
-_DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # of rho, and of t by its prior
+_MAJORITY = 0.6  # a larger part that moves together may be the scene behind a still lens hood
+_MIRRORED = 0.3  # share of random triangles that are mirrored: real motions mirror up to 0.21
+_DEPTH_STD, _SHIFT_STD = 0.5, 0.1  # standard deviations of rho, and of the prior of t
 _PRIOR = np.diag([1e-6] * 3 + [1 / _SHIFT_STD**2] * 3)  # information of a rotation vector and t
-_NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, in its expected error
+_NOISE = 0.16, 0.5  # bounds of the standard deviation of a match, over its expected error
 _INLIER, _OUTLIER, _STAYS = 3.6, 8.0, 3.0  # largest errors, in standard deviations
 _ERROR_SCALE = 1.3  # chosen on simulated pairs
-_SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0  # triples; their threshold; standard deviation at first
+# Random triples; their threshold; the first standard deviation of a match, over its expected error.
+_SAMPLES, _LOOSE, _WIDE = 200, 0.02, 8.0
 _STEPS = 20
 
 
@@ -64,16 +65,16 @@ class CameraMotion:
 
     Attributes:
         verdict: "still": the picture moves by less than 0.05 degrees. "moved": it moves
-            significantly. "cannot say": `reason` has why.
+            significantly. "cannot say": `reason` states why.
         reason: One line for people.
-        angle_deg: Angle of the rotation, degrees; None without enough matches.
-        angle_error_90_deg: Error of the angle, degrees, that nine in ten stay below.
+        angle_deg: Angle of the rotation, degrees; None if the matches show no single motion.
+        angle_error_90_deg: Bound of its error in nine cases of ten, degrees.
         shift: Distance between the camera centres over the median depth of the matched scene.
-        shift_error_90: Error of the shift, in the same unit, that nine in ten stay below.
+        shift_error_90: Bound of its error in nine cases of ten, in the same unit.
         num_matches: Number of matches.
         num_inliers: Number of matches that agree with the motion.
         warnings: Sentences about what makes the result uncertain, for people.
-        seconds: Time by what was done: "load", "match", "estimate".
+        seconds: Time spent on "load", "match" and "estimate".
     """
 
     verdict: Literal["still", "moved", "cannot say"]
@@ -99,11 +100,11 @@ def camera_motion(
     *,
     matcher: MatcherSource = None,
 ) -> CameraMotion:
-    """Whether a fixed camera has moved since the reference picture, by which angle and shift.
+    """Whether a fixed camera has moved since the reference picture, and by which angle and shift.
 
-    reference, now: paths, arrays (H, W[, 3]) in RGB order, or tensors, of one size. K: as of
-    `estimate_relative_pose`; without it the focal length is assumed, and its uncertainty is part of
-    the errors. matcher: by default `load_matcher()`, or its name; load it once for many pictures.
+    reference, now: paths, arrays (H, W[, 3]) in RGB order, or tensors, of one size. K: as for
+    `estimate_relative_pose`; without K the focal length is assumed, and its uncertainty is part of
+    the errors. matcher: by default `load_matcher()`; or a name. For many pictures, load it once.
 
     Raises ImageError if an image cannot be read, InputError (a ValueError) if another argument is
     unusable or the sizes differ, WeightsError if the network's weights cannot be loaded.
@@ -133,25 +134,25 @@ class _Matched(NamedTuple):
 
     x1: np.ndarray  # (N, 2)
     x2: np.ndarray  # (N, 2)
-    weights: np.ndarray  # (N,), 1 in all for each cell of the picture
+    weights: np.ndarray  # (N,), with sum 1 in each cell of the picture
     pixel: float  # expected error of a match
 
 
 class _Fit(NamedTuple):
-    """A motion, and what follows from it at N matches."""
+    """A motion, and its values at N matches."""
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), in median depths
     std: float  # standard deviation of a match, normalised
-    agree: np.ndarray  # (N,), weights of the matches that agree, 0 of all others
+    agree: np.ndarray  # (N,), weights of the matches that agree, 0 for all others
     covariance: np.ndarray  # (6, 6), of a rotation vector, radians, and t
-    moves: np.ndarray  # (N,), degrees that the picture moves by at median depth
-    error: np.ndarray  # (N,), degrees that the error of `moves` stays below, nine times in ten
+    moves: np.ndarray  # (N,), degrees by which the picture moves at median depth
+    error: np.ndarray  # (N,), degrees, bound of the error of `moves` in nine cases of ten
 
 
 @one_blas_thread()
 def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMotion:
-    """The motion by the matches of two pictures of a size (width, height)."""
+    """The motion from the matches of two pictures. size: (width, height) of both."""
     x1, x2 = camera.normalise(matches.points1), camera.normalise(matches.points2)
     usable, cell = np.isfinite(x1 + x2).all(1), max(size) / _CELLS
     number = int(usable.sum())
@@ -187,15 +188,15 @@ def _sizes(fit: _Fit, camera: Camera) -> tuple[float, float, float, float]:
     """The angle and its error, degrees, and the shift and its error, median depths."""
     angle, shift = rotation_angle_deg(fit.R), float(np.linalg.norm(fit.t))
     variances = fit.covariance.diagonal().reshape(2, 3).sum(1)
-    # With a wrong focal length a rotation passes for a shift in part, and the other way round.
+    # A wrong focal length makes part of a rotation look like a shift, and the reverse.
     of_focal = camera.focal_std * (math.radians(angle) + shift)
     angle_error, shift_error = NORMAL_90 * np.sqrt(variances + of_focal**2)
     return angle, math.degrees(angle_error), shift, float(shift_error)
 
 
 def _sampled(matched: _Matched) -> tuple[np.ndarray, float]:
-    """By random triples of matches: the rotation (3, 3) that most of the picture agrees with, and
-    the share of the triangles that are mirrored."""
+    """The rotation (3, 3), from random triples of matches, that most of the picture agrees with;
+    and the share of the triples whose triangle is mirrored."""
     rng, rays1, rays2 = np.random.default_rng(0), unit_rays(matched.x1), unit_rays(matched.x2)
     weights = matched.weights / matched.weights.sum()
     triples = rng.choice(len(weights), (_SAMPLES, 3), p=weights)
@@ -207,8 +208,8 @@ def _sampled(matched: _Matched) -> tuple[np.ndarray, float]:
 
 
 def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool, str]:
-    """The motion, from rest or from a rotation (3, 3); whether the camera moved; and why that is
-    open, or "". If people and objects moved, the motion is that of the matches that stay."""
+    """The motion; whether the camera moved; and why that is open, or "". Fits start at rest and at
+    the rotation `common` (3, 3). If only people or objects moved, the matches that stay decide."""
     x1, x2, weights, pixel = matched
     wide = _WIDE * pixel
     starts = (np.eye(3), 0.0), (np.eye(3), wide), (common, wide)  # the loss has several minima
@@ -229,8 +230,8 @@ def _decided(matched: _Matched, common: np.ndarray) -> tuple[_Fit, bool, str]:
 
 
 def _fit(matched: _Matched, R: np.ndarray, std: float) -> _Fit:
-    """The motion by Gauss-Newton steps from a rotation (3, 3). std: standard deviation of a match
-    at first; each step narrows it, down to what the best quarter of the picture shows."""
+    """The motion by Gauss-Newton steps from a rotation (3, 3). std: first standard deviation of a
+    match; each step reduces it, down to that of the best quarter of the picture."""
     x1, _, weights, pixel = matched
     t, (least, most) = np.zeros(3), np.multiply(_NOISE, pixel)
     std = max(std, most)
@@ -242,7 +243,7 @@ def _fit(matched: _Matched, R: np.ndarray, std: float) -> _Fit:
         information = np.einsum("nk,nki,nkj->ij", robust, slopes, slopes) + _PRIOR
         move = np.linalg.solve(information, gradient)
         R, t = cv2.Rodrigues(move[:3])[0] @ R, t + move[3:]
-        shown = std * _below(np.abs(errors[:, 1]), weights, 0.25) / 0.3186  # a Gaussian's
+        shown = std * _below(np.abs(errors[:, 1]), weights, 0.25) / 0.3186  # of |x|, Gaussian
         std = max(0.7 * std, least, min(shown, most))
     errors, slopes = _errors(matched, R, t, std)
     inliers = (np.abs(errors) < _INLIER).all(1)
@@ -262,10 +263,10 @@ def _fit(matched: _Matched, R: np.ndarray, std: float) -> _Fit:
 def _errors(
     matched: _Matched, R: np.ndarray, t: np.ndarray, std: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The errors (N, 2) of matches, along and across the parallax, over their standard deviations,
+    """The errors (N, 2) of matches, along and across the parallax, over their standard deviations;
     and minus their derivatives (N, 2, 6) by a rotation vector, radians, and t."""
     seen, parallax, slopes = _seen(matched.x1, R, t)
-    direction = parallax + (1e-12, 0.0)  # any, without a parallax
+    direction = parallax + (1e-12, 0.0)  # any direction if there is no parallax
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     along, spread = direction / length, _DEPTH_STD * length
     axes = np.stack([along, along[:, ::-1] * (-1, 1)], 1)
@@ -280,8 +281,8 @@ def _errors(
 def _seen(
     x1: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (N, 2) as they are seen after a rotation, their parallax (N, 2) at the median depth,
-    and the derivatives (N, 2, 6) by a rotation vector, radians, and t."""
+    """The points (N, 2) after a rotation, their parallax (N, 2) at the median depth, and the
+    derivatives (N, 2, 6) by a rotation vector, radians, and t."""
     turned = homogeneous(x1) @ R.T
     x, y = (turned[:, :2] / turned[:, 2:]).T
     of_x = np.stack([-x * y, 1 + x * x, -y, 1 + 0 * x, 0 * x, -x], -1)
@@ -291,7 +292,7 @@ def _seen(
 
 
 def _below(values: np.ndarray, weights: np.ndarray, share: float = _MOST) -> float:
-    """What values (N,) stay below in a share of all weights (N,)."""
+    """The weighted quantile of values (N,) at a share of all weights (N,)."""
     order = np.argsort(values)
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, share * total[-1])])

@@ -1,4 +1,4 @@
-"""The pipeline on one page: images, matches, essential matrix, pose; and its whole result."""
+"""The pipeline on one page: images, matches, essential matrix, pose; and its result."""
 
 from __future__ import annotations
 
@@ -34,25 +34,24 @@ if TYPE_CHECKING:
     CameraSource = ArrayLike | Camera | Path | None
     MatcherSource = Matcher | str | Path | None
 
-# What is done for a pose, in this order, as far as the matcher has the step:
+# The steps of each effort, in order. A step that the matcher lacks is skipped.
 # - coarse: a pass over small images, which is enough for an easy pair
-# - refine: more accurate matches by the map of the coarse step, for a pose that is certain
-# - full: all that `Matcher.match` does
-# - guided: matches of squeezed images and near epipolar lines, pooled with those that are there
+# - refine: more accurate matches from the map of the coarse step, for a pose that is certain
+# - full: `Matcher.match`
+# - guided: matches of squeezed images and near epipolar lines, pooled with the matches so far
 Step = Literal["coarse", "refine", "full", "guided"]
 STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("coarse", "full"),
     "auto": ("coarse", "refine", "full", "guided"),
     "thorough": ("full", "guided"),
 }
-# Probabilities that a pose or an alternative is right beyond which no more is searched, and the
-# share of the pose that this needs.
+# The search for matches ends if all hypotheses together are less probable than the first number;
+# or if they are at least as probable as the second and the likeliest has the third as its share.
 _MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
-# Image 2 is mirrored if its mirror image has a pose that is so probable, and no less than its own.
-_LIKELY = 0.9
-_DOUBT = -1.0  # log-odds of another camera by the matches, which more of them confirm or not
+_LIKELY = 0.9  # image 2 is mirrored if its mirror image has a pose of at least this probability
+_DOUBT = -1.0  # log-odds of another camera given the matches, above which they are refined
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
-_LOOSE_DEG = 5.0  # and above which a pose that is certain is searched too
+_LOOSE_DEG = 5.0  # expected errors above which `auto` runs "guided" even for a certain pose
 
 
 def estimate_relative_pose(
@@ -68,23 +67,23 @@ def estimate_relative_pose(
     mask2: MaskSource = None,
     scale: ScaleSource | None = None,
 ) -> RelativePose:
-    """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale. It is of
-    the upright images: an EXIF orientation is applied.
+    """The pose of camera 2 relative to camera 1: x2 = R x1 + t, translation up to scale. It holds
+    for the upright images: an EXIF orientation is applied.
 
     image1, image2: paths, arrays (H, W[, 3]) in RGB order, or tensors. K1, K2: 3x3 matrices in
-    pixels of those images, (0, 0) the centre of the top-left pixel, or fx, fy, cx, cy; or
-    `Camera`s, which may have lens distortion; or texts and files as of --K. Without K2, K1 serves
-    for both. fov: in place of a K, the horizontal field of view of both images, degrees.
-    matcher: by default `load_matcher()`, the shipped network with refinement; a name is loaded for
-    this pair. scale: what determines the length of t. Without a pose, `success` is False and
-    `reason` says why. `solve_pair` returns the map and the matches too.
+    pixels of these images, with (0, 0) at the centre of the top-left pixel; fx, fy, cx, cy;
+    `Camera`s, which may have lens distortion; or any text or file that --K takes. Without K2, K1
+    serves for both. fov: in place of a K, the horizontal field of view of both images, degrees.
+    matcher: by default `load_matcher()`, the shipped network with refinement; a matcher given by
+    name is loaded for each call. scale: determines the length of t. Without a pose, `success` is
+    False and `reason` states why. `solve_pair` also returns the map and the matches.
 
-    mask1, mask2: paths, or arrays (H, W), of the stored pixels: where 0, black or of alpha 0,
-    nothing is matched. A mask of another size is scaled, if its aspect ratio is that of the image.
+    mask1, mask2: paths, or arrays (H, W), of the stored pixels. Pixels that are 0, black or of
+    alpha 0 are not matched. A mask of another size is scaled if it has the image's aspect ratio.
 
-    A K that is not known is None or "auto"; for K2 alone "auto". The matches determine the focal
-    length then: see `K1`, `K2`, `focal_std1` and `focal_std2` of the pose. One camera took both
-    images if their sizes and EXIF data agree; "auto:shared" and "auto:two" state it instead.
+    An unknown K is None or "auto"; an unknown K2 beside a known K1 is "auto". The matches then
+    determine the focal length: see `K1`, `K2`, `focal_std1` and `focal_std2` of the pose. One
+    camera took both images if sizes and EXIF data agree; "auto:shared" or "auto:two" overrides it.
 
     Raises ImageError if an image cannot be read, InputError (a ValueError) if another argument is
     unusable, WeightsError if the network's weights cannot be loaded.
@@ -113,13 +112,13 @@ def solve_pair(
     *,
     start: float | None = None,
 ) -> PairResult:
-    """The pose of two images, with the matches that it is of.
+    """The pose of two images, with its matches.
 
-    cameras: of image 1 and of image 2, as `pair_cameras` gives them. The steps of `options.effort`
-    are done in turn, as long as they may change the answer, and a pose is estimated after each.
-    `seconds` of the pose has those that changed the matches. start: by `time.perf_counter()`, from
-    which on "load" is counted among them. Raises InputError for an argument of another type, and
-    for a depth map that cannot be read.
+    cameras: of images 1 and 2, from `pair_cameras`. Each step of `options.effort` runs if it may
+    change the answer; a pose is estimated after each. `pose.seconds` contains the steps that gave
+    matches, and "load" if `start` is given: the `time.perf_counter()` at which loading began.
+    Raises InputError for an argument of the wrong type, for a depth map that cannot be read, and
+    if the images have no marker in common.
     """
     begun = time.perf_counter()
     options = EstimationOptions() if options is None else options
@@ -135,7 +134,7 @@ def solve_pair(
     found: MatchResult | None = None
     seconds = {} if start is None else {"load": begun - start}
     estimating = 0.0
-    # Those that refine what is found follow a step that finds: each effort has the full one.
+    # "refine" and "guided" need the matches of an earlier step. Each effort has the step "full".
     matching: dict[Step, Callable[[], MatchResult | None]] = {
         "coarse": lambda: matcher.coarse(image1, image2),
         "refine": lambda: found and matcher.refined(image1, image2, found),
@@ -162,16 +161,16 @@ def solve_pair(
 
 
 def _views(pose: RelativePose | None, cameras: tuple[Camera, Camera]) -> list[TwoViews]:
-    """The hypotheses of a pose."""
+    """The hypotheses of a pose, with their cameras."""
     assert pose is not None
     return [TwoViews(*(pose.cameras or cameras), h.R, h.t) for h in pose.hypotheses]
 
 
 def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
-    """Whether a step may change the answer. pose: after the steps before it, if there is one.
+    """Whether a step may change the answer. pose: after the steps before it; None if there is none.
 
-    A coarse pass has few matches, which distinguish a wrong camera from a right one less than many
-    do: they are refined if the pose hangs on it.
+    The few matches of a coarse pass hardly distinguish a wrong camera from the right one: they are
+    refined if the pose depends on the camera.
     """
     if pose is None:
         return step in ("coarse", "full")
@@ -185,19 +184,19 @@ def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
 
 
 def _is_clear(pose: RelativePose) -> bool:
-    """Whether a hypothesis is nearly certain to be right, and which one."""
+    """Whether some hypothesis is nearly certainly right, and this is clearly the first one."""
     likely = (pose.any_probability or 0.0) >= _MAX_SEARCHED
     return likely and pose.hypotheses[0].share >= _CLEAR_SHARE
 
 
 def _is_accurate(pose: RelativePose, limit_deg: float) -> bool:
-    """Whether the expected errors of the pose are known, and below a limit."""
+    """Whether the expected errors of the pose are known and below a limit."""
     errors = pose.rotation_error_90_deg, pose.translation_error_90_deg
     return all(error is not None and error < limit_deg for error in errors)
 
 
 def _agrees_on_cameras(pose: RelativePose) -> bool:
-    """Whether the pose hardly depends on whether other cameras than the assumed ones are right."""
+    """Whether the assumed cameras fit best, and other likely cameras give nearly the same pose."""
     evidence = pose.evidence
     if evidence is None or evidence.camera_model != "assumed":
         return False
@@ -205,7 +204,7 @@ def _agrees_on_cameras(pose: RelativePose) -> bool:
 
 
 def in_doubt(pose: RelativePose) -> bool:
-    """Whether more matches may change the answer: it is neither certain nor hopeless."""
+    """Whether more matches may change the answer: the pose is neither certain nor hopeless."""
     likely = pose.any_probability
     if likely is None or not pose.hypotheses:
         return False
@@ -215,7 +214,7 @@ def in_doubt(pose: RelativePose) -> bool:
 
 
 def mirror_image(image: Image, camera: Camera, axis: int = 1) -> tuple[Image, Camera] | None:
-    """The mirror image, see `flipped`, and its camera; None for a lens that is not turned."""
+    """The mirror image, see `flipped`, and its camera; None if the camera cannot be mirrored."""
     try:
         return flipped(image, axis), camera.turned(exif_turn(2 if axis else 4), image.size)
     except InputError:
@@ -230,8 +229,8 @@ def _mirrored(
     pose: RelativePose,
     options: EstimationOptions,
 ) -> RelativePose | None:
-    """The refusal of image 2 as a mirror image, if its own pose fails, and its mirror image has a
-    likely pose by a coarse pass, no less probable than its own; None if it has none.
+    """Reject image 2 as mirrored if its pose failed, and a coarse pass gives its mirror image a
+    likely pose that is at least as probable. Otherwise return None.
 
     The mirror image is flipped left to right, or top to bottom if the pose is upside down.
     """
@@ -246,7 +245,7 @@ def _mirrored(
     if mirror is None:
         return None
     result = matcher.coarse(image1, mirror[0])
-    matcher.cache.forget(mirror[0])  # no other pair has it
+    matcher.cache.forget(mirror[0])  # no other pair uses it
     if result is None:
         return None
     of_mirror_image = estimate_pose(
@@ -265,15 +264,15 @@ def _mirrored(
 
 @dataclass(frozen=True, eq=False)
 class PairResult:
-    """A pose with everything that it was computed from, by `solve_pair`.
+    """The result of `solve_pair`: a pose with everything that it was computed from.
 
     Attributes:
         image1: Image 1.
         image2: Image 2.
-        prior1: Camera of image 1 before the estimation: of the K stated or of EXIF data.
-        prior2: Camera of image 2, likewise.
+        prior1: Camera of image 1 before the estimation: as stated, from EXIF data or assumed.
+        prior2: Camera of image 2 before the estimation.
         matches: The N matches that the pose was estimated from.
-        correspondence_map: The dense map; None for a matcher that makes none.
+        correspondence_map: The dense map; None for a matcher without one.
         pose: The pose, or why there is none.
     """
 
@@ -290,22 +289,21 @@ class PairResult:
 
     @property
     def camera1(self) -> Camera:
-        """Camera of image 1 that the pose is of; without a pose, `prior1`."""
+        """Camera of image 1 that belongs to the pose; without a pose, `prior1`."""
         return self.pose.camera1 or self.prior1
 
     @property
     def camera2(self) -> Camera:
-        """Camera of image 2, likewise."""
+        """Camera of image 2 that belongs to the pose; without a pose, `prior2`."""
         return self.pose.camera2 or self.prior2
 
     @property
     def points3d(self) -> np.ndarray:
-        """The matches' points (N, 3) float64 in camera 1's frame (OpenCV axes), in metres if the
-        length of t is known, else in units of the distance between the cameras; on the rays of
-        camera 1 where the two rays come nearest.
+        """The points (N, 3) float64 of the matches in camera 1's frame (OpenCV axes), in metres if
+        the length of t is known, else in units of the distance between the cameras. A point lies on
+        the ray of camera 1, where the ray of camera 2 comes nearest.
 
-        NaN where a match is no inlier or its point is not in front of both cameras, and without R
-        and t.
+        NaN for outliers and for points not in front of both cameras; all NaN without R and t.
         """
         points = np.full((len(self.matches), 3), np.nan)
         R, t, inliers = self.pose.R, self.pose.t, self.pose.inliers
@@ -320,8 +318,8 @@ class PairResult:
 
     @property
     def colours(self) -> np.ndarray:
-        """Colours (N, 3) uint8 RGB of image 1 at the matches, of the nearest pixels; black where
-        the match is not finite."""
+        """Colours (N, 3) uint8 RGB of the pixels of image 1 nearest to the matches; black where the
+        match is not finite."""
         points = self.matches.points1
         finite = np.isfinite(points).all(1)
         last = np.array(self.image1.size) - 1
@@ -331,7 +329,7 @@ class PairResult:
     @property
     def residuals_px(self) -> np.ndarray:
         """Symmetric epipolar distances (N,) of the matches, in pixels without lens distortion: the
-        mean of the distances of each point to the epipolar line of the other.
+        mean distance of the two points of a match to their epipolar lines.
 
         NaN without R and t, and where the distortion cannot be undone.
         """

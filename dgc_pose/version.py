@@ -1,4 +1,4 @@
-"""Which dgc-pose this is: its version, and the commit that it was built from."""
+"""The version of dgc-pose, and the commit that it was built from."""
 
 import subprocess
 from importlib import metadata
@@ -16,8 +16,8 @@ def version() -> str:
 def build() -> str:
     """The commit that the package was built from, with "-dirty" if files had been changed.
 
-    Of an editable installation it is the commit that is checked out. "unknown" for a build outside
-    of a git repository.
+    For an editable installation, the commit that is checked out. "unknown" for a build outside of a
+    git repository.
     """
     package = Path(__file__).resolve().parent
     file = package / BUILD_FILE

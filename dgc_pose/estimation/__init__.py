@@ -1,9 +1,9 @@
 """Robust estimation of the relative pose, and the verdict on it.
 
-In the order in which a pose comes about: `problem` (normalised matches), `robust_fit` (RANSAC and
+Modules in the order of the estimation: `problem` (normalised matches), `robust_fit` (RANSAC and
 least squares), `camera_fit` and `camera_model` (cameras that are not exact), `candidates` (the
 poses that explain the matches), `covariance`, `evidence`, `probability`, `verdict`, `result`.
-`relative_pose` has them all in turn.
+`relative_pose` runs them all.
 """
 
 from dgc_pose.estimation.options import EstimationOptions

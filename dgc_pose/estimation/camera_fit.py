@@ -1,12 +1,12 @@
-"""The focal lengths that the matches determine, of cameras that are not exact.
+"""The focal lengths that the matches determine, for cameras that are not exact.
 
-Robust estimates at several focal lengths, and by solvers that have the focal length among their
-unknowns, are starts. From the best of them pose and cameras are fitted together: the cost is the
-Cauchy loss of the Sampson errors over the number of matches that err alike, plus half the squares
-of the parameters over their standard deviations, so that the least is the most probable.
+Fits start from RANSAC at several focal lengths, and with solvers that have the focal length among
+their unknowns. The best starts are refined in pose and cameras together. The cost is the Cauchy
+loss of the Sampson errors, divided by the number of matches with correlated errors, plus half the
+squares of the parameters over their standard deviations: its minimum is the most probable.
 
 Where the matches do not determine the focal length (optical axes that meet, forward motion, a
-plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19) the prior does.
+plane, little perspective: Sturm 1999; Hartley and Zisserman, chapter 19), the prior does.
 """
 
 from __future__ import annotations
@@ -41,46 +41,46 @@ from dgc_pose.estimation.robust_fit import (
 from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
 from dgc_pose.system.parallel import in_threads
 
-SEARCH_RUNS = 3  # of RANSAC, as much work as the search is
-_REACH = 2.0  # of the focal lengths that are tried, standard deviations to either side
-_STEP = 0.23  # of ln f from each of them to the next
-_SHARE = 4  # a run at one of them has the iterations over this
-_MAX_STARTS = 3  # that are fitted, on so many matches
-_FITTED = 1000
-LIMITS = (3.0, 1.0, 1.0)  # thresholds that matches of each round of a fit may be off
-MOST_ERROR = 3.0  # thresholds: larger errors are as likely as this one
-_ITERATIONS = 30  # of a fit, which converges in 10 as a rule
+SEARCH_RUNS = 3  # RANSAC runs that take as long as the search of focal lengths
+_REACH = 2.0  # focal lengths are tried up to this many standard deviations to either side
+_STEP = 0.23  # of ln f between them
+_SHARE = 4  # a run at one of them has the iterations divided by this
+_MAX_STARTS = 3  # starts that are fitted
+_FITTED = 1000  # matches that they are fitted to
+LIMITS = (3.0, 1.0, 1.0)  # largest errors of the matches in each round of a fit, thresholds
+MOST_ERROR = 3.0  # thresholds; larger errors count as this one
+_ITERATIONS = 30  # of a fit, which usually converges in 10
 _CONVERGED = 1e-5  # relative change of the cost
-_LARGEST_STEP = 0.5  # of ln f in an iteration
+_LARGEST_STEP = 0.5  # change of ln f in an iteration
 
 
 @dataclass(frozen=True, eq=False)
 class JointPose:
-    """A pose x2 = R x1 + t of two cameras that deviate from those that normalised the matches."""
+    """A pose x2 = R x1 + t, and how far the cameras are from those that normalised the matches."""
 
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
-    z: np.ndarray  # (M,) the parameters in the basis of an `IntrinsicsPrior`, standard deviations
+    z: np.ndarray  # (M,) parameters in the basis of an `IntrinsicsPrior`, standard deviations
 
 
 @dataclass(frozen=True, eq=False)
 class JointFit:
-    """The least squares of one problem, whose cameras are not exact."""
+    """Least squares of pose and cameras for one problem whose cameras are not exact."""
 
     problem: TwoViewProblem
 
     @cached_property
     def prior(self) -> IntrinsicsPrior:
-        """Of the cameras."""
+        """The prior of the cameras."""
         return IntrinsicsPrior.of(*self.problem.cameras)
 
     def parameters(self, pose: JointPose) -> np.ndarray:
-        """(2 * SIZE,) of both cameras, see `IntrinsicsPrior`."""
+        """The parameters (2 * SIZE,) of both cameras, see `IntrinsicsPrior`."""
         return self.prior.basis @ pose.z
 
     def cost(self, pose: JointPose) -> float:
-        """Truncated squares of the errors, as if the threshold were the width of the loss, and the
-        parameters: what starts are compared by."""
+        """The cost by which starts are compared: truncated squares of the errors, with the
+        threshold as the width of the loss, and the squares of the parameters."""
         squares = np.minimum((self._errors(pose) / self.problem.threshold) ** 2, 1.0)
         squares[~self._in_front(pose)] = 1.0
         return float(EFFICIENT**2 * squares.sum() / CORRELATED + pose.z @ pose.z) / 2
@@ -88,9 +88,9 @@ class JointFit:
     def fitted(
         self, pose: JointPose, limits: Sequence[float] = LIMITS, iterations: int = _ITERATIONS
     ) -> JointPose:
-        """The pose after fits to its inliers, which are chosen anew before each.
+        """The pose after several fits to its inliers, which are chosen anew before each fit.
 
-        limits: of the errors of each, thresholds.
+        limits: largest error of an inlier in each fit, thresholds.
         """
         threshold = self.problem.threshold
         for limit in limits:
@@ -134,9 +134,9 @@ class JointFit:
     def slopes(
         self, pose: JointPose, width: float, prior: IntrinsicsPrior
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The information (5 + M, 5 + M) and the gradient (5 + M,) of the losses of errors that are
-        not cut off, by the pose and the parameters of a prior, and the axes (3, 2) of t. width: of
-        the losses, the problem's unit."""
+        """The information (5 + M, 5 + M) and the gradient (5 + M,) of the losses by the pose and a
+        prior's parameters, without errors above `MOST_ERROR`; and the axes (3, 2) of t. width: of
+        the losses, in the problem's unit."""
         counted = self._errors(pose) < MOST_ERROR * self.problem.threshold
         part = JointFit(self.problem.subset(counted))
         return part._slopes(pose, width, prior)
@@ -155,14 +155,14 @@ class JointFit:
         return float(cauchy_losses(self._errors(pose), width).sum() + pose.z @ pose.z / 2)
 
     def _errors(self, pose: JointPose) -> np.ndarray:
-        """Sampson errors (N,), in the problem's unit; infinite where a distortion is not undone."""
+        """Sampson errors (N,), in the problem's unit; infinite if a distortion is not undone."""
         parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
         error = sampson_distance(*renormalised_pair(self.problem, parameters), E)
         return np.nan_to_num(error * np.exp(parameters[FOCALS].mean()), nan=np.inf)
 
     def errors_px(self, pose: JointPose) -> np.ndarray:
-        """Sampson errors (N,) in the images, pixels; infinite where a distortion is not undone. Of
-        either side of the cameras: points far away lie on both, by noise."""
+        """Sampson errors (N,) in the images, pixels; infinite if a distortion is not undone. Points
+        behind a camera count too: noise moves distant points to either side."""
         parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
         points1, points2 = renormalised_pair(self.problem, parameters)
         lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
@@ -179,7 +179,7 @@ class JointFit:
         return np.where(np.isfinite(error), error, np.inf)
 
     def _in_front(self, pose: JointPose) -> np.ndarray:
-        """Whether the points are in front of both cameras, (N,)."""
+        """Which points are in front of both cameras, (N,) bool."""
         depth1, depth2 = depths(
             *renormalised_pair(self.problem, self.parameters(pose)), pose.R, pose.t
         )
@@ -187,7 +187,7 @@ class JointFit:
 
 
 def joint_pose(joint: JointFit) -> JointPose | None:
-    """The most probable pose and cameras, whose prior are those of the fit; None if RANSAC has no
+    """The most probable pose and cameras, under the prior of the fit; None if RANSAC finds no
     essential matrix."""
     starts = [start for start in _starts(joint) if start is not None]
     if not starts:
@@ -199,10 +199,10 @@ def joint_pose(joint: JointFit) -> JointPose | None:
 
 
 def _starts(joint: JointFit) -> list[JointPose | None]:
-    """The results of the runs: at focal lengths within the prior's reach, and of a solver."""
+    """Results of RANSAC runs at focal lengths within the prior's reach, and of `solved_start`."""
     stds = np.array([np.linalg.norm(joint.prior.basis[row]) for row in FOCALS])
     count = math.ceil(2 * _REACH * stds.max() / _STEP)
-    if count <= 1:  # the K of the prior are near enough
+    if count <= 1:  # the prior is narrow: one focal length is near enough
         return [
             JointPose(run.R, run.t, np.zeros(len(joint.prior)))
             for run in sample(joint.problem)[:_MAX_STARTS]
@@ -219,8 +219,8 @@ def _starts(joint: JointFit) -> list[JointPose | None]:
 
 
 def solved_start(joint: JointFit, seed: int) -> JointPose | None:
-    """A pose with focal lengths by RANSAC on a solver that has them among its unknowns; None if it
-    fails, and if a focal length is exact."""
+    """Pose and focal lengths by RANSAC with a solver that has both as unknowns; None if it fails
+    or a focal length is exact."""
     first, second = joint.prior.basis[FOCALS]
     if not (first.any() and second.any()):
         return None
@@ -230,7 +230,7 @@ def solved_start(joint: JointFit, seed: int) -> JointPose | None:
 
 
 def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.ndarray:
-    """The parameters (2 * SIZE,) of cameras by ln f and by ln fy / fx."""
+    """The parameters (2 * SIZE,) of cameras with these changes of ln f and of ln fy / fx."""
     parameters = np.zeros(2 * SIZE)
     parameters[FOCALS], parameters[ASPECTS] = log_focals, aspects
     return parameters
@@ -246,7 +246,7 @@ def start_at(
 
 
 def _rescaled(problem: TwoViewProblem, parameters: np.ndarray) -> TwoViewProblem:
-    """The problem for cameras with parameters (2 * SIZE,); those of a lens must be 0."""
+    """The problem for cameras with parameters (2 * SIZE,); the lens parameters must be 0."""
     points1, points2 = renormalised_pair(problem, parameters)
     shrink = float(np.exp(-parameters[FOCALS]).mean())
     moved = replace(problem, points1=points1, points2=points2, threshold=problem.threshold * shrink)

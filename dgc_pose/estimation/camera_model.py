@@ -1,7 +1,7 @@
-"""The cameras that two images may be of: as they are stated or assumed, and others.
+"""The cameras that two images may have: the stated or assumed ones, and others.
 
-Assumed are a pinhole with a lens of two coefficients, square pixels and the principal point near
-the middle, the same in all images of a camera.
+An assumed camera has a lens of two radial coefficients, square pixels and its principal point near
+the middle, the same in all of its images.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from dgc_pose.estimation.camera_fit import JointPose
 from dgc_pose.estimation.intrinsics_prior import is_of_part
 from dgc_pose.estimation.problem import image_size
 
-# The cameras that the matches agree with: as assumed or stated; without K those of an unusual focal
-# length, of one for each image, of pixels that are not square, and so on; in place of a K those of
-# another focal length, of one for each image, of a lens, of another principal point, without the
-# lens, with the principal point in the middle, and those of the other image.
+# The cameras that the matches agree with. Without K, others than assumed have an unusual focal
+# length (tail), one for each image (two), pixels that are not square (squeezed) and so on. In place
+# of K, they have another focal length, one for each image (focals), a lens, another principal point
+# (centre), no lens (unlensed), the principal point in the middle, or the other's K (swapped).
 ModelName = Literal[
     "assumed",
     "tail",
@@ -40,14 +40,14 @@ ModelName = Literal[
     "middle",
     "swapped",
 ]
-# Logarithms of the odds of another model before the matches are seen: for a picture with EXIF data;
-# without, for a wide lens, and for one that was edited and has a sensor's shape; and for one that
-# no sensor has the shape of, which was cut, squeezed or joined.
+# Prior log-odds of another model: for a picture with EXIF data; without, for a wide lens, and for
+# an edited picture of a sensor's shape; and for a picture of no sensor's shape, which was cut,
+# squeezed or joined.
 _LOG_ODDS_OF_EXIF, _LOG_ODDS, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = -12.0, -6.0, -7.0, -3.0
-# Of two cameras whose images are of one size, and have no EXIF data, or the same.
+# Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same.
 _TWO, _TWO_OF_EXIF = -2.2, -25.0
-_TWO_LENS_STD = 0.02  # of the lens of each, which one camera's zoom hardly changes
-# For other cameras than K states; and for the middle, where K is far from it.
+_TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
+# Prior log-odds of other cameras than K states; and of the middle if K is far from it.
 _STATED: Mapping[ModelName, float] = {
     "focal": -8.0,
     "focals": -9.0,
@@ -61,41 +61,40 @@ _FAR_FROM_MIDDLE = -0.5
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 _ASPECT_STD = 0.3  # of ln fy / fx of squeezed pixels
-_CENTRE_STD = 0.02  # of the principal point of a part of an image, over the longer side
-# Of other cameras than K states: ln f; the principal point over the longer side; the lens.
+_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
+# Deviations of other cameras than K states: ln f; principal point over the longer side; lens.
 _STATED_STD, _STATED_CENTRE_STD, _STATED_LENS_STD = 0.5, 0.05, 0.15
-# Of the longer side, that the principal point of K is off the middle, and far from it.
+# Distances of K's principal point from the middle, over the longer side: off it, and far off it.
 _OFF, _FAR_OFF = 0.01, 0.04
 OF_STATED = tuple(_STATED)
-_OTHER_FOCAL = 0.02  # difference of ln f of two K that may be swapped
-_MIN_FOCAL_ERROR = 0.08  # of ln f, that is worth a warning
-_UNCERTAIN_STD = 0.1  # of ln f, beyond which there is a warning
-# The projections; without EXIF data focal lengths over the longer side, and the deviations of their
-# logarithms.
+_OTHER_FOCAL = 0.02  # least difference of ln f of two K that may be swapped
+_MIN_FOCAL_ERROR = 0.08  # least error of ln f that is worth a warning
+_UNCERTAIN_STD = 0.1  # deviation of ln f beyond which there is a warning
+# Projections; focal lengths without EXIF data, over the longer side; deviations of ln f.
 WIDE = {"fisheye": (FISHEYE, 0.55, 0.35), "cylinder": (CYLINDER, 0.6, 0.4)}
 
 
 @dataclass(frozen=True, eq=False)
 class CameraModel:
-    """Two cameras by one model, and their pose."""
+    """One model of the two cameras, and their pose."""
 
     name: ModelName
     cameras: tuple[Camera, Camera]  # before the fit
-    log_odds: float = 0.0  # before the matches are seen, over the assumed one's
+    log_odds: float = 0.0  # prior, against the assumed model
     pose: JointPose | None = None  # the fit; None if it failed
     log_evidence: float = -math.inf
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))  # of the pose, rad^2
-    stds: float = math.inf  # that the cameras are off, in standard deviations of the fit
+    stds: float = math.inf  # largest deviation from K, in standard deviations of the fit
     focal_std: float = 0.0  # of ln f of the less certain camera, by the fit
-    # Of the likeliest one. (6, 6), rad^2: by how much the poses of the other models differ, by
-    # their probabilities, of those that are right if it is; and the probability that they are.
+    # Only of the likeliest model: the covariance (6, 6), rad^2, that the other models' poses within
+    # 10 degrees of its pose add; and the probability that the right pose is within 10 degrees.
     pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     agreement: float = 1.0
-    doubt: float = -math.inf  # log-odds of the likeliest other one, by the matches alone
+    doubt: float = -math.inf  # log-odds of the likeliest other model, from the matches only
 
 
 def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
-    """The models beside that of the cameras as they are."""
+    """The models other than the cameras as stated or assumed."""
     first, second = stated
     if any(map(_is_open, stated)):
         names: tuple[ModelName, ...] = ("squeezed", "off_centre", "fisheye", "cylinder")
@@ -108,7 +107,7 @@ def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
 
 
 def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
-    """Focal lengths of the less likely part of a belief; and one of each image."""
+    """Models with the less likely part of a focal length's prior; and with one for each image."""
     first, second = stated
     beliefs = [camera.belief for camera in stated if camera.belief is not None]
     if first.identity is None or first.identity != second.identity:
@@ -139,7 +138,7 @@ def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
 
 
 def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
-    """The part of the belief that the camera is of, and the other."""
+    """The part of the prior that the camera's focal length is from, and the other part."""
     assert camera.belief is not None
 
     def distance(part: Part) -> float:
@@ -150,10 +149,10 @@ def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
 
 
 def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
-    """Other cameras than K states."""
+    """Models with other cameras than K states."""
     first, second = stated
     same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
-    one = same_size and ratio < _OTHER_FOCAL  # then a lens is left out of both
+    one = same_size and ratio < _OTHER_FOCAL  # one camera: K lacks the same lens in both
     for name, odds in _STATED.items():
         other1, other2 = with_model(first, name), with_model(second, name)
         if name == "lens" and one:
@@ -175,7 +174,7 @@ def _from_middle(camera: Camera) -> float:
 def camera_warnings(
     name: ModelName, stated: tuple[Camera, Camera], fitted: tuple[Camera, Camera]
 ) -> tuple[str, ...]:
-    """What is unusual or uncertain about fitted cameras, a line each. stated: before the fit."""
+    """Warnings about unusual or uncertain fitted cameras, a line each. stated: before the fit."""
     lines, loose = dict[str, None](), dict[str, None]()
     for before, camera in zip(stated, fitted, strict=True):
         source = {"given": "K", "exif": "EXIF"}.get(before.focal_source)
@@ -216,13 +215,13 @@ def camera_warnings(
 
 
 def is_contradicted(stated: Camera, fitted: Camera) -> bool:
-    """Whether a focal length that is stated with a deviation is fitted far from it."""
+    """Whether a fit contradicts a focal length that is stated with a deviation."""
     off = abs(math.log(fitted.focal / stated.focal))
     return off >= max(_MIN_FOCAL_ERROR, 3 * stated.focal_std)
 
 
 def _log_odds(camera: Camera, name: ModelName) -> float:
-    """The logarithm of the odds of another model, before the matches are seen."""
+    """The prior log-odds of another model."""
     shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
     if all(abs(shape - math.log(usual)) > _SAME_SHAPE for usual in _SHAPES):
         return _LOG_ODDS_OF_SHAPE
@@ -232,18 +231,18 @@ def _log_odds(camera: Camera, name: ModelName) -> float:
 
 
 def _is_open(camera: Camera) -> bool:
-    """Whether nobody stated the camera."""
+    """Whether neither K nor a lens is stated."""
     return camera.focal_source != "given" and camera.distortion is None
 
 
 def is_edited(camera: Camera) -> bool:
-    """Whether the picture may be squeezed, or a part: no EXIF data say that a camera wrote it."""
+    """Whether the picture may be squeezed or cropped: no EXIF data show that a camera wrote it."""
     by_picture = camera.focal_source in ("size", "lines")
     return _is_open(camera) and (by_picture or is_of_part(camera))
 
 
 def with_model(camera: Camera, name: ModelName) -> Camera:
-    """A camera that is not fitted yet by another model; itself if it cannot be of that."""
+    """A camera before the fit, by another model; unchanged if this model does not apply to it."""
     width, height = image_size(camera)
     longer, lens = max(width, height), camera.distortion
     if name in ("focal", "focals"):
@@ -268,11 +267,11 @@ def with_model(camera: Camera, name: ModelName) -> Camera:
         return camera
     if name == "squeezed":
         return replace(camera, aspect_std=_ASPECT_STD)
-    if name == "off_centre":  # of a part of an image, whose principal point is its own
+    if name == "off_centre":  # a crop has its own principal point
         return replace(camera, centre_std=max(camera.centre_std, _CENTRE_STD * longer))
     if name == "tail" and camera.belief is not None:
         return of_part(camera, _parts(camera, [camera.belief.lines])[1])
-    if name == "two":  # or cut, perhaps of one image, of which EXIF data say nothing
+    if name == "two":  # another zoom, or a crop of one image that EXIF data do not show
         return replace(camera, focal_std=OTHER_STD, identity=None)
     if name not in WIDE:
         return camera

@@ -1,14 +1,14 @@
 """The poses that explain the matches: samples of RANSAC, the refined best, and its competitors.
 
-- Two poses belong to the homography of a plane (Longuet-Higgins 1986).
-- Where structure repeats, some matches agree on a pose one period off. Those that the first leaves
-  over are searched for a second one.
-- Seen from afar, a scene and its relief turned inside out look alike, and the camera seems to have
-  rotated the other way (the bas-relief, or Necker, reversal).
+- The homography of a plane has two poses (Longuet-Higgins 1986).
+- Where structure repeats, some matches agree on a pose one period off. RANSAC searches the outliers
+  of the first pose for a second one.
+- From afar, a scene and its relief turned inside out look alike, with opposite rotations of the
+  camera (the bas-relief, or Necker, reversal).
 
-The poses of a plane have nearly the same inliers, and their counts do not decide which is right.
-The likelihood of all matches does better. Errors of neighbouring matches are alike, so a difference
-of log-likelihoods counts by the square root of the number of matches.
+The poses of a plane have nearly the same inliers, so the inlier counts do not show which is right.
+The likelihood of all matches shows it better. Errors of neighbouring matches are correlated, so the
+log-likelihood is divided by the square root of the number of inliers.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ from dgc_pose.estimation.robust_fit import (
 from dgc_pose.geometry.epipolar import depths, homogeneous, sampson_distance
 from dgc_pose.matches import Matches
 
-# Of the inliers, that another motion needs: of a plane's, see docs/experiments.md; of others' where
-# the cameras are fitted, and where they are known.
+# Least share of the first one's inliers that another motion has: on a plane (docs/experiments.md),
+# with fitted cameras, and with known cameras.
 _MIN_SECOND_SHARE_OF_PLANE, _MIN_SECOND_SHARE_FITTED, _MIN_SECOND_SHARE = 0.1, 0.3, 0.5
-LIKELY_SHARE = 0.75  # of the first one's inliers, at which another explains the matches as well
-_MIN_REFINED_SHARE = 0.3  # of the first one's inliers, in front of both cameras
+LIKELY_SHARE = 0.75  # of the first one's inliers: another pose explains the matches as well
+_MIN_REFINED_SHARE = 0.3  # of the first one's inliers: another pose is refined
 _MAX_DEPTH = 1e6  # in baselines: beyond, there is no parallax to mirror
 _MAX_ERROR = 3.0  # thresholds; larger errors, and points behind a camera, count as this
-_MIN_PLANAR_SHARE = 0.5  # of inliers that one homography explains, which has poses that compete
+_MIN_PLANAR_SHARE = 0.5  # of the inliers on a homography: its poses compete
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """The poses that explain the matches, and what they are compared by."""
+    """The poses that explain the matches, and the data to compare them."""
 
     problem: TwoViewProblem  # normalised by the cameras of the model
     map_problem: TwoViewProblem | None  # of an even sample of the dense map
     fitted: bool  # whether the cameras were fitted
-    model: CameraModel  # whose cameras have the focal lengths that the matches determine
+    model: CameraModel  # its cameras have the fitted focal lengths
     hypotheses: Sequence[Hypothesis]  # the likeliest first
     homography_ratio: float  # share of the best one's inliers that one homography explains
-    second: Hypothesis | None  # another motion, of the matches that the likeliest leaves over
-    # Share of inliers that a camera explains which did not move, and its rotation (3, 3); of fitted
-    # cameras.
+    second: Hypothesis | None  # another motion, among the outliers of the likeliest
+    # Share of inliers that a camera without a translation explains, and its rotation (3, 3); None
+    # if the cameras were not fitted.
     still: tuple[float, np.ndarray] | None
     logistic: ProbabilityModel | None  # None if none is fitted for such matches
 
@@ -68,9 +68,9 @@ class Candidates:
 def candidates(
     stated: TwoViewProblem, map_matches: Matches | None = None, *, fit_cameras: bool = True
 ) -> Candidates | None:
-    """The poses that explain the matches; None if RANSAC has no essential matrix.
+    """The poses that explain the matches; None if RANSAC finds no essential matrix.
 
-    stated: the matches, normalised by the stated cameras. The others are of `estimate_pose`.
+    stated: the matches, normalised by the stated cameras. See `estimate_pose` for the others.
     """
     options = stated.options
     if fit_cameras:
@@ -82,7 +82,7 @@ def candidates(
     fitted = fit_cameras and not all(camera.exact for camera in model.cameras)
     map_problem = None
     if map_matches is not None:
-        # A threshold in pixels is that of the matches, not of the map.
+        # A threshold in pixels applies to the matches, not to the map.
         map_options = replace(options, threshold_px=None)
         map_problem = TwoViewProblem.of(map_matches, *model.cameras, map_options)
     logistic = shipped_models().model(
@@ -126,10 +126,10 @@ def _refined(problem: TwoViewProblem, run: Hypothesis) -> Hypothesis:
 
 
 def _runs_by_model(stated: TwoViewProblem) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
-    """RANSAC, and the cameras by their likeliest model, fitted if they are not exact.
+    """RANSAC with the likeliest camera model, fitted if the cameras are not exact.
 
-    Returns the problem, normalised by the cameras; these; and the hypotheses of the runs, that with
-    most inliers first, none if there is no essential matrix.
+    Returns the problem, normalised by the model's cameras; the model; and the hypotheses of the
+    runs, with most inliers first; no hypotheses if there is no essential matrix.
     """
     joint, runs = JointFit(stated), list[Hypothesis]()
     if len(joint.prior):
@@ -155,8 +155,8 @@ def _runs_by_model(stated: TwoViewProblem) -> tuple[TwoViewProblem, CameraModel,
 
 
 def _left_over(problem: TwoViewProblem, pose: Hypothesis, share: float) -> list[Hypothesis]:
-    """The hypothesis of a run on the matches that a pose leaves over, as one of all; none if these
-    are too few for another motion of the `share` of its inliers, and for a competitor."""
+    """The hypothesis, over all matches, of a run on the outliers of a pose; none if the outliers
+    are too few both for another motion (`share` of the inliers) and for a competitor."""
     left = problem.subset(~pose.inliers)
     least = min(_MIN_REFINED_SHARE * pose.num_in_front, share * pose.num_inliers)
     if len(left) < max(MIN_MATCHES, least):
@@ -167,8 +167,8 @@ def _left_over(problem: TwoViewProblem, pose: Hypothesis, share: float) -> list[
 def _second_motion(
     problem: TwoViewProblem, first: Hypothesis, runs: Sequence[Hypothesis], least: float
 ) -> Hypothesis | None:
-    """Another motion, by the runs on the matches that a hypothesis leaves over, refined on these;
-    None if it has fewer inliers than `least` among them."""
+    """Another motion, from the runs on the outliers of a hypothesis, refined on these outliers;
+    None if it has fewer than `least` inliers among them."""
     left = problem.subset(~first.inliers)
     if not runs or len(left) < least:
         return None
@@ -181,8 +181,8 @@ def _second_motion(
 def competitors(
     problem: TwoViewProblem, first: Hypothesis, runs: Sequence[Hypothesis], H: np.ndarray | None
 ) -> list[Hypothesis]:
-    """Refined hypotheses more than 10 degrees from the first and from each other, that with most
-    inliers in front of both cameras first.
+    """Refined hypotheses more than 10 degrees from the first and from each other, with most inliers
+    in front of both cameras first.
 
     runs: the hypotheses of the runs. H: homography (3, 3) of a plane. Before refinement each has at
     least 0.3 of the first one's inliers.
@@ -192,7 +192,7 @@ def competitors(
     for candidate in (*runs, *([] if H is None else planar_hypotheses(problem, H))):
         if candidate.num_in_front < least or candidate.is_among(distinct):
             continue
-        # A bad fit of a pose that is known becomes that pose.
+        # Refinement may turn a bad fit of a known pose into that pose.
         refined = _refined(problem, candidate)
         if not refined.is_among(distinct):
             distinct.append(refined)
@@ -228,10 +228,11 @@ def compared(
     others: Sequence[Hypothesis],
     map_problem: TwoViewProblem | None,
 ) -> list[Hypothesis]:
-    """Compare the hypothesis with most inliers, whose errors show how accurate the matches are,
-    with others; those that are likely have their last fit, if it is still another pose.
+    """All hypotheses with their likelihoods. The likely ones among the others get their last fit,
+    if this does not lead to another pose of the list.
 
-    map_problem: an even sample of the dense map.
+    first: has most inliers; its errors show how accurate the matches are. map_problem: an even
+    sample of the dense map.
     """
     inliers = problem.subset(first.inliers)
     width = pose_loss_width(inliers, first.R, first.t) if len(inliers) else problem.threshold
@@ -243,12 +244,12 @@ def compared(
         pose, likely = unfitted, number == 0 or unfitted.num_in_front >= least
         if likely and number and problem.options.refine:
             fitted = refit(problem, pose, adapt_width=True)
-            # A fit may lead to another of the hypotheses, or to that with t reversed.
+            # A fit may lead to another hypothesis, or to the pose with t reversed.
             if fitted.num_in_front >= least and not fitted.is_among([*result, *others[number:]]):
                 pose = fitted
         error = sampson_distance(problem.points1, problem.points2, pose.E)
         error = np.where(pose.in_front, np.minimum(error, largest), largest)
-        # Of a Cauchy distribution, cut off, up to a constant.
+        # The log-likelihood of a Cauchy distribution, cut off, up to a constant.
         likelihood = float((-np.log1p((error / width) ** 2)).sum()) / root
         agreement = None if map_problem is None else pose.agreement(map_problem)
         result.append(replace(pose, likely=likely, likelihood=likelihood, map_agreement=agreement))
@@ -256,9 +257,9 @@ def compared(
 
 
 def ranked(among: Sequence[Hypothesis], weights: Mapping[str, float] | None) -> list[Hypothesis]:
-    """Hypotheses with their shares, the likeliest first; without weights as they are.
+    """Hypotheses with their shares, the likeliest first; unchanged without weights.
 
-    weights: log-odds for a unit of each of `CHOICE_FEATURES`, and the lapse of `choice_shares`.
+    weights: log-odds per unit of each of `CHOICE_FEATURES`, and the lapse of `choice_shares`.
     """
     if weights is None:
         return list(among)

@@ -1,11 +1,11 @@
-"""The covariance of a pose, and the error that it stays below nine times in ten.
+"""The covariance of a pose, and the bound of its error in nine cases of ten.
 
-The covariance is the sum of two parts: that of the jackknife (`least_squares`) over blocks of
-image 2; and, as the blocks are few and one may hold nearly all information, the usual covariance
-with a tenth of the matches.
+The covariance is the sum of two parts: the jackknife (`least_squares`) over blocks of image 2, and
+the usual covariance with a tenth of the matches. The jackknife needs the second part because it has
+few blocks, and one block may contain nearly all information.
 
-Cameras that are not exact are parameters as the pose is. Their prior is information that no block
-holds: the second part has it.
+Cameras that are not exact add their parameters to those of the pose. No block contains their prior;
+the second part does.
 """
 
 import math
@@ -25,7 +25,7 @@ from dgc_pose.estimation.least_squares import (
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.estimation.robust_fit import MINIMAL
 
-NORMAL_90 = 1.6449  # standard deviations that a normal variable is off nine times in ten
+NORMAL_90 = 1.6449  # bound of a normal variable in nine cases of ten, standard deviations
 
 
 def pose_covariance(
@@ -35,14 +35,15 @@ def pose_covariance(
     *,
     fitted: bool = True,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Covariances (6, 6), rad^2, of the rotation vector and of the unit translation; and (12, 12)
-    of the parameters of an `IntrinsicsPrior`, 0 of exact cameras.
+    """Covariances (6, 6), rad^2, of the rotation vector and the unit translation; and (12, 12) of
+    the parameters of an `IntrinsicsPrior`, 0 for exact cameras. None if the inliers do not
+    determine the pose.
 
-    Of the pose that minimises the Cauchy loss, at the errors' own width, of the Sampson errors of
-    the inliers in front of both cameras. In camera 2's axes: the true pose is exp([w]x) R and t + d
-    for a (w, d) of this covariance. d is perpendicular to t, so the rank is 5. None if the inliers
-    do not determine the pose. prior: of the cameras that normalised the problem. fitted: whether
-    these were fitted to the matches together with the pose, or are known that well from elsewhere.
+    The pose minimises the Cauchy loss, at the errors' own width, of the Sampson errors of the
+    inliers in front of both cameras. In camera 2's axes, the true pose is exp([w]x) R and t + d for
+    a (w, d) of this covariance; d is perpendicular to t, so the rank is 5. prior: of the cameras
+    that normalised the problem. fitted: whether the cameras were fitted together with the pose;
+    otherwise the prior is their final uncertainty.
     """
     inliers = problem.subset(pose.inliers_in_front)
     if len(inliers) <= MINIMAL:
@@ -52,9 +53,9 @@ def pose_covariance(
     if not fitted:
         slopes = slopes[:, :5]
     width = pose_loss_width(inliers, pose.R, pose.t)
-    variance = CORRELATED * (width / EFFICIENT) ** 2  # of a match: the information is in its unit
+    variance = CORRELATED * (width / EFFICIENT) ** 2  # of a match; the unit of the information
     information = variance * (prior if fitted else EXACT).information
-    # The blocks show all of the errors of key points, which err independently of their neighbours.
+    # Errors of key points are independent of their neighbours: the blocks show all of them.
     kept = REGULAR if problem.matches.key_points else KEPT
     terms, count = loss_terms(error, slopes, width), slopes.shape[1]
     total = terms[:, : count**2].sum(0).reshape(count, count)
@@ -81,10 +82,10 @@ def error_radius_deg(covariance: np.ndarray) -> float:
 
 
 def error_radius(covariance: np.ndarray) -> float:
-    """The length that a Gaussian vector of covariance (3, 3) stays below nine times in ten.
+    """The bound, in nine cases of ten, of the length of a Gaussian vector of covariance (3, 3).
 
-    The squared length is taken for a scaled chi-square of the same mean and variance (Satterthwaite
-    1946), which is exact for a single axis and for equal ones.
+    A scaled chi-square variable of the same mean and variance approximates the squared length
+    (Satterthwaite 1946), exactly for a single axis and for equal ones.
     """
     eigenvalues = np.linalg.eigvalsh(covariance).clip(min=0)
     mean, squares = eigenvalues.sum(), (eigenvalues**2).sum()
@@ -94,7 +95,7 @@ def error_radius(covariance: np.ndarray) -> float:
 
 
 def _chi_square_90(freedom: float) -> float:
-    """The value that a chi-square variable of 1 to 3 degrees stays below nine times in ten, by
+    """The bound, in nine cases of ten, of a chi-square variable of 1 to 3 degrees of freedom, by
     Newton's method. The import of SciPy takes longer than a pose."""
     x = 0.9 * freedom + 0.45  # half of it, to 3 %, so that four steps find every digit
     for _ in range(4):

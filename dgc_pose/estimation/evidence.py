@@ -1,4 +1,4 @@
-"""The measurements that the verdict rests on."""
+"""The measurements behind the verdict."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,12 +19,12 @@ from dgc_pose.system.parallel import slices
 
 _ROTATION_LIMIT = 6.0  # residual angle of a match under a rotation, over the epipolar threshold
 _ROTATION_ROUNDS = 10
-_NORMAL_MEDIAN = 0.6745  # of |x|, and of |(x, y)|, of Gaussian noise with a deviation of 1
-_RAYLEIGH_MEDIAN = 1.1774
-_MIN_ERROR = 0.05  # of the threshold: matches are not trusted to be more accurate than that
-_PAIRS = 20_000  # wrong pairs that the chance level is measured on, if there are so many
-_AT_A_TIME = 4000  # of them
-_MIN_ROUNDS = 8  # in each a point has another wrong partner
+_NORMAL_MEDIAN = 0.6745  # of |x|, for Gaussian noise with a deviation of 1
+_RAYLEIGH_MEDIAN = 1.1774  # of |(x, y)|, for the same noise
+_MIN_ERROR = 0.05  # of the threshold: matches count as no more accurate than this
+_PAIRS = 20_000  # wrong pairs that measure the chance level, if there are enough
+_AT_A_TIME = 4000  # wrong pairs
+_MIN_ROUNDS = 8  # in each, a point has another wrong partner
 # `Matches.surroundings` of right pairs falls with the logarithm of the rotation: method.md
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 
@@ -35,16 +35,16 @@ class Evidence:
 
     Attributes:
         num_inliers: Number of matches that the hypothesis explains.
-        inlier_ratio: The same, as a share of all matches.
-        chance_ratio: The inlier ratio of the same pose, of the same points paired wrongly.
-        log10_false_alarms: Decimal logarithm of the expected number of poses with so many inliers
+        inlier_ratio: Inliers as a share of all matches.
+        chance_ratio: The inlier ratio of the same pose if the points are paired wrongly.
+        log10_false_alarms: Decimal logarithm of the expected number of poses with as many inliers
             in random matches.
         cheirality_ratio: Share of inliers in front of both cameras.
         rotation: The rotation (3, 3) that explains most matches without a translation.
         num_rotation_inliers: Matches that `rotation` explains, on which the parallax is measured.
         rotation_share: `num_rotation_inliers` over the inliers.
         strict_rotation_share: Share of inliers that `rotation` explains within the threshold.
-        parallax: Motion left by `rotation`, over the epipolar error, standard deviations of both.
+        parallax: Motion left by `rotation` over the epipolar error, both as standard deviations.
         median_triangulation_angle_deg: Median angle between the two rays of an inlier, degrees.
         collinear: Whether the inliers of either image lie on one line.
         occupied_cells: Grid cells with inliers, in the image with fewer of them.
@@ -53,25 +53,25 @@ class Evidence:
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         confidence: Median confidence of the inliers.
         homography_ratio: Share of inliers that one homography explains.
-        raw_rotation_90_deg: Nine times in ten the error of R is below, as the jackknife has
-            it, not calibrated; None if it is not known.
-        raw_translation_90_deg: The same of the direction of t.
-        raw_focal_90_percent: The same of ln f, per cent; None if K is exact.
-        other_ratio: Most inliers in front of another hypothesis, over this one's.
+        raw_rotation_90_deg: Bound of the error of R in nine cases of ten, by its covariance, not
+            calibrated; None if unknown.
+        raw_translation_90_deg: The same for the direction of t.
+        raw_focal_90_percent: The same for ln f, per cent; None if K is exact.
+        other_ratio: Most inliers in front of both cameras in another hypothesis, over this one's.
         map_matchability: Mean matchability of the dense map; None without one.
-        map_agreement: Share of its cells, by matchability, that have the pose; None likewise.
-        map_chance: The same of those cells paired wrongly; None likewise.
-        surroundings: How alike both images are around the matches, as of `alikeness`; None if it is
-            not known.
-        still_ratio: Share of inliers that a camera explains which did not move, where the focal
-            lengths are not known (`still_camera`); 0 if they are.
-        num_second_inliers: Inliers of another motion among the matches left over, which chance does
-            not explain; 0 without.
-        second_rotation_deg: Angle between the rotation of that motion and `rotation`.
+        map_agreement: Share of the map's cells, weighted by squared matchability, that agree with
+            the pose; None without a map.
+        map_chance: The same share if the cells are paired wrongly; None without a map.
+        surroundings: Similarity of the images around the matches, see `alikeness`; None if unknown.
+        still_ratio: Share of inliers that a camera without a translation explains (`still_camera`),
+            if the cameras were fitted; else 0.
+        num_second_inliers: Inliers of another motion among the outliers, more than chance explains;
+            0 without one.
+        second_rotation_deg: Angle between the rotation of this motion and `rotation`.
         camera_model: The camera that the matches agree with, see `camera_model`.
-        camera_agreement: Probability that the pose is within 10 degrees of that of the right
-            camera, if a pose is right with each.
-        camera_doubt: Log-odds of the likeliest other camera, by the matches alone.
+        camera_agreement: Probability that the pose is within 10 degrees of the right camera's pose,
+            if each camera has a right pose.
+        camera_doubt: Log-odds of the likeliest other camera, from the matches only.
     """
 
     num_inliers: int
@@ -109,20 +109,20 @@ class Evidence:
 
     @property
     def over_chance(self) -> float:
-        """The inlier ratio, over that of wrong matches."""
+        """The inlier ratio over that of wrong matches."""
         return self.inlier_ratio / max(self.chance_ratio, 1e-6)
 
     @property
     def map_over_chance(self) -> float:
-        """Share of the dense map that agrees with the pose beyond chance."""
+        """Share of the dense map that agrees with the pose, less the share by chance."""
         return (self.map_agreement or 0.0) - (self.map_chance or 0.0)
 
 
 def measured(
     problem: TwoViewProblem, pose: Hypothesis, map_problem: TwoViewProblem | None = None
 ) -> Evidence:
-    """The evidence that the matches have for and against a hypothesis, without what needs other
-    hypotheses or cameras. map_problem: an even sample of the dense map."""
+    """The evidence for and against a hypothesis, except the part that depends on other hypotheses
+    or cameras. map_problem: an even sample of the dense map."""
     threshold, is_inlier, around = problem.threshold, pose.inliers, problem.matches.surroundings
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
@@ -172,15 +172,15 @@ def measured(
 
 
 def alikeness(surroundings: float, R: np.ndarray) -> float:
-    """How alike both images are around the matches, with what images of one place lose by the
-    rotation R (3, 3) between them. surroundings: as of `Matches`."""
+    """`Matches.surroundings`, plus the amount by which the rotation R (3, 3) lowers it between
+    images of one place."""
     return surroundings + _LESS_ALIKE * math.log1p(rotation_angle_deg(R) / _LESS_ALIKE_DEG)
 
 
 def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
-    """The inlier ratio of an essential matrix on the same points, paired wrongly.
+    """The inlier ratio of an essential matrix if the points are paired wrongly.
 
-    The points themselves stay, so the measure includes the width of the band around the epipolar
+    The points keep their places, so the ratio includes the width of the band around the epipolar
     lines, the size of the images, and clusters of matches.
     """
     count = len(problem)
@@ -200,10 +200,10 @@ def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:
 
 
 def log10_false_alarms(count: int, inliers: int, chance: float) -> float:
-    """Decimal logarithm of the number of poses with so many inliers expected in random matches.
+    """Decimal logarithm of the expected number of poses with as many inliers in random matches.
 
     (n - 5) C(n, k) C(k, 5) p^(k - 5): all samples that RANSAC could have drawn, times the
-    probability that so many of the other matches agree by chance (Moisan and Stival, 2004).
+    probability that k - 5 of the other matches agree by chance (Moisan and Stival, 2004).
     """
     if inliers <= MINIMAL or inliers > count:
         return math.inf
@@ -219,8 +219,8 @@ def _log_choose(count: int, chosen: int) -> float:
 def robust_rotation(problem: TwoViewProblem) -> np.ndarray:
     """The rotation (3, 3) that takes rays 1 to rays 2.
 
-    Least squares on all matches, then on those within twice the threshold or on the better half,
-    whichever are more, until they stay the same. The identity for fewer than two matches.
+    Least squares on all matches, then on the matches within twice the threshold or on the better
+    half, whichever are more, until they stay the same. The identity for fewer than two matches.
     """
     rays1, rays2 = unit_rays(problem.points1), unit_rays(problem.points2)
     near = np.ones(len(rays1), dtype=bool)
@@ -245,8 +245,8 @@ def _parallax(motion: np.ndarray, across: np.ndarray, least: float) -> float:
 
     Each is a median scaled to a standard deviation of Gaussian noise, in two dimensions and in one.
     Noise moves points along their epipolar lines as much as across them, so a pure rotation gives
-    1, or a little more if the essential matrix fits the noise of few matches; a real translation
-    gives more. The error counts as `least` at least: exact copies have only rounding errors.
+    1, or a little more if the essential matrix fits the noise of few matches. A real translation
+    gives more. `least` bounds the error from below: exact copies have only rounding errors.
     """
     if not len(motion):
         return 0.0

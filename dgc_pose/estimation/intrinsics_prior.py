@@ -1,9 +1,9 @@
-"""How far two cameras may be from their K and lens: the focal lengths, principal points and radial
-coefficients, as a Gaussian; and the derivatives of Sampson errors by the pose and by these.
+"""The Gaussian prior of how far the focal lengths, principal points and lenses of two cameras are
+from their K and lens; and the derivatives of Sampson errors by the pose and by these parameters.
 
-The parameters of one camera are k = ln(f / f of K), the shift (x, y) of its principal point over
-the focal length of K, what is added to the coefficients (c, d) of its lens (`geometry.radial`),
-which are 0 of a pinhole, and what is added to a = ln(fy / fx).
+The parameters of one camera are k = ln(f / f of K); the shift (x, y) of its principal point over
+the focal length of K; the changes (c, d) of its two radial coefficients (`geometry.radial`), which
+are 0 for a pinhole; and the change a of ln(fy / fx).
 """
 
 from __future__ import annotations
@@ -23,17 +23,16 @@ _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
 @dataclass(frozen=True, eq=False)
 class IntrinsicsPrior:
-    """The parameters (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras are `basis` times a
-    standard normal vector (M,)."""
+    """The prior of the parameters (k1, x1, y1, c1, d1, a1, k2, ..., a2) of two cameras: they are
+    `basis` times a standard normal vector (M,)."""
 
     basis: np.ndarray  # (12, M); no columns: both cameras are exact
 
     @classmethod
     def of(cls, camera1: Camera, camera2: Camera) -> IntrinsicsPrior:
-        """The prior of two cameras' standard deviations. One camera that took both images, by its
-        `identity`, has one focal length and lens, and one principal point unless the images' sizes
-        differ.
-        """
+        """The prior with the standard deviations of two cameras. One camera that took both images,
+        by its `identity`, has one focal length and one lens. It has one principal point unless the
+        image sizes differ or an image may be a crop."""
         same = camera1.identity is not None and camera1.identity == camera2.identity
         one_centre = camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2)))
         columns = []
@@ -51,7 +50,7 @@ class IntrinsicsPrior:
 
     @property
     def information(self) -> np.ndarray:
-        """(5 + M, 5 + M), of a pose and the normal vector; 0 of the pose."""
+        """(5 + M, 5 + M), of a pose and the normal vector; 0 for the pose."""
         return np.diag([*np.zeros(5), *np.ones(len(self))])
 
 
@@ -61,20 +60,20 @@ EXACT = IntrinsicsPrior(np.zeros((2 * SIZE, 0)))
 _SEEN_AND_LENS = np.eye(2 + SIZE)[[0, 1, 5, 6]]  # x and y of a point, c and d
 _AS_NORMALISED = np.zeros(2 * SIZE)
 _PINHOLE = Distortion(RADIAL, (0.0, 0.0))  # as a lens
-_OF_PART = 0.01  # deviation of the principal point of a part of an image, over the longer side
-_SECOND_LENS_STD = 2.0  # of d, over that of c; of telephones d is -2 to -4 times c
+_OF_PART = 0.01  # least deviation of the principal point of a crop, over the longer side
+_SECOND_LENS_STD = 2.0  # of d, over that of c; in telephones d is -2 to -4 times c
 
 
 def of_pose(covariance: np.ndarray, tangent: np.ndarray) -> np.ndarray:
-    """The covariance (6, 6) of a rotation vector and t, by that (5, 5) along the axes (3, 2) of
-    t."""
+    """The covariance (6, 6) of a rotation vector and t, from the covariance (5, 5) of the vector
+    and the coordinates of t along the axes (3, 2)."""
     expand = np.zeros((6, 5))
     expand[:3, :3], expand[3:, 3:] = np.eye(3), tangent
     return expand @ covariance @ expand.T
 
 
 def is_of_part(camera: Camera) -> bool:
-    """Whether the image may be a part of a larger one, whose principal point is its own."""
+    """Whether the image may be a crop, with a principal point of its own."""
     most = _OF_PART * max(camera.size or (0,))
     return camera.focal_source != "given" and camera.centre_std > most
 
@@ -86,14 +85,14 @@ def parameter_stds(camera: Camera) -> tuple[float, ...]:
 
 
 def _shrinks(parameters: np.ndarray) -> np.ndarray:
-    """By which x and y (2,) of a point grow if a K with parameters normalises it."""
+    """The factors (2,) by which x and y of a point grow if a K with parameters normalises it."""
     k, a = parameters[0], parameters[5]
     return np.exp([a / 2 - k, -a / 2 - k])
 
 
 def renormalised(points: np.ndarray, lens: Distortion | None, parameters: np.ndarray) -> np.ndarray:
-    """Normalised points (N, 2) as a camera with parameters (SIZE,) from its K and lens normalises
-    them; NaN where its distortion cannot be undone."""
+    """Normalised points (N, 2), normalised anew by a camera with parameters (SIZE,); NaN where its
+    distortion cannot be undone. lens: of the camera without these parameters."""
     lens = lens or _PINHOLE
     return _undone(_moved(points, lens, parameters), lens, parameters)
 
@@ -101,7 +100,7 @@ def renormalised(points: np.ndarray, lens: Distortion | None, parameters: np.nda
 def renormalised_pair(
     problem: TwoViewProblem, parameters: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The points (N, 2) of both images as cameras with parameters (2 * SIZE,) normalise them."""
+    """The points (N, 2) of both images, normalised anew by cameras with parameters (2 * SIZE,)."""
     return (
         renormalised(problem.points1, problem.lenses[0], parameters[:SIZE]),
         renormalised(problem.points2, problem.lenses[1], parameters[SIZE:]),
@@ -130,7 +129,7 @@ def renormalised_slopes(
 
 
 def _moved(points: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.ndarray:
-    """Normalised points (N, 2) as the lens shows them, by the K of the parameters."""
+    """Normalised points (N, 2), distorted again by the lens, for the K of the parameters."""
     seen = points if lens is _PINHOLE else lens.apply(points)
     return (seen - parameters[1:3]) * _shrinks(parameters)
 
@@ -142,7 +141,7 @@ def _undone(moved: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.n
 
 
 def with_parameters(camera: Camera, parameters: np.ndarray) -> Camera:
-    """The camera with parameters (SIZE,) from its K and lens; its standard deviations stay."""
+    """The camera changed by parameters (SIZE,); its standard deviations stay."""
     if not parameters.any():
         return camera
     lens = camera.distortion
@@ -160,7 +159,7 @@ def with_parameters(camera: Camera, parameters: np.ndarray) -> Camera:
 def pair_with_parameters(
     cameras: tuple[Camera, Camera], parameters: np.ndarray
 ) -> tuple[Camera, Camera]:
-    """Two cameras with parameters (2 * SIZE,)."""
+    """Two cameras changed by parameters (2 * SIZE,)."""
     first, second = cameras
     return with_parameters(first, parameters[:SIZE]), with_parameters(second, parameters[SIZE:])
 
@@ -174,10 +173,10 @@ def error_slopes(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Signed Sampson errors (N,), their derivatives (N, 5 + M), and a basis (3, 2).
 
-    The parameters are a rotation vector w, R becoming exp([w]x) R, two coordinates of t along the
-    columns of the basis, which are perpendicular to t, and those of `prior`. parameters: (12,) of
-    the cameras from those that normalised the problem; the errors are in the problem's unit, 0
-    where a distortion cannot be undone.
+    The derivatives are by a rotation vector w, which changes R to exp([w]x) R; by two coordinates
+    of t along the columns of the basis, which are perpendicular to t; and by the normal vector of
+    `prior`. parameters: (12,), how far the cameras are from those that normalised the problem. The
+    errors are in the problem's unit, 0 where a distortion cannot be undone.
     """
     points1, points2 = problem.points1, problem.points2
     if parameters.any():
@@ -199,7 +198,7 @@ def error_slopes(
     error = algebraic / root
     if not len(prior):
         return error, slopes, tangent
-    # By each point: of the algebraic error, and of the length of the line in the other image.
+    # Derivatives by each point of the algebraic error and of the other image's line's length.
     over = error / squared
     by_point1 = lines1[:2] / root - over * (E[:2, :2].T @ lines2[:2])
     by_point2 = lines2[:2] / root - over * (E[:2, :2] @ lines1[:2])
@@ -212,7 +211,7 @@ def error_slopes(
             )
         ]
     )
-    of_cameras[:, FOCALS] += error[:, None] / 2  # of the growth
+    of_cameras[:, FOCALS] += error[:, None] / 2  # derivative of the growth
     slopes = np.hstack([slopes, of_cameras @ prior.basis])
     growth = np.exp(parameters[FOCALS].mean())
     return np.nan_to_num(error * growth), np.nan_to_num(slopes * growth), tangent

@@ -1,7 +1,7 @@
 """The Cauchy loss of robust least squares, and the covariance of its minimum by the jackknife.
 
 Errors of dense matches are correlated: neighbours lie on the same misplaced surface, so a thousand
-of them carry little more information than a few. The usual covariance takes all matches for
+of them carry little more information than a few. The usual covariance assumes that all matches are
 independent and is several times too small. The jackknife leaves out one block of an image after the
 other (delete-a-group, Kott 2001), so that correlated errors are left out together.
 """
@@ -10,19 +10,19 @@ import numpy as np
 
 DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
 EFFICIENT = 2.385  # width of the Cauchy loss of 95 % efficiency on Gaussian noise, in deviations
-# Neighbouring matches err alike: so many are worth one that errs by itself, where they are weighed
-# against a prior. See docs/experiments.md.
+# Errors of neighbouring matches are correlated: this many count as one independent match against
+# a prior. See docs/experiments.md.
 CORRELATED = 10.0
 BLOCKS = 3  # along the longer side of the inliers in image 2; see docs/experiments.md
 _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in blocks
-# Share of the whole information that is kept when a block is left out: of a dense map a block may
-# have nearly all of it, see docs/experiments.md; else only so much that the rest is regular.
+# Share of the whole information that stays when a block is left out: for a dense map, as a block
+# may have nearly all of it (docs/experiments.md); and otherwise, to keep the rest regular.
 KEPT, REGULAR = 0.1, 1e-9
-_MIN_WIDTH = 0.02  # of the threshold: matches are not trusted to be more accurate than that
+_MIN_WIDTH = 0.02  # of the threshold: matches count as no more accurate than this
 
 
 def loss_width(error: np.ndarray, threshold: float) -> float:
-    """Width of the Cauchy loss for inliers' errors (N,), in their unit.
+    """Width of the Cauchy loss for the errors (N,) of inliers, in their unit.
 
     From the median error, as if the errors were Gaussian; at most the threshold.
     """
@@ -31,23 +31,23 @@ def loss_width(error: np.ndarray, threshold: float) -> float:
 
 
 def cauchy_losses(error: np.ndarray, width: float) -> np.ndarray:
-    """Minus the logarithms of the likelihoods (N,) of errors of a Cauchy distribution of this
-    width, up to a constant, over the number of matches that are correlated."""
+    """Minus the log-likelihoods (N,) of errors with a Cauchy distribution of this width, up to a
+    constant, divided by `CORRELATED`."""
     losses: np.ndarray = EFFICIENT**2 / CORRELATED / 2 * np.log1p((error / width) ** 2)
     return losses
 
 
 def cauchy_curvature(error: np.ndarray, width: float | np.ndarray) -> np.ndarray:
-    """The second derivatives (N,) of the Cauchy losses of errors, over that of no error. Negative
-    beyond the loss's inflection, they count as 0: a match must not be negative evidence."""
+    """The second derivatives (N,) of the Cauchy losses of errors, over that of error 0. Beyond the
+    inflection they are negative and count as 0: a match must not be negative evidence."""
     squared = (error / width) ** 2
     curvature: np.ndarray = np.maximum(1 - squared, 0) / (1 + squared) ** 2
     return curvature
 
 
 def loss_terms(error: np.ndarray, slopes: np.ndarray, width: float) -> np.ndarray:
-    """Of errors (N,) with derivatives (N, P) the information and the gradients of the Cauchy loss,
-    (N, P * P + P), in the unit of the information of an error without loss."""
+    """The information and the gradients, (N, P * P + P), of the Cauchy loss of errors (N,) with
+    derivatives (N, P), relative to the information of plain squares."""
     gradients = slopes * (error / (1 + (error / width) ** 2))[:, None]
     weighted = slopes * cauchy_curvature(error, width)[:, None]
     information = weighted[:, :, None] * slopes[:, None]
@@ -57,9 +57,9 @@ def loss_terms(error: np.ndarray, slopes: np.ndarray, width: float) -> np.ndarra
 def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = REGULAR) -> np.ndarray:
     """The covariance (P, P) of P parameters by leaving out one group after the other.
 
-    total: their information (P, P), with any prior's. sums: (G, P * P + P) of each group, its
-    information and the gradient of its loss. kept: share of `total` beside the rest. Raises
-    LinAlgError if the rest determines none.
+    total: their information (P, P), with that of any prior. sums: (G, P * P + P), the information
+    of each group and the gradient of its loss. kept: share of `total` that is added to the other
+    groups. Raises LinAlgError if these do not determine the parameters.
     """
     count, groups = len(total), len(sums)
     left_out = sums[:, : count**2].reshape(-1, count, count)
@@ -72,17 +72,17 @@ def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = REGULAR) -> np.
 def block_jackknife(
     total: np.ndarray, terms: np.ndarray, points: np.ndarray, kept: float
 ) -> np.ndarray:
-    """The covariance (P, P) by leaving out blocks of points (N, 2), mean over their shifts. terms:
-    (N, P * P + P) of `loss_terms`; the others as of `jackknife`."""
+    """The covariance (P, P) by leaving out blocks of points (N, 2), averaged over shifts of the
+    blocks. terms: (N, P * P + P), from `loss_terms`; see `jackknife` for the others."""
     shifted = [jackknife(total, block_sums(terms, points, shift), kept) for shift in _SHIFTS]
     covariance: np.ndarray = np.mean(shifted, axis=0)
     return covariance
 
 
 def block_sums(terms: np.ndarray, points: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
-    """Sums (B, M) of terms (N, M) over square blocks of points (N, 2), empty blocks left out.
+    """Sums (B, M) of terms (N, M) over square blocks of points (N, 2), without empty blocks.
 
-    No matrix product: the order of its sums depends on the number of threads.
+    Uses no matrix product: the order of its sums depends on the number of threads.
     """
     low, high = points.min(0), points.max(0)
     # Slightly more than the span, or the farthest point would be alone in a block.

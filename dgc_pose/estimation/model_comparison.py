@@ -1,9 +1,9 @@
-"""Which cameras the matches agree with.
+"""The camera model that the matches agree with.
 
-The evidence of a model is the likelihood of the errors in the image with all parameters integrated
-out, by the normal distribution around their fit (Laplace; MacKay 1992), so that models of any
-number of parameters can be compared. A model that is far less likely by the slopes at the fit of
-the assumed cameras is not fitted itself.
+The evidence of a model is the likelihood of the errors in the images with all parameters integrated
+out, by a normal distribution around their fit (Laplace; MacKay 1992). It compares models of any
+number of parameters. A model is not fitted if the slopes at the fit of the assumed cameras show
+that it is far less likely.
 """
 
 from __future__ import annotations
@@ -34,31 +34,31 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.system.parallel import in_threads
 
 _SAMPLED = 500  # matches
-# How many others each stands for at most, beside a K that is stated. What else lenses and shutters
-# do is in all matches of a photograph, and another camera would explain a part of it.
+# Most matches that a sampled match stands for, if K is stated. Further effects of lenses and
+# shutters are in all matches, and another camera would explain a part of these effects.
 _MOST_WEIGHT = 6.0
 _ITERATIONS = 120  # of a RANSAC run at most
-# Of the errors of the rounds of a fit, thresholds: from a start, and from a fit.
+# Largest errors in each round of a fit, thresholds: from a start, and from a fit.
 _OF_START, _OF_FIT = (3.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
 _FIT_ITERATIONS = 30  # of a round
-_MIN_SHOWN = 0.02  # probability of a model that the expected errors contain
-# Probabilities of the assumed cameras, and of those that K states, with which they are kept.
+_MIN_SHOWN = 0.02  # least probability of a model that the expected errors include
+# Probabilities above which the assumed cameras, and those that K states, are kept.
 _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
-# Of the cost, that the inliers of the assumed cameras may cost more; unless there are so many times
-# as many inliers.
+# Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
+# has this many times as many inliers.
 _AS_WELL, _MORE = 1.0, 1.2
-_EXPLAINED = 0.8  # share of the sample below the threshold, with which nothing far is searched
-_HOPELESS = 6.0  # log-odds below the assumed cameras, by the slopes, of a model that is not fitted
-_DOUBTFUL = -1.0  # log-odds of another model by the matches alone, with which it is searched
-_UNUSUAL = 0.5  # squares of the parameters of assumed cameras that two may explain
-_WORSE = 8.0  # of the cost, that a start may be worse than the fit of the assumed cameras
-_LEAST_SPREAD_DEG = 1.0  # standard deviation of the pose of a model
-# By how many standard deviations the parameters that K states must be off, and the variance of
-# each over that before the matches.
+_EXPLAINED = 0.8  # share of inliers in the sample above which no distant cameras are searched
+_HOPELESS = 6.0  # log-odds against another model, by the slopes, above which it is not fitted
+_DOUBTFUL = -1.0  # log-odds of another model, from the matches only, above which it is searched
+_UNUSUAL = 0.5  # squares of the assumed cameras' parameters above which two cameras are searched
+_WORSE = 8.0  # cost by which a start may be worse than the fit of the assumed cameras
+_LEAST_SPREAD_DEG = 1.0  # least standard deviation of the pose of a model
+# To replace a stated K, a parameter is off by this many standard deviations, and the matches reduce
+# its variance to this share of the prior's.
 _LEAST_STDS, _DETERMINED = 5.0, 0.25
-_MOST_STDS = 3.0  # of another focal length than K states, before the matches
-_OPEN_STD = 0.1  # of ln f, below which the matches determine it whatever was believed
-# The parameters of both cameras that K states in another way.
+_MOST_STDS = 3.0  # largest deviation of a focal length from K, standard deviations of the prior
+_OPEN_STD = 0.1  # deviation of ln f below which the matches determine it, whatever the prior
+# The parameters of both cameras that differ from K, by model.
 _TESTED = {
     "focal": FOCALS,
     "focals": FOCALS,
@@ -66,14 +66,14 @@ _TESTED = {
     "centre": [1, 2, SIZE + 1, SIZE + 2],
 }
 _STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f that are tried
-# Models of the same lenses and middles as the assumed ones: the slopes at their fit are theirs too.
+# Models with the lenses and middles of the assumed cameras: the slopes at that fit hold for them.
 _BY_SLOPES = ("two", "squeezed", "off_centre", "focal", "focals", "lens", "centre")
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
 
 
 def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
-    """The most probable model. problem: normalised by the cameras as stated. pose: fitted with
-    these."""
+    """The most probable model. problem: normalised by the stated cameras. pose: fitted with
+    them."""
     stated = problem.cameras
     drawn = problem.matches.subset(np.sort(draw(problem, problem.options.seed, _SAMPLED).index))
     pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
@@ -86,7 +86,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
     assumed = sample.valued(CameraModel("assumed", stated), pose, joint)
     if not math.isfinite(assumed.log_evidence):
         return replace(assumed, pose=pose)
-    far = {"tail"} if assumed.focal_std < _OPEN_STD else set[str]()  # that are no other, or too far
+    far = {"tail"} if assumed.focal_std < _OPEN_STD else set[str]()  # not tried
     far |= set(WIDE) if sample.is_explained else set()
     others = [model for model in other_models(stated) if model.name not in far]
     fits = in_threads(lambda model: sample.fitted(model, pose, assumed), others)
@@ -96,7 +96,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
     least = _MIN_STATED_SHARE if best.name in OF_STATED else _MIN_SHARE
     if shares[0] > least or (best.name in OF_STATED and best.stds < _LEAST_STDS):
         best = assumed
-    assert best.pose is not None  # of a finite evidence
+    assert best.pose is not None  # because the evidence is finite
     covariance, agreement = np.zeros((6, 6)), 0.0
     for share, model in zip(shares, models, strict=True):
         if model is best or model.pose is None:
@@ -123,8 +123,8 @@ class _Sample:
 
     joint: JointFit  # of the assumed cameras
     pixels: float  # the threshold
-    weight: float  # of each, as there are others
-    error: np.ndarray  # (N,), as of `_errors`
+    weight: float  # of each match, which stands for others
+    error: np.ndarray  # (N,), see `_errors`
     width: float  # of the losses
     # Hessian (17, 17) and gradient (17,) at the assumed fit by the pose and by all parameters of
     # both cameras; the axes (3, 2) of t.
@@ -142,12 +142,12 @@ class _Sample:
 
     @property
     def is_explained(self) -> bool:
-        """Whether the assumed cameras explain the matches so well that others are near them."""
+        """Whether the assumed cameras explain so many matches that the right ones are similar."""
         return bool((self.error < 1).mean() > _EXPLAINED)
 
     def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
-        """The model with the likeliest of its fits, or as the slopes at the pose of the assumed
-        cameras have it, if that is hopeless."""
+        """The model with the likeliest of its fits. If the slopes at the pose of the assumed
+        cameras show that it is hopeless, the estimate from the slopes instead."""
         joint = JointFit(self.joint.problem.of_cameras(model.cameras))
         own, others = [_to_middles(cameras) for cameras in (assumed.cameras, model.cameras)]
         turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
@@ -156,7 +156,7 @@ class _Sample:
         at = self.joint.parameters(pose) + of_focals(longer)  # the middles stay where they are
         z = np.linalg.lstsq(joint.prior.basis, at, rcond=None)[0]
         start = JointPose(turn2 @ pose.R @ turn1.T, turn2 @ pose.t, z)
-        # The focal length of one camera is unusual where there are two.
+        # If there are two cameras, the fit of one has an unusual focal length.
         odd = model.name == "two" and float(pose.z @ pose.z) > _UNUSUAL
         searches = odd or not self.is_explained or model.name not in _BY_SLOPES
         if model.name in _BY_SLOPES:
@@ -181,15 +181,15 @@ class _Sample:
         if model.name not in WIDE:
             limits = _OF_FIT if model.name in _BY_SLOPES else _OF_START
             fits.append(joint.fitted(start, limits, _FIT_ITERATIONS))
-        if model.name == "two" and searches:  # from what was believed too
+        if model.name == "two" and searches:  # from the prior too
             start = replace(start, z=np.zeros(len(z)))
             fits.append(joint.fitted(start, _OF_START, _FIT_ITERATIONS))
         valued = [self.valued(model, fit, joint) for fit in fits]
         return max([model, *valued], key=lambda each: each.log_evidence)
 
     def valued(self, model: CameraModel, pose: JointPose, joint: JointFit) -> CameraModel:
-        """The model with a pose and its evidence; without one if the inliers of the assumed cameras
-        are not explained as well, as they are by what is likelier, unless far more others are."""
+        """The model with a pose and its evidence. If it explains the inliers of the assumed cameras
+        worse than these do, and has not far more inliers, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
@@ -203,7 +203,7 @@ class _Sample:
     def _along_slopes(
         self, model: CameraModel, prior: IntrinsicsPrior, pose: JointPose
     ) -> CameraModel:
-        """The model at the minimum of the quadratic function that the slopes determine."""
+        """The model at the minimum of the quadratic approximation by `slopes`."""
         hessian, gradient, tangent = self.slopes
         basis = np.zeros((len(gradient), 5 + len(prior)))
         basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis
@@ -218,14 +218,14 @@ class _Sample:
 
 
 def _errors(joint: JointFit, pose: JointPose, pixels: float) -> np.ndarray:
-    """Errors in the image of all matches (N,), over a threshold in pixels, cut off."""
+    """Errors (N,) of all matches in the images, over a threshold in pixels, cut off."""
     error = np.full(len(joint.problem.matches), MOST_ERROR)  # where a distortion is not undone
     error[joint.problem.index] = joint.errors_px(pose) / pixels
     return np.minimum(error, MOST_ERROR)
 
 
 def _to_middles(cameras: tuple[Camera, Camera]) -> list[np.ndarray]:
-    """For each camera the rotation (3, 3) of the optical axis to the ray of the image's middle."""
+    """For each camera, the rotation (3, 3) of the optical axis to the ray of the image's middle."""
     rotations = []
     for camera in cameras:
         middle = (np.array(image_size(camera)) - 1) / 2
@@ -243,8 +243,8 @@ def _with_evidence(
     hessian: np.ndarray,
     tangent: np.ndarray,
 ) -> CameraModel:
-    """The model with a fit; without one if that is no minimum, and for focal lengths beside those
-    of K that the matches do not determine. loss: of the matches; hessian (5 + M, 5 + M): of that.
+    """The model with a fit; without one if the fit is no minimum, or if it replaces K's focal
+    lengths and the matches do not determine others. loss, hessian (5 + M, 5 + M): of the matches.
     """
     total = hessian + prior.information
     sign, log_determinant = np.linalg.slogdet(total)
@@ -259,7 +259,7 @@ def _with_evidence(
         stds = moved[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
         determined = variances[rows] < _DETERMINED * before[rows]
         off = float(stds[determined].max(initial=0.0))
-        # What is less sure contradicts nothing, and no photograph has such a focal length.
+        # A less certain focal length does not contradict K; no photograph has an extreme one.
         usual = moved[rows] <= _MOST_STDS * np.sqrt(before[rows])
         if rows == FOCALS and not (determined & usual).all():
             return model
@@ -274,7 +274,7 @@ def _with_evidence(
 
 
 def _starts(model: CameraModel, at: np.ndarray) -> list[np.ndarray]:
-    """Parameters (2 * SIZE,) of the model's cameras that RANSAC is run at. at: (2 * SIZE,) of the
+    """Parameters (2 * SIZE,) of the model's cameras at which RANSAC runs. at: (2 * SIZE,) of the
     assumed cameras."""
     focals = at[FOCALS]
     stds = np.array([camera.focal_std for camera in model.cameras])

@@ -5,7 +5,7 @@ from typing import Literal
 
 from dgc_pose.system.options import MAX_SEED, check_options, option
 
-# How much of the matching a pose gets; `dgc_pose.pose` has the steps.
+# How much work goes into the matches of a pair; `dgc_pose.pose` lists the steps.
 Effort = Literal["fast", "auto", "thorough"]
 
 
@@ -15,10 +15,10 @@ class EstimationOptions:
 
     Attributes:
         runs: Runs have different seeds; the hypothesis with most inliers is kept.
-        refine: Whether the best is refined on its inliers; the paper's protocol does not.
-        min_probability: Without it, and for key points, for which no probability is fitted, the
-            gates of `dgc_pose.estimation.verdict` decide. Otherwise the probability decides, and
-            the gates name the reason of a failure.
+        refine: Whether to refine the best hypothesis on its inliers; the paper does not.
+        min_probability: The probability decides, and the gates of `dgc_pose.estimation.verdict`
+            name the reason of a failure. With None, and for matches without a fitted probability
+            such as key points, the gates decide.
     """
 
     effort: Effort = option(

@@ -1,6 +1,6 @@
 """The probability that a pose is right, and its expected error, from all the evidence.
 
-A logistic model of a few features, fitted by `dgc-pose fit-probability`. `probability.json` holds a
+A logistic model of a few features, fitted by `dgc-pose fit-probability`. `probability.json` has a
 model for each kind of matches; `probability.md` beside it is the card: data, split, figures.
 """
 
@@ -22,17 +22,18 @@ RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 5  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
 _MAX_REASONS = 3
-_FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))  # 2 % in place of 8 %
-DOUBTFUL = 0.8  # probability that both images show one place, below which it is a reason
-# A belief that is wrong of the focal length is so for all pairs of a camera, and what is fitted on
-# pairs is too sure: of log-odds, where the error of ln f at nine in ten, per cent, is the second.
+# 8 % of the pairs of the fit show two places, and 2 % of the pairs in use.
+_FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))
+DOUBTFUL = 0.8  # probability of one place below which it is a reason against the pose
+# A wrong prior of the focal length is wrong for all pairs of a camera, so the fit is too certain.
+# Log-odds to subtract, growing from 0 to all between these errors of ln f (nine cases of ten, %).
 _OPEN_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
 def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
-    """Which model applies: of matches with a dense map, without one, or of key points; `_auto` if
-    the focal lengths are fitted."""
+    """The kind of model for matches with a dense map, without one, or of key points; `_auto` if the
+    focal lengths are fitted."""
     if key_points:
         return "key_points"
     if fitted:
@@ -41,15 +42,14 @@ def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
 
 
 class Feature(NamedTuple):
-    """A number made of the evidence; the logistic model is linear in it."""
+    """A number computed from the evidence; the logistic model is linear in it."""
 
     field: str  # of the evidence
-    sign: int  # of its weight: 1 if more of it speaks for the pose, -1 if against
-    # What speaks against a pose that has little, or much, of it; formats the value, and e, the
-    # evidence.
+    sign: int  # of its weight: 1 if a larger number supports the pose, -1 if it opposes it
+    # Reason against a pose with a bad number: a format of the value and of e, the evidence.
     against: str
-    # The logarithm is taken within this range, so that the model never extrapolates; None: the
-    # number itself, a share of at most 1.
+    # The logarithm is taken within this range, so that the model never extrapolates. None: no
+    # logarithm; the number is a share of at most 1.
     log_range: tuple[float, float] | None = None
 
     def value(self, evidence: Evidence) -> float:
@@ -106,7 +106,7 @@ FEATURES: Mapping[str, Feature] = {
         "raw_focal_90_percent", -1, "the matches hardly determine the focal length", (0.3, 100)
     ),
 }
-OF_AUTO = ("camera_agreement", "focal_error")  # of focal lengths that are fitted
+OF_AUTO = ("camera_agreement", "focal_error")  # features of fitted focal lengths
 OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
 
 
@@ -115,17 +115,17 @@ CHOICE_FEATURES = ("likelihood", "map_agreement")
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """The error that nine right poses in ten stay below, from the raw error: a power of it.
+    """The calibration of an error: the bound for nine right poses in ten is a power of the raw one.
 
-    The raw error is that of the covariance, which does not have all that the errors of neighbouring
-    matches have in common.
+    The raw error is from the covariance, which contains only a part of the correlation between
+    neighbouring matches.
     """
 
     slope: float
     intercept: float
 
     def factor(self, error_deg: float) -> float:
-        """By which the raw error (at nine in ten, degrees) is scaled."""
+        """The factor of a raw error (in nine cases of ten, degrees)."""
         total = self.intercept + self.slope * log_error(error_deg)
         return math.exp(min(max(total, -_MAX_LOG_FACTOR), _MAX_LOG_FACTOR))
 
@@ -138,15 +138,15 @@ def log_error(error_deg: float) -> float:
 
 @dataclass(frozen=True)
 class SamePlace:
-    """The probability that images whose matches have a pose show one place, and not two that have a
-    part alike: logistic in how alike what surrounds the matches is."""
+    """The probability that images whose matches have a pose show one place, not two places with a
+    similar part. It is logistic in the similarity of the images around the matches."""
 
     slope: float
     intercept: float
 
     def probability(self, evidence: Evidence) -> float:
-        """1 if what surrounds the matches is not known. Fewer of the pairs that people give are of
-        two places than of those that it is fitted on."""
+        """The probability; 1 if the similarity is unknown. Pairs in use show two places less often
+        than the pairs of the fit."""
         if evidence.surroundings is None:
             return 1.0
         log_odds = self.intercept + self.slope * evidence.surroundings + _FEWER_TWO_PLACES
@@ -155,29 +155,29 @@ class SamePlace:
 
 @dataclass(frozen=True)
 class ProbabilityModel:
-    """The two steps of the probability for one kind of matches: a logistic model of whether a right
-    pose is among those that explain the matches, and which of them it is."""
+    """The two steps of the probability for one kind of matches: whether a right pose is among those
+    that explain the matches, and which of them it is."""
 
-    weights: Mapping[str, float]  # log-odds for a unit of each feature
+    weights: Mapping[str, float]  # log-odds per unit of each feature
     intercept: float
     reference: Mapping[str, float]  # the median of each feature over right poses
     rotation_error: ErrorModel
     translation_error: ErrorModel
-    choice: Mapping[str, float]  # log-odds for a unit of each of `CHOICE_FEATURES`, and "lapse"
+    choice: Mapping[str, float]  # log-odds per unit of each of `CHOICE_FEATURES`, and "lapse"
     same_place: SamePlace
 
     def probability(self, evidence: Evidence) -> float:
         """The probability that a pose with R and t within 10 degrees is among those that explain
         the matches.
 
-        evidence: of the likeliest of them. The model is fitted on poses of images of one place, see
-        `same_place`. It is at most the probability that other cameras and the expected errors
-        leave.
+        evidence: of the likeliest pose. The model is fitted on images of one place, see
+        `same_place`. Upper bounds are the camera agreement, and the probabilities that normal
+        errors with the expected sizes are within 10 degrees.
         """
         total = self.intercept + sum(
             weight * FEATURES[name].value(evidence) for name, weight in self.weights.items()
         )
-        # How far a belief decides on the focal length, and not the matches: 0 to 1.
+        # How far the prior, not the matches, determines the focal length: 0 to 1.
         low, high = _OPEN_FOCAL_PERCENT
         error = _log(evidence.raw_focal_90_percent or low, low, high)
         total -= _OPEN_LOG_ODDS * ((error - math.log(low)) / math.log(high / low))
@@ -186,8 +186,8 @@ class ProbabilityModel:
         return min(fitted, evidence.camera_agreement, *within)
 
     def against(self, evidence: Evidence) -> list[str]:
-        """Reasons against the pose: the features that cost most log-odds, compared with their
-        medians over right poses, most first."""
+        """Reasons against the pose: the features that cost most log-odds compared with their
+        medians over right poses, the largest cost first."""
         costs = {
             name: weight * (self.reference[name] - FEATURES[name].value(evidence))
             for name, weight in self.weights.items()
@@ -202,8 +202,8 @@ class ProbabilityModel:
         ]
 
     def calibrated(self, covariance: np.ndarray, evidence: Evidence) -> np.ndarray:
-        """The covariance (6, 6) of a pose scaled so that its error holds nine times in ten if the
-        pose is right, which is an error of at most 10 degrees."""
+        """The covariance (6, 6) of a pose, scaled so that the expected errors hold in nine cases of
+        ten if the pose is right: off by at most 10 degrees."""
         raw = evidence.raw_rotation_90_deg, evidence.raw_translation_90_deg
         factors = [
             of_right(error) / before if before else 1.0
@@ -213,8 +213,8 @@ class ProbabilityModel:
         return covariance * np.outer(scale, scale)
 
     def errors_90_deg(self, evidence: Evidence) -> tuple[float, float]:
-        """The calibrated errors of R and t, at nine in ten, of a pose that may be wrong as well; 0
-        where there is no raw error."""
+        """The calibrated bounds of the errors of R and t in nine cases of ten, for a pose that may
+        be wrong; 0 without a raw error."""
         rotation = evidence.raw_rotation_90_deg or 0.0
         translation = evidence.raw_translation_90_deg or 0.0
         return (
@@ -226,15 +226,15 @@ class ProbabilityModel:
 class FittedModels(NamedTuple):
     """The models that `dgc-pose fit-probability` fits."""
 
-    by_kind: Mapping[str, ProbabilityModel]  # a `MatchKind` each
-    focal_error: ErrorModel  # of the logarithm of a focal length that was fitted, per cent
-    weights: frozenset[str]  # fingerprints of the networks whose matches they are fitted on
+    by_kind: Mapping[str, ProbabilityModel]  # by `MatchKind`
+    focal_error: ErrorModel  # of ln f of a fitted focal length, per cent
+    weights: frozenset[str]  # fingerprints of the networks whose matches were used for the fit
 
     def model(
         self, weights: str | None, *, key_points: bool, with_map: bool, fitted: bool
     ) -> ProbabilityModel | None:
-        """The model of matches, see `match_kind`; None if none is fitted for such matches. weights:
-        of `Matches`. Those of key points are of any detector."""
+        """The model for matches, see `match_kind`; None if none is fitted for such matches.
+        weights: from `Matches`. The model for key points is for any detector."""
         if not key_points and weights not in self.weights:
             return None
         return self.by_kind.get(match_kind(key_points=key_points, with_map=with_map, fitted=fitted))
@@ -242,7 +242,7 @@ class FittedModels(NamedTuple):
 
 @cache
 def shipped_models() -> FittedModels:
-    """The models of the package."""
+    """The models in the package."""
     file = files("dgc_pose.estimation").joinpath("probability.json")
     return parse_models(file.read_text("utf-8"))
 
@@ -267,21 +267,21 @@ def parse_models(text: str) -> FittedModels:
 
 
 def calibrated_focal_std(std: float) -> float:
-    """The standard deviation of ln f, from the raw one, which may be infinite. Raw ones below a per
-    cent, which few of the scenes fitted on have, are scaled as that is."""
+    """The standard deviation of ln f from the raw one, which may be infinite. Raw errors below one
+    per cent are scaled like one per cent: few scenes of the fit have them."""
     return std * shipped_models().focal_error.factor(max(100 * NORMAL_90 * std, 1.0))
 
 
 def of_right(error_90_deg: float) -> float:
-    """What a normal error stays below nine times in ten if it is at most `RIGHT_DEG`, by the same
-    without that condition."""
+    """The bound of a normal error in nine cases of ten if it is at most `RIGHT_DEG`, from the bound
+    without this condition."""
     share = 0.9 * _within(error_90_deg)
     return error_90_deg / NORMAL_90 * NormalDist().inv_cdf((1 + share) / 2)
 
 
 def _within(error_90_deg: float) -> float:
-    """The probability that a normal error is at most `RIGHT_DEG`, by what it stays below nine times
-    in ten."""
+    """The probability that a normal error is at most `RIGHT_DEG`, from its bound in nine cases of
+    ten."""
     return math.erf(NORMAL_90 * RIGHT_DEG / max(error_90_deg, 1e-9) / math.sqrt(2))
 
 
@@ -292,8 +292,9 @@ def utility(likelihood: float, map_agreement: float | None, weights: Mapping[str
 
 
 def choice_shares(utilities: Sequence[float] | np.ndarray, lapse: float = 0.0) -> np.ndarray:
-    """Probabilities (K,) of the conditional logit model (McFadden 1974) of utilities (K,), -inf for
-    what cannot be chosen. lapse: the probability that any other is right, whatever these state."""
+    """Probabilities (K,) of the conditional logit model (McFadden 1974) for utilities (K,), -inf
+    for an impossible choice. lapse: the probability that all possible choices are equally likely,
+    whatever their utilities."""
     values = np.asarray(utilities)
     odds = np.exp(values - values.max())
     possible = np.isfinite(values)

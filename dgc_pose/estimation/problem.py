@@ -1,4 +1,4 @@
-"""What all stages of the estimation share: normalised matches, and a hypothesis of their pose."""
+"""The data that all stages of the estimation share: normalised matches and hypotheses of a pose."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 _DEFAULTS = EstimationOptions()
 THRESHOLD_FACTOR = 2.0  # the threshold over the matches' `error_px`
-# Of what two radial coefficients leave of a lens that is not known, over the longer side.
+# Error of an unknown lens that two radial coefficients do not explain, over the longer side.
 _LENS_ERROR = 0.001
-_SLACK = 1.4  # of the image's sides, where its size is that of a principal point in the middle
-_MOST_OUTSIDE = 0.05  # share of the points
-_LEAST_REACH = 0.5  # of the sides, along one of them; of 172 real pairs 0.63 and more
-_MIN_POINTS = 20  # fewer are no pose
-MIN_MATCHES = 20  # distinct and finite, of a verdict
+_SLACK = 1.4  # of the image's sides, if its size is unknown and derived from the principal point
+_MOST_OUTSIDE = 0.05  # share of the points that may lie outside
+_LEAST_REACH = 0.5  # of the points along one side, over the side; 172 real pairs reach 0.63
+_MIN_POINTS = 20  # fewer give no pose
+MIN_MATCHES = 20  # distinct and finite matches that a verdict needs
 DISTINCT_DEG = 10.0  # in R or t: poses nearer to each other count as one
 _GRID = 24  # cells along the longer side of an image
 
@@ -60,9 +60,9 @@ class TwoViewProblem:
     ) -> TwoViewProblem:
         """The problem of matches in pixels and their cameras.
 
-        Matches that are not finite, duplicates, and matches whose distortion cannot be undone are
-        dropped and counted. The threshold in pixels of the originals is divided by each camera's
-        focal length; the mean of both counts.
+        Drops and counts matches that are not finite, duplicates, and matches whose distortion
+        cannot be undone. The threshold is the mean of the threshold in pixels of the originals,
+        divided by the focal length of each camera.
         """
         rows = np.column_stack([matches.points1, matches.points2])
         finite = np.flatnonzero(np.isfinite(rows).all(1))
@@ -119,8 +119,8 @@ class TwoViewProblem:
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """A pose x2 = R x1 + t with its inliers among the N matches used, and what the choice among
-    several rests on.
+    """A pose x2 = R x1 + t, its inliers among the N matches used, and values to compare it with
+    other hypotheses.
 
     Attributes:
         R: Rotation (3, 3) from camera 1 to camera 2.
@@ -128,12 +128,12 @@ class Hypothesis:
         inliers: Which matches have a Sampson distance below the problem's threshold, (N,) bool.
         in_front: Which matches lie in front of both cameras, (N,) bool.
         likely: Whether it explains the matches about as well as the first.
-        likelihood: Logarithm of the likelihood of all matches, over the root of the number of
-            inliers.
-        map_agreement: Share of the dense map that agrees, by matchability; None without a map.
-        share: The probability that it is right if one is; 0 if it is not likely.
-        probability: Probability that R and t are both within 10 degrees of the truth; None if no
-            model of it is fitted for such matches, and before the verdict.
+        likelihood: Log-likelihood of all matches, divided by the root of the number of inliers of
+            the first hypothesis.
+        map_agreement: Share of the dense map that agrees, see `agreement`; None without a map.
+        share: The probability that it is right if one hypothesis is; 0 if it is not likely.
+        probability: Probability that R and t are both within 10 degrees of the truth; None before
+            the verdict, and if no probability is fitted for such matches.
     """
 
     R: np.ndarray
@@ -160,7 +160,7 @@ class Hypothesis:
 
     @classmethod
     def of_essential(cls, problem: TwoViewProblem, E: np.ndarray) -> Hypothesis:
-        """The one with most inliers in front of the cameras of an essential matrix's four poses."""
+        """The hypothesis, of an essential matrix's four poses, with most inliers in front."""
         poses = [cls.of_pose(problem, R, t) for R, t in pose_candidates(E)]
         return max(poses, key=lambda pose: pose.num_in_front)
 
@@ -185,14 +185,14 @@ class Hypothesis:
         return int(self.inliers_in_front.sum())
 
     def agreement(self, map_problem: TwoViewProblem) -> float:
-        """Share of a dense map's sample that agrees with the pose, by the square of the
-        matchability: a cell of little is little evidence."""
+        """Share of a dense map's sample that agrees with the pose, weighted by the square of the
+        matchability: a hardly matchable cell is little evidence."""
         distance = sampson_distance(map_problem.points1, map_problem.points2, self.E)
         weight = map_problem.confidence**2
         return float(weight @ (distance < map_problem.threshold)) / max(float(weight.sum()), 1e-9)
 
     def inverse(self) -> Hypothesis:
-        """The same of camera 1 relative to camera 2."""
+        """The hypothesis for camera 1 relative to camera 2."""
         return replace(self, R=self.R.T, t=-self.R.T @ self.t)
 
     def angle_to(self, R: np.ndarray, t: np.ndarray) -> float:
@@ -200,7 +200,7 @@ class Hypothesis:
         return max(rotation_error_deg(self.R, R), translation_error_deg(self.t, t))
 
     def is_among(self, others: Iterable[Hypothesis]) -> bool:
-        """Whether one of these is within 10 degrees."""
+        """Whether this pose is within 10 degrees of one of the others."""
         return any(self.angle_to(other.R, other.t) <= DISTINCT_DEG for other in others)
 
 
@@ -216,13 +216,13 @@ def cell_side(camera: Camera) -> float:
 
 
 def image_size(camera: Camera) -> tuple[float, float]:
-    """(width, height) of the image; without a size that whose middle the principal point is."""
+    """(width, height) of the image; if unknown, with the principal point in the middle."""
     return camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1)
 
 
 def odd_extent(points: np.ndarray, camera: Camera, number: int) -> tuple[str, ...]:
-    """A warning if points (N, 2), pixels, lie beyond the image of camera 1 or 2 or reach a small
-    part of it alone. Raises InputError if more than a few lie outside the camera's size."""
+    """A warning if points (N, 2), pixels, lie outside the image of camera 1 or 2, or only in a
+    small part of it. Raises InputError if more than a few lie outside the camera's size."""
     points = points[np.isfinite(points).all(1)]
     size = np.array(image_size(camera))
     if len(points) < _MIN_POINTS or size.min() <= 1:

@@ -1,11 +1,11 @@
 """From matches and cameras to a relative pose, or to the reason why there is none.
 
-`estimate_pose` finds the candidates, measures the uncertainty of the likeliest, and judges it by
+`estimate_pose` finds the candidates, computes the uncertainty of the likeliest, and judges it by
 the evidence.
 
-Some matches may stay at the same pixels while others move: an overlay (a watermark, a hood), or a
-background before which an object turned. They agree on a camera that stood still, which says
-nothing of the scene that moves, and are left out.
+Some matches may stay at the same pixels while others move: on an overlay (a watermark, a hood), or
+on the background behind an object that turned. They fit a camera that stood still and contain
+nothing about the motion of the others, so the estimation drops them.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from dgc_pose.system.options import check_type
 from dgc_pose.system.parallel import one_blas_thread
 
 _DEFAULTS = EstimationOptions()
-# Of matches that stay at the same pixels.
-_STAY_PX = 1.0  # that a match moves at most; or the expected error of the matches, if that is more
-_NEAR = 3.0  # times that: small motions of a camera are as frequent up to here
-_MIN_COUNT, _MIN_SHARE = 20, 0.04  # of the matches that stay
-_MOST_ERROR_DEG = 2.0  # of R, that counts where points that stay may be far away
-_MOST = 0.6  # share of the matches that stay, up to which the others decide
+# Matches that stay at the same pixels:
+_STAY_PX = 1.0  # their largest motion; or the expected error of the matches, if this is larger
+_NEAR = 3.0  # times this: limit of a small motion. A moving camera has as many small motions.
+_MIN_COUNT, _MIN_SHARE = 20, 0.04  # their least number, and share of the matches
+_MOST_ERROR_DEG = 2.0  # largest error of R that allows them to be points far away
+_MOST = 0.6  # their share of the matches up to which the others decide
 
 
 @one_blas_thread()
@@ -57,10 +57,10 @@ def estimate_pose(
 
     `TwoViewProblem.of` describes how matches and threshold are normalised. map_matches: an even
     sample of the dense map that the matches come from (`MatchResult.map_matches`), as evidence for
-    the probability. fit_cameras: whether the focal lengths of cameras that are not exact are
-    fitted; without, their deviations only widen the errors. The warnings of the cameras are among
-    those of the pose. The same seed gives the same answer to the bit. Raises InputError, naming the
-    argument, for one of another type, and for points outside their camera's size.
+    the probability. fit_cameras: whether to fit the focal lengths of cameras that are not exact; if
+    False, their deviations only widen the errors. The pose includes the warnings of the cameras.
+    The same seed gives the same answer to the bit. Raises InputError, naming the argument, for an
+    argument of the wrong type, and for points outside their camera's size.
     """
     check_type(matches, Matches, "matches")
     check_type(options, EstimationOptions, "options")
@@ -82,8 +82,8 @@ def estimate_pose(
 
 
 def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose:
-    """The pose, refused if it is of other cameras than K states, which further pairs do not have.
-    stated: before the estimation."""
+    """The pose, rejected if the matches agree with other cameras than K states: further pairs would
+    not use these cameras. stated: the cameras before the estimation."""
     evidence, cameras = pose.evidence, pose.cameras
     if evidence is None or cameras is None or not pose.contradicts_K:
         return pose
@@ -93,9 +93,8 @@ def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose
 
 
 def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
-    """The matches that stay at the same pixels, (N,) bool; none if these are few, or no more than
-    those that move a little, as where the motion of a camera leaves a part of the image in place.
-    """
+    """Which matches stay at the same pixels, (N,) bool; none if these are few, or no more than the
+    matches that move a little: a camera that moves may also leave a part of the image in place."""
     points2 = matches.points2
     if camera1.size is not None and camera2.size is not None:
         points2 = rescale(points2, camera2.size, camera1.size)
@@ -109,8 +108,8 @@ def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
 
 
 def _are_far(pose: RelativePose, camera: Camera) -> bool:
-    """Whether points that stay at the same pixels may be far away: the pose of the others turns by
-    no more than a pixel and its error. camera: of image 1."""
+    """Whether points that stay at the same pixels may be far away: the rotation of the pose of the
+    others is at most one pixel plus its error. camera: of image 1."""
     if pose.evidence is None or not pose.hypotheses:
         return False
     allowed = math.degrees(_STAY_PX / camera.focal)
@@ -119,8 +118,8 @@ def _are_far(pose: RelativePose, camera: Camera) -> bool:
 
 
 def _of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
-    """The pose of the matches that move, as that of all. stay: (N,) bool, the others. Where most
-    stay, the camera may have stood still as well."""
+    """The pose of the matches that move, as a pose of all matches. stay: (N,) bool, the others. If
+    most matches stay, the camera may have stood still instead."""
     count = int(stay.sum()) + pose.num_matches  # without those that are not finite
     part = stay.sum() / count
     share = f"{stay.sum()} of {count} matches ({100 * part:.0f} %)"
@@ -155,7 +154,7 @@ def _of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
 def _estimated(
     problem: TwoViewProblem, map_matches: Matches | None, fit_cameras: bool
 ) -> RelativePose:
-    """`estimate_pose` of matches of one motion, normalised by the cameras as they are stated."""
+    """`estimate_pose` for matches of one motion, normalised by the stated cameras."""
     said = (*(w for camera in problem.cameras for w in camera.warnings), *problem.warnings)
     warnings = tuple(dict.fromkeys(said))
     inliers = np.zeros(len(problem.matches), dtype=bool)
@@ -184,11 +183,11 @@ def _estimated(
 class Uncertainty:
     """The uncertainty of the likeliest pose."""
 
-    cameras: tuple[Camera, Camera]  # with the standard deviations that are left, calibrated
+    cameras: tuple[Camera, Camera]  # with the remaining standard deviations, calibrated
     # (6, 6), see `pose_covariance`, not calibrated; None if the inliers do not determine it.
     covariance: np.ndarray | None = None
     camera_covariance: np.ndarray | None = None  # (12, 12), see `RelativePose`
-    # The error of ln f of the less certain camera that nine in ten stay below, per cent, not
+    # Bound of the error of ln f in nine cases of ten, of the less certain camera, per cent, not
     # calibrated; None if both focal lengths are exact.
     focal_90_percent: float | None = None
 
@@ -218,9 +217,9 @@ def uncertainty(found: Candidates) -> Uncertainty:
 
 
 def _calibrated(camera: Camera, covariance: np.ndarray) -> tuple[Camera, list[float]]:
-    """A fitted camera with standard deviations by a covariance (6, 6), calibrated as that of the
-    focal length is, and at most those that it had; and these over the raw ones of its parameters
-    (6,), 0 of what is exact."""
+    """A fitted camera with standard deviations from a covariance (6, 6), with the calibration of
+    the focal length and not above the camera's own; and the ratios (6,) of these to the raw
+    deviations of its parameters, 0 for exact ones."""
     if camera.exact:
         return camera, [0.0] * SIZE
     focal, x, y, lens, _, aspect = covariance.diagonal().tolist()
@@ -296,13 +295,13 @@ def _judged(
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
     rotation_alone, unusable = status == "rotation_only", status == "panorama"
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
-    # Nothing shows whose motion is the camera's.
+    # The matches do not show which motion is the camera's.
     if ambiguous and evidence.num_second_inliers and (second := found.second):
         poses = [replace(h, share=h.share / 2) for h in poses if not second.is_among([h])]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
     if probability is not None:
         poses = [replace(h, probability=same_place * probability * h.share) for h in poses]
-    # Of a pose that is not claimed there are no others.
+    # Without a claimed pose there are no alternatives.
     alternatives = tuple(poses if ambiguous else poses[1:] if has_t else ())
     if has_t and same_place < DOUBTFUL:
         warnings += ("the surroundings of the matches differ between the images",)

@@ -37,45 +37,43 @@ class RelativePose:
     Attributes:
         status: "ok" or "planar" with a pose; any other status names why there is none.
         reason: Why there is no pose, or what kind of pose it is: one sentence for people.
-        inliers: Which of the matches agree with the pose, (N,) bool, over the matches as they were
-            passed.
-        num_matches: Number of matches used: without those that are not finite, duplicates and the
-            like.
+        inliers: Which of the matches agree with the pose, (N,) bool, over the matches as passed.
+        num_matches: Number of matches used, without non-finite ones, duplicates and the like.
         R: Rotation (3, 3) from camera 1 to camera 2; None if it is not known.
         t: Direction (3,) of the translation, unit length, in camera 2's axes: where camera 1 is
             seen from camera 2. None if it is not known.
         length: Distance between the cameras, metres, if a `ScaleSource` determines it.
-        length_std: Its standard deviation; None if that is not known.
+        length_std: Standard deviation of `length`; None if it is not known.
         covariance: Covariance (6, 6), rad^2, of rank 5, of a rotation vector w and a change d of t,
             in camera 2's axes; the true pose is exp([w]x) R and t + d. None without a pose, and if
             the inliers do not determine it. Scaled so that the expected error of right poses holds
-            nine times in ten; it does not include an alternative pose, a wrong K or a wrong
-            verdict.
-        camera1: Camera of image 1 that the pose is of: as it was stated, or with the focal length
-            that the matches determine, if the stated one had a deviation. None without a pose.
-        camera2: Camera of image 2, likewise.
-        camera_covariance: Covariance (12, 12) of ln f, the principal point, pixels, two radial
-            coefficients, and ln fy / fx, of camera 1 and then of camera 2, by the matches; None for
-            cameras that were not fitted.
-        evidence: The measurements that the verdict rests on; None without a hypothesis.
+            in nine cases of ten. It covers no alternative pose, wrong K or wrong verdict.
+        camera1: Camera of image 1 that belongs to the pose: as it was stated, or with the focal
+            length from the matches if the stated one had a deviation. None without a pose.
+        camera2: Camera of image 2, in the same way.
+        camera_covariance: Covariance (12, 12), from the matches, of ln f, the principal point
+            (pixels), two radial coefficients and ln fy / fx, of camera 1 and then of camera 2; None
+            for cameras that were not fitted.
+        evidence: The measurements behind the verdict; None without a hypothesis.
         probability: Probability that R and t are both within 10 degrees of the truth; 0 without a
-            hypothesis, with "rotation_only" and with "ambiguous". None if no model of it is fitted
+            hypothesis, with "rotation_only" and with "ambiguous". None if no probability is fitted
             for such matches.
         any_probability: Probability that R and t of one of the `hypotheses` are both within 10
-            degrees, if both images show one place. None likewise.
-        same_place_probability: Probability that both images show one place, and not two that have a
-            part alike, by what surrounds the matches. Of a success or an ambiguous pair its
-            probability and its alternatives' add up to the product of both. 1 if it is not known.
+            degrees, if both images show one place; 0 without a hypothesis. None if no probability
+            is fitted for such matches.
+        same_place_probability: Probability that both images show one place, not two places with a
+            similar part, from the surroundings of the matches; 1 if unknown. The probabilities of a
+            success and its alternatives, or of the poses of an ambiguous pair, add up to this times
+            `any_probability`.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
-            well, the likeliest first: of a plane, of repeated structure, of a mirrored depth, of
-            another motion. With "ambiguous" all poses; with any other failure none.
+            well, the likeliest first: from a plane, repeated structure, mirrored depth or another
+            motion. With "ambiguous" all poses; with any other failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
-            first. Their inliers, and those of the alternatives, are over the `num_matches` used.
-        cameras: Those of the hypotheses, also of a pose that is refused; None without hypotheses.
+            first. The inliers of hypotheses and alternatives are over the `num_matches` used.
+        cameras: Cameras of the hypotheses, also of a rejected pose; None without hypotheses.
         median_triangulation_angle_deg: Of the inliers; None without a hypothesis.
         warnings: Sentences about what makes the pose uncertain, for people.
-        seconds: Time by what was done: "load", the steps of the matching (`dgc_pose.pose`),
-            "estimate".
+        seconds: Time spent on "load", the steps of the matching (`dgc_pose.pose`) and "estimate".
     """
 
     status: Status
@@ -130,7 +128,7 @@ class RelativePose:
 
     @property
     def contradicts_K(self) -> bool:
-        """Whether the matches agree with other cameras than K states."""
+        """Whether the matches agree with other cameras than those of K."""
         return self.evidence is not None and self.evidence.camera_model in OF_STATED
 
     @property
@@ -177,12 +175,12 @@ class RelativePose:
 
     @property
     def K1(self) -> np.ndarray | None:
-        """Intrinsic matrix (3, 3) of camera 1 that the pose is of, or None without a pose."""
+        """Intrinsic matrix (3, 3) of `camera1`, or None without a pose."""
         return None if self.camera1 is None else self.camera1.K
 
     @property
     def K2(self) -> np.ndarray | None:
-        """Intrinsic matrix (3, 3) of camera 2 that the pose is of, or None without a pose."""
+        """Intrinsic matrix (3, 3) of `camera2`, or None without a pose."""
         return None if self.camera2 is None else self.camera2.K
 
     @property
@@ -207,19 +205,19 @@ class RelativePose:
 
     @property
     def rotation_error_90_deg(self) -> float | None:
-        """The error of R, degrees, that nine in ten right poses stay below; None if not known."""
+        """Bound of the error of R for nine right poses in ten, degrees; None if not known."""
         return None if self.covariance is None else error_radius_deg(self.covariance[:3, :3])
 
     @property
     def translation_error_90_deg(self) -> float | None:
-        """The angle between t and the true direction likewise."""
+        """The same bound for the angle between t and the true direction."""
         return None if self.covariance is None else error_radius_deg(self.covariance[3:, 3:])
 
     def inverse(self) -> "RelativePose":
         """The pose of camera 1 relative to camera 2: x1 = R^T x2 - R^T t.
 
-        The error of its t is that of R and t together. `evidence` is None: it is measured with the
-        images in their first order, which `reason` and `warnings` keep. All else is of the inverse.
+        The error of its t combines the errors of R and t. `evidence` is None: it is measured with
+        the images in their first order. `reason` and `warnings` keep this order, too.
         """
         R, E, covariance, of_cameras = self.R, self.E, self.covariance, self.camera_covariance
         if R is not None and E is not None and covariance is not None:
@@ -242,11 +240,11 @@ class RelativePose:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """The pose as values of JSON, as `dgc-pose estimate --json` writes it; unknown values and
-        those that are not finite are None.
+        """The pose as values of JSON, as `dgc-pose estimate --json` writes it. Unknown and
+        non-finite values are None.
 
-        Without a pose, the reason is the first of the warnings. If it is ambiguous, the
-        alternatives are all the poses, the likeliest first.
+        Without a pose, the reason is the first of the warnings. If the pair is ambiguous, the
+        alternatives are all of its poses, the likeliest first.
         """
         of_alternative = ("R", "t", "num_inliers", "probability")
         return {
@@ -265,11 +263,11 @@ class RelativePose:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> "RelativePose":
-        """The pose of `to_dict`, or of the JSON that `dgc-pose estimate --json` writes.
+        """The pose in the output of `to_dict` or of `dgc-pose estimate --json`.
 
-        It has no `evidence`, `hypotheses` and `camera_covariance`. Of the inliers, also those of
-        the alternatives, the number alone is known: `inliers` is (num_inliers,), all True, and
-        `in_front` empty. Raises InputError for data that are no such pose.
+        It has no `evidence`, `hypotheses` and `camera_covariance`. Only the number of inliers is
+        known, for the alternatives too: `inliers` is (num_inliers,), all True, and `in_front` is
+        empty. Raises InputError for other data.
         """
         with read_as("a pose of to_dict", "data"):
             facts, said = STATUSES[data["status"]], tuple(data["warnings"])
@@ -284,7 +282,7 @@ class RelativePose:
 
 
 def plain(value: Any) -> Any:
-    """A value of a result as one of JSON."""
+    """A value of a result for JSON."""
     if isinstance(value, Camera):
         return camera_data(value)
     if isinstance(value, np.ndarray):
@@ -293,7 +291,7 @@ def plain(value: Any) -> Any:
 
 
 def _parsed(data: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """The values of which `data` has what `plain` makes of them, and a True for each inlier."""
+    """The values by name, from data that `plain` made; and `inliers`, with a True for each."""
     values: dict[str, Any] = {name: data[name] for name in names}
     for name, value in values.items():
         if isinstance(value, Mapping):

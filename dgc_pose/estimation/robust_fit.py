@@ -1,10 +1,11 @@
-"""Sampling and refinement of hypotheses, by PoseLib, and what a homography explains.
+"""Sampling and refinement of hypotheses, by PoseLib, and tests by homographies.
 
-Seeded runs of LO-RANSAC on the five-point solver, and on solvers that have focal lengths among
-their unknowns; robust least squares, the Cauchy loss of the Sampson errors.
+Seeded runs of LO-RANSAC with the five-point solver, or with solvers that have focal lengths among
+their unknowns; robust least squares with the Cauchy loss of the Sampson errors.
 
-A homography is that of a plane, or a crop or a zoom of image 1, or a camera that turned and zoomed.
-An essential matrix explains these as well: that of a plane before a camera that moved.
+A homography relates two images of a plane, an image and its crop or zoom, and two images of a
+camera that rotated and zoomed. An essential matrix explains them all, as a plane and a camera that
+moved.
 """
 
 import numpy as np
@@ -26,17 +27,17 @@ from dgc_pose.system.parallel import in_threads
 MAX_SAMPLED = 3000
 MINIMAL = 5  # matches that determine an essential matrix
 _MIN_ITERATIONS = 50  # of a run, however many inliers there are
-_TRIALS = 12.0  # times those that PoseLib would do by its inliers; see docs/experiments.md
+_TRIALS = 12.0  # factor of the iterations that PoseLib derives from inliers; docs/experiments.md
 
 _ROUNDS = 3  # of a refinement
-_MIN_KEPT = 0.98  # of the inliers, or a fit is rejected
+_MIN_KEPT = 0.98  # of the inliers: a fit that keeps fewer is rejected
 
 PLANAR_SHARE = 0.85  # of inliers that one homography explains on a plane
-# A homography's transfer error over the epipolar threshold. It takes in both coordinates of the
-# noise of both images, the epipolar constraint one: the same noise needs a wider limit.
+# Limit of a homography's transfer error over the epipolar threshold. The transfer error contains
+# two coordinates of the noise, the epipolar error one: the same noise needs a wider limit.
 _TRANSFER_LIMIT = 1.75
-_LOG_FOCAL_REACH = 1.5  # of ln f of camera 1 that is tried to either side
-_LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # at first, and at last
+_LOG_FOCAL_REACH = 1.5  # ln f of camera 1 is tried so far to either side
+_LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # the first step, and the last
 
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
 FOCAL = 1000.0
@@ -44,8 +45,8 @@ CAMERA = {"model": "SIMPLE_PINHOLE", "width": 2, "height": 2, "params": [FOCAL, 
 
 
 def sample(problem: TwoViewProblem, runs: int | None = None) -> list[Hypothesis]:
-    """The hypotheses of RANSAC runs, by default of as many as the options have, that with most
-    inliers first.
+    """The hypotheses of RANSAC runs, with most inliers first. runs: their number, by default that
+    of the options.
 
     Each run draws its samples from at most `MAX_SAMPLED` matches, chosen by its seed.
     Inliers are counted over all matches.
@@ -59,7 +60,7 @@ def sample(problem: TwoViewProblem, runs: int | None = None) -> list[Hypothesis]
 
     matrices = in_threads(run, run_seeds(problem.options, runs))
     poses = [Hypothesis.of_essential(problem, E) for E in matrices if E is not None]
-    return sorted(poses, key=lambda pose: -pose.num_inliers)  # of equals the first run's
+    return sorted(poses, key=lambda pose: -pose.num_inliers)  # of equal ones, the first run's
 
 
 def run_seeds(options: EstimationOptions, runs: int | None = None) -> list[int]:
@@ -69,7 +70,7 @@ def run_seeds(options: EstimationOptions, runs: int | None = None) -> list[int]:
 
 
 def draw(problem: TwoViewProblem, seed: int, most: int = MAX_SAMPLED) -> TwoViewProblem:
-    """At most so many of the matches, shuffled."""
+    """At most `most` of the matches, shuffled."""
     order = np.random.default_rng(seed).permutation(len(problem))
     return problem.subset(order[:most])
 
@@ -79,9 +80,9 @@ def essential_matrix(
 ) -> np.ndarray | None:
     """The essential matrix (3, 3) of one RANSAC run on at least five matches; None if it fails.
 
-    The same seed gives the same answer to the bit. A run ends after `_TRIALS` times the iterations
-    that draw a sample without outliers with a probability of 0.9999, by its share of inliers, and
-    after `_MIN_ITERATIONS` at least.
+    The same seed gives the same answer to the bit. From its share of inliers, a run derives the
+    iterations that draw a sample without outliers with a probability of 0.9999. It ends after
+    `_TRIALS` times as many, and after at least `_MIN_ITERATIONS`.
     """
     points, settings = _pixels(problem), _ransac_options(problem, seed, iterations)
     return _essential(*poselib.estimate_relative_pose(*points, CAMERA, CAMERA, *settings))
@@ -90,10 +91,10 @@ def essential_matrix(
 def essential_and_focals(
     problem: TwoViewProblem, seed: int, *, shared: bool
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """As `essential_matrix`, for points that were normalised by wrong focal lengths: E of the
-    points divided by a factor of each image, and these factors (2,).
+    """As `essential_matrix`, for points that were normalised by wrong focal lengths: one factor per
+    image (2,), and E of the points divided by these factors. Returns E first.
 
-    shared: whether the factors are equal (six-point solver). Otherwise they are those nearest to 1
+    shared: whether the factors are equal (six-point solver). Otherwise they are the nearest to 1
     that the fundamental matrix allows (Kocur, Kyselica, Kukelova, CVPR 2024).
     """
     points, settings = _pixels(problem), _ransac_options(problem, seed)
@@ -139,8 +140,8 @@ def _essential(pose: poselib.CameraPose, info: dict[str, float]) -> np.ndarray |
 
 
 def refine(problem: TwoViewProblem, start: Hypothesis) -> Hypothesis:
-    """The hypothesis after at most three fits with the threshold as the width of the loss, until
-    the inliers, chosen anew after each fit, stay the same."""
+    """The hypothesis after at most three fits, with the threshold as the width of the loss. The
+    inliers are chosen anew after each fit; the fits end when they stay the same."""
     pose = start
     for _ in range(_ROUNDS):
         before, pose = pose, refit(problem, pose)
@@ -188,8 +189,8 @@ def least_squares_pose(
 
 
 def fit_plane(problem: TwoViewProblem, pose: Hypothesis) -> tuple[float, np.ndarray | None]:
-    """The share of a hypothesis' inliers that one homography explains, and this (3, 3); 0 and None
-    if there is none. From `PLANAR_SHARE` on they lie on a plane."""
+    """The share of a hypothesis' inliers that one homography explains, and the homography (3, 3);
+    0 and None if there is none. From `PLANAR_SHARE` on, the inliers lie on a plane."""
     inliers = problem.subset(pose.inliers)
     limit = _TRANSFER_LIMIT * problem.threshold
     H = fit_homography(inliers.points1, inliers.points2, limit, problem.options.seed)
@@ -207,10 +208,10 @@ def planar_hypotheses(problem: TwoViewProblem, H: np.ndarray) -> list[Hypothesis
 def best_planar(
     problem: TwoViewProblem, first: Hypothesis, H: np.ndarray, refined: bool
 ) -> Hypothesis:
-    """The best of a hypothesis and of the poses that a plane's homography allows.
+    """The best of a hypothesis and the poses that a plane's homography allows.
 
     On a plane the five-point solver has a family of near solutions; the homography allows two, each
-    with both signs of t. refined: whether to refine them first.
+    with both signs of t. refined: whether to refine the poses of the homography first.
     """
     others = planar_hypotheses(problem, H)
     if refined:
@@ -219,12 +220,12 @@ def best_planar(
 
 
 def still_camera(inliers: TwoViewProblem) -> tuple[float, np.ndarray]:
-    """The largest share of inliers that a camera explains which did not move, and its rotation
+    """The largest share of inliers that a camera without a translation explains, and its rotation
     (3, 3).
 
-    Either image 2 is image 1 scaled, rolled and shifted, or the camera turned about its centre,
-    each image with another focal length. inliers: normalised by the cameras as stated, whose
-    principal points no fit has moved.
+    Either image 2 is image 1 scaled, rolled and shifted; or the camera rotated about its centre,
+    with a focal length for each image. inliers: normalised by the stated cameras, whose principal
+    points no fit has moved.
     """
     points, limit = (inliers.points1, inliers.points2), _TRANSFER_LIMIT * inliers.threshold
     homographies = [(np.eye(3), np.eye(3))]
@@ -251,8 +252,8 @@ def still_camera(inliers: TwoViewProblem) -> tuple[float, np.ndarray]:
 
 
 def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:
-    """The homography (3, 3) near H of a camera that turns, and its rotation. log_focal: of image 1,
-    whose points have focal length 1; that of image 2 follows from H."""
+    """The homography (3, 3) near H of a camera that only rotates, and its rotation. log_focal: of
+    image 1, whose points have focal length 1; the focal length of image 2 follows from H."""
     D1 = np.diag([np.exp(log_focal), np.exp(log_focal), 1.0])
     rows = H @ D1
     lengths = np.linalg.norm(rows, axis=1)
@@ -260,5 +261,5 @@ def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:
     D2 = np.diag([focal2, focal2, 1.0])
     U, _, Vt = np.linalg.svd(np.linalg.solve(D2, rows))
     R = U @ Vt
-    R *= np.linalg.det(R)  # H has no sign
+    R *= np.linalg.det(R)  # the sign of H is arbitrary
     return D2 @ R @ np.linalg.inv(D1), R

@@ -1,5 +1,5 @@
-"""The length of t, by depth maps, markers, the distance of the cameras or one in the scene; and the
-size of markers that images of known cameras and poses show."""
+"""The length of t, from depth maps, markers, the distance of the cameras or a distance in the
+scene; and the size of markers in images with known cameras and poses."""
 
 import math
 from collections import defaultdict
@@ -26,37 +26,37 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_options, option
 
 _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
-_MIN_DEPTHS = 10  # inliers of known depth that a length needs
+_MIN_DEPTHS = 10  # inliers with a known depth that a length needs
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
-_CORRELATED = 30.0  # errors of neighbouring depths are alike: so many are worth one
-_MIN_NEAR, _NEAREST = 3, 9  # inliers that determine the depth at a point
+_CORRELATED = 30.0  # neighbouring depths that count as one, because their errors are correlated
+_MIN_NEAR, _NEAREST = 3, 9  # least and largest number of inliers for the depth at a point
 # A square's corners as shares of its middle and of two edges.
 _CORNERS = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
 _STEPS = 10  # of the fit of a square
 _CORNER_PX = 0.2  # least error of a corner: print, blur and exposure move them together
-_MAX_ERROR_PX, _MAX_ERROR = 2.0, 0.03  # of corners of a square; and as a share of its side
+_MAX_ERROR_PX, _MAX_ERROR = 2.0, 0.03  # of a square's corners: a constant plus a share of its side
 _MAX_STD = 0.2  # relative, of a side
-_MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides that are one size
+_MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides of one size: the larger of both is the limit
 _source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
-# An image's equations (4, 2, 4) of the corners, pixels times depths; axis (4,) of depths; side, px.
+# For an image: equations (4, 2, 4) of corners, pixels times depths; axis (4,) of depths; side, px.
 _View = tuple[np.ndarray, np.ndarray, float]
 
 
 @dataclass(frozen=True, eq=False)
 class ScaleSource:
-    """What determines the length of t: depth maps, or one of `baseline`, `distance`, `marker`.
+    """The source of the length of t: depth maps, or one of `baseline`, `distance`, `marker`.
 
-    Raises InputError, naming the field, for a value out of range, and for two of them.
+    Raises InputError, naming the field, for a value out of range, and for two sources.
 
     Attributes:
         depth1: Depth map of image 1 or its file, see `dgc_pose.images.depth.read_depth`.
-        depth2: Of image 2, with the other or alone.
-        depth_std: Relative standard deviation of depths: of each, and of all in common.
-        baseline: The length, metres, and its standard deviation if it is known, or a text of both.
-        distance: x1, y1, x2, y2, pixels of two points of image 1 as the pose is of it, and the
-            metres between them, or a text.
+        depth2: Depth map of image 2 or its file, with or without `depth1`.
+        depth_std: Relative standard deviation of depths: of each, and of their common scale.
+        baseline: The length, metres, and optionally its standard deviation; or both as a text.
+        distance: x1, y1, x2, y2, pixels of two points of the upright image 1, and the metres
+            between them; or all as a text.
         marker: Side, metres, of the ArUco or AprilTag markers that both images show.
     """
 
@@ -87,7 +87,7 @@ class ScaleSource:
                 raise InputError(ArgumentName(name), "is of one point twice")
 
     def maps(self, images: Sequence[Image]) -> list[np.ndarray | None]:
-        """By `read_depth`, of two images."""
+        """The depth maps of two images, by `read_depth`; None without a source."""
         sources = zip((self.depth1, self.depth2), ("depth1", "depth2"), images, strict=True)
         return [
             read_depth(source, name, image.size, image.exif.orientation)
@@ -95,8 +95,8 @@ class ScaleSource:
         ]
 
     def markers(self, images: Sequence[Image]) -> list[dict[str, np.ndarray]]:
-        """By `find_markers`, of two images; none without `marker`. Raises InputError, naming it, if
-        both images have no marker in common."""
+        """The markers in two images, by `find_markers`; none without `marker`. Raises InputError,
+        naming `marker`, if the images have no marker in common."""
         found = [find_markers(image.pixels) for image in images if self.marker]
         if found and not found[0].keys() & found[1].keys():
             shown = [", ".join(sorted(of)) or "none" for of in found]
@@ -112,12 +112,12 @@ def with_length(
     maps: Sequence[np.ndarray | None],
     markers: Sequence[Mapping[str, np.ndarray]] = (),
 ) -> RelativePose:
-    """The pose with the length of its t; as it is without a pose or a source.
+    """The pose with the length of its t; unchanged without a pose or a source.
 
-    The length is the median, over the inliers, of a known depth over that computed with a unit t;
-    `distance` and `marker` are known in the same way. matches: those that the pose is of. maps,
-    markers: of `scale`. A warning states depths that the matches contradict, and too few of them,
-    too few inliers near a point of `distance`, or markers that are no squares of one size.
+    The length is the median, over the inliers, of the known depth divided by the depth for a unit
+    t; `distance` and `marker` work in the same way. matches: of the pose. maps, markers: from
+    `scale`. A warning states that the matches contradict the depths, that depths or inliers near a
+    point of `distance` are too few, or that markers are not squares of one size.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
@@ -157,7 +157,7 @@ def with_length(
 
 
 def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
-    """R and unit t that are a deviation off the pose, in each direction but along t."""
+    """R and unit t one standard deviation off the pose, in each direction except along t."""
     if pose.covariance is None:
         return []
     values, vectors = np.linalg.eigh(pose.covariance)
@@ -171,8 +171,8 @@ def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
 def _inverse_depths(
     x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """1 / depth (N,) in camera 1, unit 1 / |t|, and its deviation (N,) by the error of matches:
-    points in image 2 move along epipolar lines with it."""
+    """1 / depth (N,) in camera 1, unit 1 / |t|, and its deviation (N,) from the error of matches:
+    with the depth, points in image 2 move along epipolar lines."""
     error = DEVIATION * float(np.median(sampson_distance(x1, x2, essential_from_pose(R, t))))
     inverse = 1 / depths(x1, x2, R, t)[0]
     ratio = homogeneous(x1) @ R[2] + inverse * t[2]  # of the depths in cameras 2 and 1
@@ -188,7 +188,7 @@ def _by_depth(
     t: np.ndarray,
 ) -> tuple[float, float, float]:
     """The length, its deviation, and the scatter of single lengths in their deviations. z: depths
-    (N,) in each camera, metres, NaN where they are not known. Raises InputError if few are."""
+    (N,) in each camera, metres, NaN if unknown. Raises InputError if too few are known."""
     known = np.isfinite(z)
     if known.sum() < _MIN_DEPTHS:
         raise InputError(f"{known.sum()} inliers have a depth")
@@ -209,8 +209,8 @@ def _by_distance(
     R: np.ndarray,
     t: np.ndarray,
 ) -> tuple[float, float, float]:
-    """The same by a distance in the scene, see `ScaleSource`. Raises InputError if few inliers are
-    near one of its points."""
+    """The same from a distance in the scene, see `ScaleSource`. Raises InputError if too few
+    inliers are near one of its points."""
     inverse, std = _inverse_depths(*rays, R, t)
     ends, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
     points, off = homogeneous(ends), np.zeros((2, 3))
@@ -238,7 +238,7 @@ def _by_marker(
     R: np.ndarray,
     t: np.ndarray,
 ) -> tuple[float, float, float]:
-    """The same by the side of markers."""
+    """The same from the side of markers."""
     found = marker_side(markers, cameras, (np.eye(3, 4), np.column_stack([R, t])))
     return metres / found.side, metres / found.side * found.std, 0.0
 
@@ -249,7 +249,7 @@ class MarkerSide:
 
     side: float
     std: float  # relative standard deviation
-    images: Mapping[str, int]  # by marker the number of images that it was measured in
+    images: Mapping[str, int]  # by marker, the number of images in which it was measured
 
 
 def marker_side(
@@ -260,8 +260,8 @@ def marker_side(
     """The side of the markers that two or more images show.
 
     corners: of each image, by `find_markers`. poses: cam_from_world (3, 4). A marker counts if its
-    corners are a square under the poses; images that contradict the others are left out. Raises
-    InputError if there is none, or if markers differ in size.
+    corners are a square under the poses; images that contradict the others are dropped. Raises
+    InputError if no marker counts, or if markers differ in size.
     """
     views = defaultdict[str, list[_View]](list)
     for of_image, camera, pose in zip(corners, cameras, poses, strict=True):
@@ -290,8 +290,8 @@ def marker_side(
 
 
 def _fit(seen: Sequence[_View]) -> tuple[float, float, int] | None:
-    """The side of a marker, its relative deviation and the number of images, without those whose
-    corners are off; None if the corners are no square."""
+    """The side of a marker, its relative deviation and the number of images, without images whose
+    corners are off; None if the corners are not a square."""
     while len(seen) > 1:
         equations, axes, sides_px = map(np.stack, zip(*seen, strict=True))
         side, std, errors = _square(equations, axes)
@@ -307,7 +307,7 @@ def _square(equations: np.ndarray, axes: np.ndarray) -> tuple[float, float, np.n
     """The side of the square of least error, its relative deviation, and the errors (V,) of the
     images: root mean squares in pixels, infinite behind a camera. equations, axes: see `_View`.
 
-    x (9,) is the middle and two edges u and v. G x = 0 makes these as long as each other, and
+    x (9,) is the middle and two edges u and v. G x = 0 makes the edges equally long and
     perpendicular; G depends on x.
     """
     rows = np.einsum("ck,vcij->vcikj", _CORNERS, equations[..., :3]).reshape(-1, 4, 2, 9)

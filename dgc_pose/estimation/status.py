@@ -1,4 +1,4 @@
-"""Statuses of a result, what is known with each, and numbers of a result in words."""
+"""Statuses of a result and their meaning, and texts for the numbers of a result."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -50,7 +50,7 @@ STATUSES: Mapping[Status, StatusFacts] = {
     "same_picture": StatusFacts("the images are one picture, or share an overlay"),
     "panorama": StatusFacts("an image is a panorama"),
 }
-CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, of the pairs that have one
+CONFIGURATIONS: Mapping[str, str] = {  # COLMAP's, if there is one
     status: facts.colmap for status, facts in STATUSES.items() if facts.colmap is not None
 }
 
@@ -63,13 +63,13 @@ def percent_text(probability: float) -> str:
 
 
 def probability_text(probability: float | None, of: str = "") -> str:
-    """A probability with its name; None: not known. of: what it is of."""
+    """A probability as text; None: not known. of: the object or event that it belongs to."""
     if probability is None:
         return "probability not known" + (" for such matches" if of else "")
     return f"probability {percent_text(probability)} {of}".rstrip()
 
 
 def short_text(array: np.ndarray) -> str:
-    """A small array in one line, four digits behind the point."""
+    """A small array in one line, with four decimals."""
     text = np.array2string(array, formatter={"float_kind": lambda v: f"{round(v, 4) + 0.0:.4f}"})
     return " ".join(text.split())

@@ -1,7 +1,7 @@
-"""The verdict: whether a hypothesis is a pose, a rotation alone, or nothing.
+"""The verdict: whether a hypothesis is a pose, a pure rotation, or nothing.
 
-The number of inliers does not decide it: random matches have inliers, and after a pure rotation
-all matches are inliers of an arbitrary translation.
+The number of inliers does not decide: random matches have inliers, and after a pure rotation all
+matches are inliers of an arbitrary translation.
 """
 
 from collections.abc import Sequence
@@ -13,32 +13,31 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.robust_fit import PLANAR_SHARE
 from dgc_pose.estimation.status import STATUSES, Status, percent_text
 
-MIN_SHARE = 0.8  # of the probability, that the likeliest of several poses has if it is claimed
+MIN_SHARE = 0.8  # of the probability, that the likeliest of several poses needs for a claim
 _MIN_INLIERS = 15
 _MIN_INLIER_RATIO = 0.15  # among all matches
-# Decimal logarithm of the expected number of poses with so many inliers in random matches.
+# Decimal logarithm of the expected number of poses with as many inliers in random matches.
 _MAX_LOG10_FALSE_ALARMS = -2.0
-# Inlier ratio over that of the same pose on the same points paired wrongly. It accounts for errors
-# that neighbouring matches have in common, the expected number above does not.
+# Inlier ratio over that of the same pose if the points are paired wrongly. Unlike the expected
+# number above, it accounts for correlated errors of neighbouring matches.
 _MIN_OVER_CHANCE = 3.0
 # Grid cells, 1/24 of the longer side wide, that inliers of a dense map must occupy: one similar
-# patch in unrelated images gives dozens of matches. It is not asked of key points.
+# patch in unrelated images gives dozens of matches. Not required of key points.
 _MIN_OCCUPIED_CELLS = 20
 _MIN_CHEIRALITY = 0.6  # share of inliers in front of both cameras
-# "rotation_only": matches that a rotation explains, over the inliers, with little parallax ...
+# "rotation_only" with little parallax: matches that a rotation explains, over the inliers.
 _ROTATION_SHARE = 0.8
-# ... and with any: share of inliers that a rotation explains within the epipolar threshold. Smooth
-# errors of dense matches resemble a translation.
+# "rotation_only" with any parallax: share of inliers that a rotation explains within the epipolar
+# threshold. Smooth errors of dense matches resemble a translation.
 _STRICT_ROTATION_SHARE = 0.9
 _MIN_PARALLAX = 1.5  # motion left by a rotation over the epipolar error; more for few matches
-# Raw error of R and of t, nine times in ten. Of normal errors with more,
-# less than half are within 10 degrees.
+# Raw error of R or t in nine cases of ten, with which half of normal errors are within 10 degrees.
 _MAX_ERROR_DEG = 24.0
-# Error of a fitted focal length, at nine in ten, with which a plane has a pose: a prior may be as
-# sure, and the matches only seem to be.
+# Largest error of a fitted focal length, in nine cases of ten, for a pose from a plane: on a plane
+# only the prior determines the focal length, even if the matches seem to.
 _MAX_FOCAL_PERCENT = 4.0
-_NOTHING_BUT_PLANE = 0.95  # homography ratio: with more, the data fitted on have no right pose
-_SAME_ROTATION_DEG = 3.0  # between the rotations of two motions that do not contradict each other
+_NOTHING_BUT_PLANE = 0.95  # homography ratio above which the data of the fit have no right pose
+_SAME_ROTATION_DEG = 3.0  # up to this angle, the rotations of two motions do not contradict
 _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
 
 
@@ -60,18 +59,18 @@ def judge(
 ) -> Verdict:
     """The verdict on the likeliest hypothesis.
 
-    Without a probability, or without `min_probability`, the first gate that the evidence
-    fails decides. Otherwise the probability does, unless random matches have as many inliers, the
-    translation is not determined at all, or most inliers lie behind a camera: the data that it is
-    fitted on do not show these.
-    probability: that a right pose is among those that explain the matches. against: what speaks
-    against it, in words. shares: the probabilities of these poses if one is right, the likeliest
-    first; () for a single one. same_place: the probability that both images show one place, which
-    the others take for granted.
+    Without a probability, or without `min_probability`, the first gate that the evidence fails
+    decides. Otherwise the probability decides, except in cases that the data of its fit do not
+    show: random matches have as many inliers, an image is a panorama, the inliers do not determine
+    the translation at all, or many of them lie behind a camera.
+    probability: that a right pose is among those that explain the matches. against: reasons against
+    it, in words. shares: the probabilities of these poses if one is right, the likeliest first; ()
+    for a single one. same_place: the probability that both images show one place; the other
+    probabilities assume this.
     """
     undetermined = _undetermined_translation(evidence)
     if probability is None or min_probability is None:
-        # Chance before all: few inliers are no evidence of a rotation either.
+        # Chance comes first: few inliers are no evidence of a rotation either.
         failed = by_chance(evidence) or _panorama(evidence) or undetermined
         return failed or _implausible(evidence) or _moved_plane(evidence) or _pose(evidence)
     impossible = _random(evidence) or _panorama(evidence) or undetermined or _behind(evidence)
@@ -91,7 +90,7 @@ def judge(
         if whole >= min_probability:
             return _pose(evidence)
     failed = None
-    if share * probability < min_probability:  # else it is of two places alone
+    if share * probability < min_probability:  # else only `same_place` makes it improbable
         failed = by_chance(evidence) or _implausible(evidence)
     reason = (
         f"probability {percent_text(whole)}, below the required {percent_text(min_probability)}"
@@ -101,7 +100,7 @@ def judge(
 
 
 def by_chance(evidence: Evidence) -> Verdict | None:
-    """Whether unrelated images could have such inliers."""
+    """The verdict that unrelated images could have such inliers, if so."""
     least = max(_MIN_INLIER_RATIO, _MIN_OVER_CHANCE * evidence.chance_ratio)
     few = evidence.num_inliers < _MIN_INLIERS or evidence.inlier_ratio < least
     if verdict := _random(evidence, few):
@@ -116,7 +115,7 @@ def by_chance(evidence: Evidence) -> Verdict | None:
 
 
 def _random(evidence: Evidence, few: bool = False) -> Verdict | None:
-    """Whether random matches would have as many inliers. few: so they would."""
+    """The verdict that random matches would have as many inliers, if so. few: known to be so."""
     if not few and evidence.log10_false_alarms <= _MAX_LOG10_FALSE_ALARMS:
         return None
     reason = (
@@ -127,10 +126,10 @@ def _random(evidence: Evidence, few: bool = False) -> Verdict | None:
 
 
 def _undetermined_translation(evidence: Evidence) -> Verdict | None:
-    """Whether many poses explain the matches, because the translation does not show."""
+    """The verdict that the matches do not determine the translation, if so."""
     if evidence.collinear:
         return Verdict("collinear", STATUSES["collinear"].meaning)
-    # The pose fits the noise of few matches: their errors come out too small by some 1 / sqrt.
+    # The pose fits the noise of few matches: their errors are too small, by some 1 / sqrt(number).
     min_parallax = _MIN_PARALLAX * (1 + 4 / np.sqrt(max(evidence.num_rotation_inliers, 1)))
     rotates = evidence.rotation_share >= _ROTATION_SHARE
     strictly = evidence.strict_rotation_share >= _STRICT_ROTATION_SHARE
@@ -153,7 +152,7 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
 
 
 def _panorama(evidence: Evidence) -> Verdict | None:
-    """Whether the images are of no camera that a pose can be of."""
+    """The verdict that the images are on a cylinder, which has no pose, if so."""
     if evidence.camera_model != "cylinder":
         return None
     reason = (
@@ -172,7 +171,7 @@ def _behind(evidence: Evidence) -> Verdict | None:
 
 
 def _implausible(evidence: Evidence) -> Verdict | None:
-    """Whether inliers lie behind a camera, or do not determine the pose."""
+    """The verdict that inliers lie behind a camera or do not determine the pose, if so."""
     if behind := _behind(evidence):
         return behind
     errors = evidence.raw_rotation_90_deg, evidence.raw_translation_90_deg
@@ -187,8 +186,8 @@ def _implausible(evidence: Evidence) -> Verdict | None:
 
 
 def _moved_plane(evidence: Evidence) -> Verdict | None:
-    """Whether the plane that the matches lie on may have moved, and not the camera; or no camera
-    explains the motions of both."""
+    """The verdict that either of two motions may be the camera's, if so: the plane that the matches
+    lie on may have moved, or a part of the scene."""
     if not evidence.num_second_inliers:
         return None
     plane = evidence.homography_ratio >= PLANAR_SHARE

@@ -5,7 +5,7 @@ x2^T E x1 = 0 for homogeneous points x1, x2.
 
 import numpy as np
 
-_TINY = 1e-300  # makes 0 / 0, at the epipoles, 0
+_TINY = 1e-300  # makes 0 / 0 at the epipoles 0
 
 
 def skew(v: np.ndarray) -> np.ndarray:
@@ -30,7 +30,7 @@ def fundamental_from_essential(E: np.ndarray, K1: np.ndarray, K2: np.ndarray) ->
 
 def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """The four poses (R, t), |t| = 1, of an essential matrix (3, 3)."""
-    import cv2  # slow to import, and cameras need none of it
+    import cv2  # slow to import, and cameras do not need it
 
     R1, R2, t = cv2.decomposeEssentialMat(E)
     t = t[:, 0] / np.linalg.norm(t)
@@ -79,8 +79,8 @@ def unit_rays(points: np.ndarray) -> np.ndarray:
 def depths(
     points1: np.ndarray, points2: np.ndarray, R: np.ndarray, t: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Depths (N,) along the optical axes of cameras 1 and 2, in units of |t|, of normalised points:
-    those at which the two rays come nearest to each other; infinite for parallel rays."""
+    """Depths (N,) along the optical axes of cameras 1 and 2, in units of |t|, where the two rays of
+    normalised points come nearest to each other; infinite for parallel rays."""
     # Points as columns: NumPy is slow along short axes.
     a = R[:, :2] @ points1.T + R[:, 2:]  # rays 1 in the axes of camera 2
     b = homogeneous(points2).T

@@ -12,7 +12,7 @@ _PIXELS = 1000.0
 def fit_homography(
     points1: np.ndarray, points2: np.ndarray, threshold: float, seed: int = 0
 ) -> np.ndarray | None:
-    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None if there is none.
+    """H (3, 3) with x2 ~ H x1 by MAGSAC and least squares on its inliers; None if this fails.
 
     points1, points2: normalised (N, 2); threshold: on the transfer error, in the same unit.
     """
@@ -39,7 +39,7 @@ def fit_homography(
 
 def fit_similarity(points1: np.ndarray, points2: np.ndarray, threshold: float) -> np.ndarray | None:
     """H (3, 3) with x2 = H x1, a scale, a rotation in the image and a shift, by RANSAC; None if
-    there is none. Points and threshold as of `fit_homography`."""
+    this fails. Points and threshold as for `fit_homography`."""
     if len(points1) < 2:
         return None
     affine, _ = cv2.estimateAffinePartial2D(

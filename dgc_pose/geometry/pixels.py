@@ -8,9 +8,9 @@ EXCHANGING = range(5, 9)  # EXIF orientations that exchange width and height
 
 
 def exif_turn(orientation: int) -> np.ndarray:
-    """The axes (2, 2) of the upright image by those of the pixels as stored: x' = turn @ x but for
-    the origin, by an EXIF orientation, 1 to 8. The transpose undoes it."""
-    # By the sides of the stored image that are the upper and the left one (EXIF 2.3, 4.6.4).
+    """The rotation or reflection (2, 2) from pixels as stored to the upright image for an EXIF
+    orientation, 1 to 8: x' = turn @ x plus an offset. The transpose undoes it."""
+    # From the stored sides that become the upper and the left one (EXIF 2.3, 4.6.4).
     signs = np.array(
         [-1 if orientation in (2, 3, 6, 7) else 1, -1 if orientation in (3, 4, 7, 8) else 1]
     )
@@ -18,7 +18,7 @@ def exif_turn(orientation: int) -> np.ndarray:
 
 
 def turn_points(points: np.ndarray, turn: np.ndarray, size: Size) -> np.ndarray:
-    """Points (..., 2) of an image of `size`, in the image with these axes, see `exif_turn`."""
+    """Points (..., 2) of an image of `size`, in the image after this `exif_turn`."""
     return points @ turn.T + (np.abs(turn) - turn) @ (np.array(size) - 1) / 2
 
 
@@ -32,7 +32,7 @@ def rescale(points: np.ndarray, size: ArrayLike, other: ArrayLike) -> np.ndarray
 
 
 def same_shape(size: Size, other: Size) -> bool:
-    """Whether two sizes, of any scale, have one aspect ratio, within a pixel."""
+    """Whether two sizes, of any scale, have the same aspect ratio, within a pixel."""
     return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)
 
 
@@ -43,7 +43,7 @@ def pixel_grid(size: Size) -> np.ndarray:
 
 
 def window_offsets(radius: int) -> np.ndarray:
-    """The offsets (N, 2) float64, row by row, of a square window's cells from its middle one."""
+    """The offsets (N, 2) float64, row by row, of a square window's cells from the middle cell."""
     return pixel_grid((2 * radius + 1, 2 * radius + 1)).reshape(-1, 2) - radius
 
 

@@ -1,8 +1,8 @@
 """Lenses of two radial coefficients c1 and c2: a point q is seen at q (1 + c1 |q|^2 + c2 |q|^4).
 
-Of COLMAP's RADIAL q is the normalised point itself. Of its OPENCV_FISHEYE, whose other coefficients
-are 0, |q| is the angle to the optical axis. Of a cylinder the x of q is the angle about its axis,
-and the y is the height on it.
+For COLMAP's RADIAL, q is the normalised point. For its OPENCV_FISHEYE, with other coefficients 0,
+|q| is the angle to the optical axis. For a cylinder, x of q is the angle about its axis, and y the
+height on it.
 """
 
 from typing import Literal
@@ -21,7 +21,7 @@ def distorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
 
 
 def undistorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
-    """The inverse of `distorted`; NaN beyond the radius at which that stops growing."""
+    """The inverse of `distorted`; NaN beyond the radius at which `distorted` stops growing."""
     if not np.any(coefficients):
         return points
     seen = np.linalg.norm(points, axis=1)
@@ -41,8 +41,8 @@ def undistorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
 def undistorted_slopes(
     undone: np.ndarray, coefficients: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The derivatives of `undistorted` by the seen points (N, 2, 2) and by the coefficients
-    (N, 2, 2), at the points `undone` (N, 2) that it gives."""
+    """The derivatives of `undistorted` by the distorted points (N, 2, 2) and by the coefficients
+    (N, 2, 2). undone: the result (N, 2) of `undistorted`."""
     squared = (undone**2).sum(1)
     across, along = _growth(squared, coefficients)
     outer = undone[:, :, None] * undone[:, None] / np.maximum(squared, 1e-300)[:, None, None]
@@ -52,7 +52,8 @@ def undistorted_slopes(
 
 
 def _growth(squared: np.ndarray, coefficients: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-    """What the lens lengthens by, across the radius and along it, at squared radii (N,)."""
+    """The factors by which the lens stretches, across the radius and along it, at squared radii
+    (N,)."""
     first, second = np.asarray(coefficients, np.float64)
     return (
         1 + squared * (first + second * squared),

@@ -1,6 +1,6 @@
 """Rotation matrices as angles and quaternions, and the rotation between two sets of rays.
 
-In NumPy: SciPy's rotations cost a command more time at its start than the pose of a pair.
+In NumPy: the import of SciPy's rotations takes longer than the pose of a pair.
 """
 
 import math
@@ -11,7 +11,7 @@ _ROUNDING = 1e-3  # largest entry of R^T R - 1 that rounding in a file may leave
 
 
 def is_rotation(R: np.ndarray) -> bool:
-    """Whether a matrix (3, 3), of any numbers, is a rotation, to the rounding of a file."""
+    """Whether a matrix (3, 3), of any numbers, is a rotation, up to rounding in a file."""
     if not np.abs(R).max() < 2:  # the product could overflow
         return False
     return bool(np.abs(R.T @ R - np.eye(3)).max() < _ROUNDING and np.linalg.det(R) > 0)
@@ -26,22 +26,22 @@ def rotation_angle_deg(R: np.ndarray) -> float:
 def quaternion_wxyz(R: np.ndarray) -> np.ndarray:
     """The unit quaternion (w, x, y, z) of a rotation matrix (3, 3), with w >= 0.
 
-    The eigenvector of the largest eigenvalue of a symmetric matrix, accurate at every angle, and
-    the nearest rotation's if R is not quite one (Bar-Itzhack 2000).
+    The eigenvector of the largest eigenvalue of a symmetric matrix: accurate at every angle, and
+    for the rotation nearest to R if R is not quite one (Bar-Itzhack 2000).
     """
     skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     form = np.empty((4, 4))
     form[0, 0], form[0, 1:], form[1:, 0] = np.trace(R), skew, skew
     form[1:, 1:] = R + R.T - np.trace(R) * np.eye(3)
     quaternion: np.ndarray = np.linalg.eigh(form)[1][:, -1]
-    # Of a half turn both signs are right: the first part that is not 0 is positive.
+    # For a half turn both signs are right: the first part that is not 0 becomes positive.
     first = quaternion[np.flatnonzero(np.abs(quaternion) > 1e-15)[0]]
     return quaternion if first > 0 else -quaternion
 
 
 def rotation_of_quaternion(wxyz: np.ndarray) -> np.ndarray:
-    """The rotation matrix (3, 3) of a quaternion (w, x, y, z) of any length but 0. Raises
-    ValueError if there is none."""
+    """The rotation matrix (3, 3) of a quaternion (w, x, y, z) of any length. Raises ValueError if
+    the length is 0 or not finite."""
     length = float(np.linalg.norm(wxyz))
     if not 0 < length < math.inf:
         raise ValueError("the quaternion is zero")
@@ -51,7 +51,8 @@ def rotation_of_quaternion(wxyz: np.ndarray) -> np.ndarray:
 
 
 def aligning_rotation(rays1: np.ndarray, rays2: np.ndarray) -> np.ndarray:
-    """A rotation R (3, 3) of least sum of |R rays1 - rays2|^2, of rays (N, 3) (Kabsch 1976)."""
+    """The rotation R (3, 3) that minimises the sum of |R rays1 - rays2|^2 over rays (N, 3) (Kabsch
+    1976)."""
     u, _, vt = np.linalg.svd(rays2.T @ rays1)
-    u[:, 2] *= np.linalg.det(u) * np.linalg.det(vt)  # a rotation, and no reflection
+    u[:, 2] *= np.linalg.det(u) * np.linalg.det(vt)  # a rotation, not a reflection
     return u @ vt

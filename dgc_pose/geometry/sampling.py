@@ -1,4 +1,4 @@
-"""Values of an image between its pixels, the nearest of points, and an even choice of points."""
+"""Values of an image between its pixels, nearest points, and an even choice of points."""
 
 import cv2
 import numpy as np
@@ -6,8 +6,8 @@ import numpy as np
 _CHUNK = 30000  # rows at a time: cv2.remap makes no image with a side of 32768 or more
 _Parameters = dict[str, bool | int | float | str]
 _EXACT_TREE: _Parameters = {"algorithm": 4, "leaf_max_size": 10}  # FLANN's single k-d tree
-_ALL_LEAVES: _Parameters = {"checks": -1}  # that may hold a nearer point
-_CANDIDATES = 4  # in single precision, of which the nearest in double precision is taken
+_ALL_LEAVES: _Parameters = {"checks": -1}  # search every leaf that may hold a nearer point
+_CANDIDATES = 4  # in single precision; the nearest of them in double precision is taken
 
 
 def bilinear(image: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -16,7 +16,7 @@ def bilinear(image: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def bilinear_at(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """As `bilinear`, of points by their coordinates, (N, P) each."""
+    """As `bilinear`, for points by their coordinates, (N, P) each."""
     x, y = (np.ascontiguousarray(axis, np.float32) for axis in (x, y))
     values = np.empty((*x.shape, *image.shape[2:]), image.dtype)
     for i in range(0, len(x), _CHUNK):
@@ -28,15 +28,15 @@ def bilinear_at(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Distances (N, count) float32 of the nearest of points (N, D) to each, and their indices
-    (N, count) int32, itself among them. N is at least `count`; of equal distances any come first.
-    By OpenCV's FLANN: SciPy costs a command as much time at its start as a pose."""
+    """Distances (N, count) float32 of each of points (N, D) to its nearest points, itself among
+    them, and their indices (N, count) int32. N is at least `count`; equal distances have any order.
+    By OpenCV's FLANN: the import of SciPy takes as long as a pose."""
     return _search(points, points, count)
 
 
 def nearest_to(queries: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The distance (N,) float64 of each of `queries` (N, 2) to the nearest of `points` (M, 2), and
-    that point's index (N,); infinite and 0 if there is no point. Of equal distances any comes."""
+    the index (N,) of this point, any of equally near ones; infinite and 0 if there is no point."""
     if len(queries) == 0 or len(points) == 0:
         return np.full(len(queries), np.inf), np.zeros(len(queries), np.int32)
     _, index = _search(queries, points, min(_CANDIDATES, len(points)))
@@ -61,8 +61,8 @@ def spread(
     growth: float = 1.1,
 ) -> np.ndarray:
     """Indices of at most `most` of the points (N, 2) in an image of `size` (width, height): the
-    strongest of each square block. side: of the blocks at the least, which grow by a factor until
-    `most` are enough."""
+    strongest of each square block. side: of the smallest blocks; it grows by the factor `growth`
+    until at most `most` blocks have points."""
     order = np.argsort(-strength, kind="stable")
     x, y = points[order].T
     while True:
