@@ -105,7 +105,7 @@ class Model:
         for path in map(Path, paths):
             orientation = image_header(path).exif.orientation
             if path.name in names:
-                known_name = f"has an image {path.name} already, not {path} too"
+                known_name = f"has an image {path.name} already: rename {path}"
                 raise InputError(ArgumentName("add"), known_name)
             if np.linalg.det(exif_turn(orientation)) < 0:
                 mirrored = f"by EXIF orientation {orientation} its pixels are a mirror image"
@@ -166,7 +166,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     calibration = Calibration(str(path), parts=file.parts, common=file.common)
     names = {name: _image_name(root, name, path.parent) for name in file.poses}
     if len(names) < 2:
-        raise InputError(ArgumentName("model"), f"{path} has the pose of one image, two are needed")
+        raise InputError(ArgumentName("model"), f"{path} has one posed image, and two are needed")
     missing = sorted(name for name, there in names.items() if there is None)
     count = f"{len(missing)} of {len(names)} images (first: {', '.join(missing[:3])})"
     if len(names) - len(missing) < 2:
@@ -223,7 +223,7 @@ def model_path(path: Path) -> Path:
             raise InputError(ArgumentName("model"), f"{models[0].parent} has the models {listed}")
         if models:
             return models[0]
-    raise InputError(ArgumentName("model"), f"{path} holds no model of COLMAP")
+    raise InputError(ArgumentName("model"), f"{path} contains no COLMAP model")
 
 
 def _image_name(root: Path, name: str, folder: Path) -> str | None:

@@ -173,7 +173,7 @@ def _motion(matches: Matches, camera: Camera, size: tuple[int, int]) -> CameraMo
     if doubt:
         return of("cannot say", doubt)
     if moved and mirrored > _MIRRORED:
-        return of("cannot say", "the matches are those of a mirror image")
+        return of("cannot say", "the matches fit a mirror image")
     sizes, moves = _sizes(fit, camera), _below(fit.moves, fit.agree)
     bound, error = _below(fit.moves + fit.error, fit.agree), _below(fit.error, fit.agree)
     if moved and bound >= STILL_DEG:

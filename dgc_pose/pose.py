@@ -256,7 +256,7 @@ def _mirrored(
         return None
     reason = (
         f"the mirror image of image 2 has a pose with probability {percent_text(probability)}, "
-        "image 2 has none as likely"
+        "and image 2 has no pose as likely"
     )
     inliers = np.zeros_like(pose.inliers)
     return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)

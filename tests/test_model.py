@@ -108,8 +108,8 @@ def test_what_is_no_model_is_refused_and_missing_images_are_told(
         (tmp_path / "two", "model .*two has the models 0, 1"),
         (cameras, "model .* has no poses of images"),
         (odd, "is not rigid"),
-        (images, "holds no model of COLMAP"),
-        (single, "model .*single.csv has the pose of one image, two are needed"),
+        (images, "contains no COLMAP model"),
+        (single, "model .*single.csv has one posed image, and two are needed"),
     ):
         with pytest.raises(DgcPoseError, match=words):
             load_model(source, images)
@@ -175,7 +175,7 @@ def test_photographs_that_cannot_be_added_are_told(images: Path, tmp_path: Path)
     exif[0x112] = 5
     PIL.Image.new("L", (16, 12)).save(tmp_path / "mirrored.jpg", exif=exif)
     for paths, words in (
-        ([first, second], r"add has an image new.png already, not .*b.new.png too"),
+        ([first, second], r"add has an image new.png already: rename .*b.new.png"),
         ([tmp_path / SCENE.names[-1]], f"add has an image {SCENE.names[-1]} already"),
         ([tmp_path / "mirrored.jpg"], "by EXIF orientation 5 its pixels are a mirror image"),
     ):
@@ -261,7 +261,7 @@ def test_what_nerfstudio_cannot_hold_is_one_line_and_leaves_nothing(
     mixed.write_binary(tmp_path / "mixed")
     before = contents(tmp_path)
     for source, words, expected in (
-        (images, (), "holds no model of COLMAP"),
+        (images, (), "contains no COLMAP model"),
         (cut, (), "images.bin is not COLMAP's images that can be read"),
         (full, (), "--to nerfstudio cannot hold FULL_OPENCV"),
         (tmp_path / "mixed", (), "cannot hold OPENCV_FISHEYE, PINHOLE"),

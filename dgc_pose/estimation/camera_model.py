@@ -205,13 +205,13 @@ def camera_warnings(
         elif name == "fisheye" and _is_open(before):
             line = f"a fisheye, f = {camera.focal:.0f} px"
         elif name == "two" and _is_open(before):
-            line = f"a focal length of each image, {focal}"
+            line = f"a different focal length for each image, {focal}"
         if line:
             lines[line] = None
         elif camera.focal_std > _UNCERTAIN_STD:
             loose[f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"] = None
     agree = (f"the matches agree with {line}" for line in lines)
-    return (*agree, *(f"the focal length is hardly known: {line}" for line in loose))
+    return (*agree, *(f"the focal length is uncertain: {line}" for line in loose))
 
 
 def is_contradicted(stated: Camera, fitted: Camera) -> bool:

@@ -31,7 +31,7 @@ class EstimationOptions:
     )
     iterations: int = option(
         1000,
-        "Most iterations of each run.",
+        "Maximum iterations of each run.",
         metavar="N",
         min=1,
         max=2**31 - 1,
@@ -48,7 +48,12 @@ class EstimationOptions:
         section="estimation",
     )
     seed: int = option(
-        0, "The same seed, the same pose.", metavar="N", min=0, max=MAX_SEED, section="estimation"
+        0,
+        "Random seed.",
+        metavar="N",
+        min=0,
+        max=MAX_SEED,
+        section="estimation",
     )
     refine: bool = True
     min_probability: float | None = option(

@@ -72,7 +72,7 @@ def _log(value: float | None, low: float, high: float) -> float:
 FEATURES: Mapping[str, Feature] = {
     "inlier_ratio": Feature("inlier_ratio", 1, "only {:.0%} of the matches are inliers"),
     "over_chance": Feature(
-        "over_chance", 1, "{e.chance_ratio:.0%} of wrong matches agree as well", (1, 100)
+        "over_chance", 1, "{e.chance_ratio:.0%} of wrong matches would agree too", (1, 100)
     ),
     "cheirality": Feature(
         "cheirality_ratio", 1, "only {:.0%} of the inliers lie in front of both cameras"
@@ -86,7 +86,7 @@ FEATURES: Mapping[str, Feature] = {
     "translation_error": Feature(
         "raw_translation_90_deg", -1, "the inliers hardly determine the translation", (0.05, 120)
     ),
-    "residual": Feature("residual", -1, "the inliers do not agree closely"),
+    "residual": Feature("residual", -1, "the epipolar errors of the inliers are large"),
     "threshold": Feature("threshold_cells", -1, "the matches are inaccurate", (0.01, 0.5)),
     "parallax": Feature("parallax", 1, "there is little parallax", (0.7, 40)),
     "rotation_share": Feature("rotation_share", -1, "a rotation explains most matches"),
@@ -94,9 +94,9 @@ FEATURES: Mapping[str, Feature] = {
         "median_triangulation_angle_deg", 1, "small triangulation angles ({:.1f} deg)", (0.2, 30)
     ),
     "homography": Feature("homography_ratio", -1, "one homography explains {:.0%} of the inliers"),
-    "confidence": Feature("confidence", 1, "the matched patches are not alike"),
+    "confidence": Feature("confidence", 1, "the matched patches differ"),
     "rival": Feature("other_ratio", -1, "another pose has {:.0%} as many inliers"),
-    "matchability": Feature("map_matchability", 1, "the dense map is hardly matchable"),
+    "matchability": Feature("map_matchability", 1, "little of the dense map is matchable"),
     "map_agreement": Feature("map_agreement", 1, "only {:.0%} of the dense map agrees with it"),
     "map_over_chance": Feature(
         "map_over_chance", 1, "the dense map agrees with it no more than by chance"

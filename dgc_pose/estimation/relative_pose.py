@@ -164,7 +164,7 @@ def _estimated(
 
     for number, camera in enumerate(problem.cameras, start=1):
         if camera.projection:
-            reason = f"image {number} is {camera.projection}, by its XMP data"
+            reason = f"image {number} is {camera.projection}, as its XMP data state"
             return refused("panorama", reason)
     if len(problem) < MIN_MATCHES:
         reason = f"only {len(problem)} matches; a verdict needs {MIN_MATCHES}"

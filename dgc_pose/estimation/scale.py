@@ -84,7 +84,7 @@ class ScaleSource:
                 form = f"must be {_FORMS[name]}, METRES and STD above 0"
                 raise InputError(ArgumentName(name), f"{form}, not {value!r}")
             if name == "distance" and value is not None and values[:2] == values[2:4]:
-                raise InputError(ArgumentName(name), "is of one point twice")
+                raise InputError(ArgumentName(name), "has the same point twice")
 
     def maps(self, images: Sequence[Image]) -> list[np.ndarray | None]:
         """The depth maps of two images, by `read_depth`; None without a source."""
@@ -191,7 +191,9 @@ def _by_depth(
     (N,) in each camera, metres, NaN if unknown. Raises InputError if too few are known."""
     known = np.isfinite(z)
     if known.sum() < _MIN_DEPTHS:
-        raise InputError(f"{known.sum()} inliers have a depth")
+        raise InputError(
+            f"only {known.sum()} inliers have a known depth, and {_MIN_DEPTHS} are needed"
+        )
     first, second = _inverse_depths(*rays, R, t), _inverse_depths(*rays[::-1], R.T, -R.T @ t)
     single = (np.array([first[0], second[0]]) * z)[known]
     by_match = (np.array([first[1], second[1]]) * z)[known]
@@ -276,7 +278,7 @@ def marker_side(
         both = f"a marker in two of the {len(corners)} images"
         seen_twice = any(len(seen) > 1 for seen in views.values())
         words = f"{both} that is a square under the poses" if seen_twice else both
-        raise InputError(ArgumentName("marker"), f"needs {words}: there is none")
+        raise InputError(ArgumentName("marker"), f"needs {words}, and there is none")
     names, (sides, stds, counts) = [*fits], np.array([*fits.values()]).T
     low, high = sides.argmin(), sides.argmax()
     ratio = sides[high] / sides[low]

@@ -211,7 +211,7 @@ def _pose(evidence: Evidence) -> Verdict:
     share = f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers"
     focal = evidence.raw_focal_90_percent or 0.0
     if focal > _MAX_FOCAL_PERCENT and evidence.homography_ratio >= _NOTHING_BUT_PLANE:
-        reason = f"{share}: a plane does not determine the unknown focal length"
+        reason = f"{share}: a plane does not determine the focal length, so give K"
         return Verdict("undetermined", reason)
     warnings += (f"{share}: the scene is nearly a plane",)
     return Verdict("planar", STATUSES["planar"].meaning, warnings)

@@ -110,7 +110,12 @@ class MatchingOptions:
     """
 
     max_matches: int = option(
-        2000, "Most matches, evenly spread.", metavar="N", min=1, max=2**31, section="matching"
+        2000,
+        "Most matches, evenly spread.",
+        metavar="N",
+        min=1,
+        max=2**31,
+        section="matching",
     )
     aligned: Literal["none", "auto"] = option(
         "auto",

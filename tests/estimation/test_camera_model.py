@@ -51,7 +51,7 @@ SAID = {
     "squeezed": "the matches agree with pixels that are not square, fy / fx = ",
     "off_centre": "the matches agree with a principal point of its own, (",
     "fisheye": "the matches agree with a fisheye, f = ",
-    "two": "the matches agree with a focal length of each image, f = ",
+    "two": "the matches agree with a different focal length for each image, f = ",
 }
 
 
@@ -196,7 +196,7 @@ def test_a_panorama_by_its_file_has_no_fit(number, kind, monkeypatch) -> None:
     cameras[number - 1] = replace(cameras[number - 1], projection=kind)
     pose = scene.estimate(*cameras)
     assert pose.status == "panorama" and pose.R is None and pose.evidence is None
-    assert pose.reason == f"image {number} is {kind}, by its XMP data"
+    assert pose.reason == f"image {number} is {kind}, as its XMP data state"
     assert pose.inliers.shape == (len(scene.matches),) and not pose.inliers.any()
 
 

@@ -80,7 +80,10 @@ def test_too_few_depths_or_inliers_near_a_point_tell_nothing() -> None:
     maps = [depth_map(scene.points1[few], points[few, 2], SIZE1, 0.0), None]
     result = with_length(pose, scene.matches, ScaleSource(), maps)
     assert result.length is None
-    assert result.warnings[-1] == "the length of t is not known: 5 inliers have a depth"
+    assert (
+        result.warnings[-1]
+        == "the length of t is not known: 5 inliers have a depth, and 10 are needed"
+    )
     source = ScaleSource(distance=(-900.0, 3.0, 100.0, 100.0, 2.0))
     result = with_length(pose, scene.matches, source, [None, None])
     assert result.length is None and result.length_std is None and result.R is pose.R
@@ -138,7 +141,7 @@ def test_a_marker_tells_the_length_as_surely_as_it_says() -> None:
         of_image["a:1"] = np.random.default_rng(1).uniform(0, 300, (4, 2))
     result = with_length(pose, scene.matches, source, [None, None], markers)
     assert result.length is None and result.warnings[-1].endswith(
-        "square under the poses: there is none"
+        "square under the poses, and there is none"
     )
 
 

@@ -117,7 +117,7 @@ def test_where_the_axes_meet_the_focal_length_is_uncertain():
     percent = 100 * pose.camera1.focal_std
     (warning,) = pose.warnings
     focal = pose.camera1.focal
-    assert warning == f"the focal length is hardly known: f = {focal:.0f} px within {percent:.0f} %"
+    assert warning == f"the focal length is uncertain: f = {focal:.0f} px within {percent:.0f} %"
 
 
 def test_a_wrong_K_with_a_deviation_has_a_warning():
