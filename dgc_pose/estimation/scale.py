@@ -191,9 +191,7 @@ def _by_depth(
     (N,) in each camera, metres, NaN if unknown. Raises InputError if too few are known."""
     known = np.isfinite(z)
     if known.sum() < _MIN_DEPTHS:
-        raise InputError(
-            f"only {known.sum()} inliers have a known depth, and {_MIN_DEPTHS} are needed"
-        )
+        raise InputError(f"{known.sum()} inliers have a depth, and {_MIN_DEPTHS} are needed")
     first, second = _inverse_depths(*rays, R, t), _inverse_depths(*rays[::-1], R.T, -R.T @ t)
     single = (np.array([first[0], second[0]]) * z)[known]
     by_match = (np.array([first[1], second[1]]) * z)[known]
