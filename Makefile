@@ -1,6 +1,6 @@
 # Every target does its own set-up on a fresh machine: it creates .venv and installs into it.
-# `make demo` installs no torch. Its wheels on PyPI carry CUDA; for those of the CPU have pip look at
-# PyTorch's own index:
+# `make demo` installs no torch. PyPI's torch wheels include CUDA; for CPU wheels, use PyTorch's own
+# index:
 #   PIP_EXTRA_INDEX_URL=https://download.pytorch.org/whl/cpu make test
 PYTHON ?= python3
 VENV := .venv
@@ -9,7 +9,7 @@ INSTALLED := build/installed
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 PACKAGING := setup.cfg pyproject.toml constraints.txt
 
-# As the command sets it (cli/main.py), so that the tests bear a busy machine.
+# The same value as in cli/main.py, so that the tests tolerate a busy machine.
 export GOMP_SPINCOUNT ?= 10000
 
 .PHONY: demo test test-all test-processors lint fuzz docs figures screenshots clean
@@ -17,10 +17,10 @@ export GOMP_SPINCOUNT ?= 10000
 demo: $(VENV)/.installed
 	$(BIN)/dgc-pose demo
 
-# Two processes of one thread each: most tests wait for one core.
+# Two processes of one thread each: most tests use only one core.
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
-# The linters, and all tests but those marked as slow.
+# The linters, and all tests except those marked as slow.
 test: lint
 	$(PYTEST) -m "not slow"
 
@@ -33,8 +33,8 @@ test-processors: $(VENV)/.installed-dev
 	env $$(cat tests/avx2.env) $(PYTEST) tests/network tests/runtime/test_engines.py \
 		tests/runtime/test_processors.py tests/matching/test_features.py
 
-# Types and layers are checked on the package as it installs: in the repository cli/, benchmarks/
-# and training/ lie beside dgc_pose/, where mypy would take every import between them for `Any`.
+# Types and layers are checked on the installed package: in the repository cli/, benchmarks/ and
+# training/ lie beside dgc_pose/, where mypy would take every import between them for `Any`.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check --quiet .
@@ -44,7 +44,7 @@ lint: $(VENV)/.installed-dev
 		--cache-dir $(CURDIR)/.mypy_cache -p dgc_pose
 	cd $(INSTALLED) && PYTHONPATH=. $(BIN)/lint-imports --config $(CURDIR)/setup.cfg
 
-# Damaged files for every reader, other ones in each round, until the minutes are over.
+# Damaged files for every reader, different ones in each round, for MINUTES minutes.
 MINUTES ?= 10
 fuzz: $(VENV)/.installed-dev
 	end=$$(( $$(date +%s) + 60 * $(MINUTES) )); while [ $$(date +%s) -lt $$end ]; do \
@@ -55,7 +55,7 @@ fuzz: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build --strict
 
-# What the documentation shows of the tool's own output; the tests say when it is out of date.
+# Updates the tool's output in the documentation; the tests fail if it is out of date.
 figures: $(VENV)/.installed
 	$(BIN)/python docs/figures.py
 

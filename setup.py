@@ -1,4 +1,4 @@
-"""Writes the commit into what is built. Everything else of the package is in setup.cfg."""
+"""Writes the commit into every build. All other metadata of the package is in setup.cfg."""
 
 import runpy
 from pathlib import Path
@@ -7,12 +7,12 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
-# As a file: the package itself need not be importable where it is built.
+# Run as a file: the package need not be importable where it is built.
 VERSION = runpy.run_path(str(Path(__file__).resolve().parent / "dgc_pose" / "version.py"))
 
 
 def write_build(package: Path) -> None:
-    """The commit, of the checkout or of the sdist that is built from, as a file of the package."""
+    """Write the commit, of the checkout or of the sdist, into a file of the package."""
     package.mkdir(parents=True, exist_ok=True)
     (package / VERSION["BUILD_FILE"]).write_text(VERSION["build"]() + "\n", encoding="utf-8")
 

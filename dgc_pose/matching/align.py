@@ -1,12 +1,13 @@
-"""Alignment of patches of the original images: matches to a fraction of a pixel.
+"""Alignment of patches of the original images, which refines matches to a fraction of a pixel.
 
-Each match moves to the strongest corner near it in image 2. The patch around it and the one that
-the local affinity cuts from image 1 differ by a small shift, a gain and an offset: the shifts of
-all patches are computed at once. Few patches of views far apart are similar: their affinity is not
-known well enough, and the shift is larger than the structure. These are aligned on images shrunk
-until the error of the matches is a pixel, with their affinities adjusted, and then on the
-images. Patches that stay dissimilar are dropped. If the scales of the images differ much, the
-larger image is shrunk first: neighbouring samples of its patches would be many pixels apart.
+Each match moves to the strongest corner near it in image 2. The local affine map (affinity) cuts a
+patch from image 1. This patch and the patch around the corner differ by a small shift, a gain and
+an offset; the shifts of all patches are computed at once. If the views are far apart, few patches
+are similar: the affinity is inaccurate, and the shift exceeds the size of the structure. Such
+patches are aligned on images shrunk until the error of the matches is one pixel, with the affinity
+adjusted, and then on the originals. Patches that stay dissimilar are dropped. If the images differ
+much in scale, the larger is shrunk first: otherwise neighbouring samples of its patches would be
+many pixels apart.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ from dgc_pose.matches import Matches
 from dgc_pose.matching.patches import LocalMatches, Patches, align_patches, consistent
 from dgc_pose.system.parallel import in_threads
 
-_CORNER_BLOCK = 7  # pixels a side that a corner's strength is measured over
+_CORNER_BLOCK = 7  # pixels a side of the block over which a corner's strength is measured
 PATCH_RADIUS = 7  # pixels of image 2: patches of 15x15
 MIN_ZNCC = 0.8  # least correlation of a pair of aligned patches
-CORNER_RADIUS = 4  # pixels along each axis; largest move of a match to a corner, by default
-_CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels beyond, which the block and its gradients reach
-_STRIP = 256  # rows measured at a time: of a large image all take hundreds of MiB
-_SHIFT = 5.0  # largest shift, in units of the error that the matches came with
-_SETTLED = 0.1  # pixels: the last step of an alignment that has converged
-_ENOUGH = 300  # patches aligned, with which the others are not tried again
+CORNER_RADIUS = 4  # largest move of a match to a corner by default, pixels along each axis
+_CORNER_MARGIN = _CORNER_BLOCK // 2 + 1  # pixels around a corner that its strength depends on
+_STRIP = 256  # rows measured at a time: a whole large image would take hundreds of MiB
+_SHIFT = 5.0  # largest shift, in units of the matches' initial error
+_SETTLED = 0.1  # pixels: an alignment has converged if its last step is shorter
+_ENOUGH = 300  # aligned patches; with fewer, the others are tried again on shrunk images
 # Error of an aligned match along one axis, pixels of the originals; see docs/experiments.md.
 ALIGNED_ERROR_PX = 0.5
 NEIGHBOURS = 12  # nearest matches whose affinity a match must fit
-MIN_MATCHES = 50  # fewer that agree are too few to refine
-_SIMILAR = 1.5  # scale between the images up to which neither is shrunk
+MIN_MATCHES = 50  # fewer matches that agree with their neighbours are not refined
+_SIMILAR = 1.5  # ratio of the images' scales up to which neither is shrunk
 
 
 def refine(
@@ -46,9 +47,9 @@ def refine(
     max_matches: int,
     corner_radius: int = CORNER_RADIUS,
 ) -> tuple[Matches, Matches]:
-    """The matches that can be aligned, at most `max_matches`, evenly spread; and all that agree
-    with their neighbours, aligned where that succeeds. None of either if fewer than `MIN_MATCHES`
-    agree. corner_radius: pixels that a match moves along each axis of image 2 at most."""
+    """The aligned matches, at most `max_matches`, evenly spread; and all matches that agree with
+    their neighbours, moved where alignment succeeds. Both are empty if fewer than `MIN_MATCHES`
+    agree. corner_radius: largest move to a corner, pixels along each axis of image 2."""
     local = consistent(matches, NEIGHBOURS)
     if len(local.index) < MIN_MATCHES:
         none = matches.subset(local.index[:0])
@@ -72,14 +73,14 @@ def refine(
 
 @dataclass(frozen=True)
 class Aligned:
-    """The result of alignment, in the order of the matches chosen."""
+    """Aligned matches, in the order in which they were chosen."""
 
     points1: np.ndarray  # (N, 2) float64, pixels of image 1
     points2: np.ndarray  # (N, 2) float64, corners of image 2
     zncc: np.ndarray  # (N,) float64, see `Patches`
-    converged: np.ndarray  # (N,) bool: at rest, within the tolerance of where it began
-    index: np.ndarray  # (N,) int, of the matches that they come from
-    pixel: float = 1.0  # of the images aligned, in pixels of the originals: mean over both
+    converged: np.ndarray  # (N,) bool: came to rest near its start, see `_converged`
+    index: np.ndarray  # (N,) int, indices of the original matches
+    pixel: float = 1.0  # pixel size of the aligned images, in pixels of the originals: their mean
 
 
 def align(
@@ -90,8 +91,8 @@ def align(
     max_matches: int,
     corner_radius: int = CORNER_RADIUS,
 ) -> Aligned:
-    """Aligns at most `max_matches` matches, evenly spread over image 2, the strongest corners.
-    error_px: of the matches, pixels of image 1; each moves by a few times that at most."""
+    """At most `max_matches` aligned matches at strong corners, evenly spread over image 2. Each
+    shifts by at most a few times `error_px`, the error of the matches in pixels of image 1."""
     areas = np.linalg.det(matches.affinity) if len(matches.index) else np.ones(1)
     scale = float(np.median(np.sqrt(areas)))
     shrinks = min(1.0, 1 / scale), min(1.0, scale)
@@ -129,9 +130,9 @@ def align(
 def _from_coarse(
     grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, error: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (M, 2) and correlations (M,) of patches that become similar on shrunk images, with
-    their affinities, aligned on the originals if that succeeds; and which of the matches they are,
-    indices (M,). error: along each axis."""
+    """Points (M, 2), correlations (M,) and rows (M,) of the matches whose patches become similar on
+    shrunk images with adjusted affinities. Points are aligned on the full images where this
+    succeeds. error: of the matches, along each axis of image 1."""
     shrink = min(1.0, 1 / float(error.mean()))
     small1, small2, moved, scale1, scale2 = _shrunk(grey1, grey2, matches, shrink, shrink)
     coarse = align_patches(small1, small2, moved, PATCH_RADIUS, affine=True)
@@ -150,8 +151,8 @@ def _from_coarse(
 def _shrunk(
     pixels1: np.ndarray, pixels2: np.ndarray, matches: LocalMatches, *shrinks: float
 ) -> tuple[np.ndarray, np.ndarray, LocalMatches, np.ndarray, np.ndarray]:
-    """Both images, each shrunk by a factor, the matches of their pixels, and of each image the
-    pixels of the shrunk one per pixel of the original (2,)."""
+    """Both images, each shrunk by its factor; the matches in pixels of the shrunk images; and for
+    each image its scale along both axes (2,), shrunk pixels per original pixel."""
     small1, small2 = resize_by(pixels1, shrinks[0]), resize_by(pixels2, shrinks[1])
     sizes = [pixels.shape[1::-1] for pixels in (pixels1, small1, pixels2, small2)]
     scale1, scale2 = np.divide(sizes[1], sizes[0]), np.divide(sizes[3], sizes[2])
@@ -172,7 +173,7 @@ def _to_original(points: np.ndarray, scale: np.ndarray) -> np.ndarray:
 def _converged(
     patches: Patches, start: np.ndarray, image: np.ndarray, max_shift: np.ndarray | float
 ) -> np.ndarray:
-    """Which patches came to rest, (N,) bool, on the image and near where they began."""
+    """Which patches came to rest on the image, within `max_shift` of their start: (N,) bool."""
     points = patches.points1
     on_image = ((points >= 0) & (points <= np.subtract(image.shape[1::-1], 1))).all(1)
     near = np.linalg.norm((points - start) / max_shift, axis=1) <= 1
@@ -182,8 +183,8 @@ def _converged(
 def locate(
     grey1: np.ndarray, grey2: np.ndarray, matches: LocalMatches, *, radius: int, max_shift: float
 ) -> Aligned:
-    """As `align`, of all points of image 2 as they are, on the images alone; see `align_patches`.
-    max_shift: pixels of image 1."""
+    """As `align`, but for all matches, with their points in image 2 fixed, and without shrunk
+    images. max_shift: pixels of image 1."""
     patches = align_patches(grey1, grey2, matches, radius)
     converged = _converged(patches, matches.points1, grey1, max_shift)
     return Aligned(patches.points1, matches.points2, patches.zncc, converged, matches.index)

@@ -1,9 +1,9 @@
-"""Which cells of two images match, at native resolution: the likely ones of stride 16 by consensus
-among neighbours, and those near each other's epipolar lines under a hypothesis of the pose.
+"""Which cells of two images may match, at native resolution: at stride 16 by consensus among
+neighbouring cells, and, given a hypothesis of the pose, by the distance to epipolar lines.
 
-Belief propagation as in `network.correlation`: a match (s, t) is supported by matches near (s + d,
-t + d) of the eight neighbours t + d. All pairs of thousands of cells would be too many: each cell
-has a few candidates, the most similar cells and those that the dense map points to.
+The consensus is belief propagation as in `network.correlation`: matches near (s + d, t + d) of the
+eight neighbours t + d support a match (s, t). All pairs of thousands of cells would be too many.
+Each cell therefore has few candidates: the most similar cells, and those the dense map points to.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from dgc_pose.system.parallel import in_threads, slices
 
 _CHUNK = 128  # cells compared at a time, which stay in the processor's cache
 _NEIGHBOURS = [(1, 0), (-1, 1), (0, 1), (1, 1)]  # the other four are their opposites
-_NEVER = -1e3  # score of a candidate that is there already, or that is not allowed
-_BAND = 1.0  # Sampson distance of the centres of two cells, in cells, below which they may match
-_UNMATCHED = 1e-30  # likelihood of a cell that matches none
+_NEVER = -1e3  # score of a candidate that is repeated or not allowed
+_BAND = 1.0  # Sampson distance between their centres, in cells, below which two cells may match
+_UNMATCHED = 1e-30  # keeps a logarithm finite for a source cell that may match no target cell
 
 
 def likely_cells(
@@ -37,14 +37,14 @@ def likely_cells(
     likely: int,
     allowed: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Indices (n, likely), row by row, of the source's likeliest cells for each of the target's n.
+    """For each of the target's n cells, row by row, indices (n, likely) of likely source cells.
 
     guided: (n, G) further candidates, beside the `similar` most similar cells. scales: inverse
-    temperatures of the cosines at stride 16 and, if there are two, 8. allowed: (n, m) bool, which
-    of the source's m cells each of the target's may match; None for all.
+    temperatures of the cosines at stride 16 and, if there are two, stride 8. allowed: (n, m) bool,
+    which of the source's m cells each target cell may match; None for all.
     """
-    # Log-likelihoods: the dual softmax over cosines at stride 16, up to a constant of the cell, and
-    # the cosines at stride 8.
+    # Log-likelihoods: the dual softmax over cosines at stride 16, up to a constant per target cell,
+    # plus the cosines at stride 8.
     coarse1, coarse2 = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
     )
@@ -52,7 +52,7 @@ def likely_cells(
     parts = slices(len(coarse2), _CHUNK)
     similar = min(similar, len(coarse1))
     scaled = scales[0] * coarse2
-    evidence = np.empty((len(coarse2), len(coarse1)), np.float32)  # the scores, in the end
+    evidence = np.empty((len(coarse2), len(coarse1)), np.float32)  # overwritten by the scores
 
     def sums_over(rows: slice) -> np.ndarray:
         np.matmul(scaled[rows], coarse1.T, out=evidence[rows])
@@ -60,7 +60,7 @@ def likely_cells(
         np.exp(values, out=values)
         return values.sum(0) if allowed is None else (values * allowed[rows]).sum(0)
 
-    # Each source cell's softmax over the target; cosines are at most 1, so nothing overflows.
+    # Denominator of each source cell's softmax, as a logarithm; cosines <= 1, so no overflow.
     normaliser = np.log(np.sum(in_threads(sums_over, parts), 0) + _UNMATCHED)
 
     def compare(rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -91,15 +91,15 @@ def likely_cells(
 def propagate(
     candidates: np.ndarray, scores: np.ndarray, columns: int, grid: tuple[int, int]
 ) -> np.ndarray:
-    """Log-probabilities (n, K) of each cell's candidates after belief propagation. candidates:
-    indices (n, K) of cells of a source of so many `columns`; scores: their log-likelihoods; grid:
-    (rows, columns) of the target, n cells in all."""
+    """Log-probabilities (n, K) of each target cell's candidates after belief propagation.
+    candidates: indices (n, K) of source cells; scores: their log-likelihoods; columns: of the
+    source; grid: (rows, columns) of the target, n cells in all."""
     y, x = (axis.astype(np.float32) for axis in np.divmod(candidates, columns))
     index = np.arange(len(candidates)).reshape(grid)
 
     def support(offset: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Cells (m,) with a neighbour at the offset, those neighbours (m,), and how well each
-        candidate of the cell agrees with each of the neighbour (m, K, K)."""
+        """Cells (m,) that have a neighbour at the offset, these neighbours (m,), and the agreement
+        (m, K, K) of each candidate of the cell with each candidate of the neighbour."""
         dx, dy = offset
         rows = slice(max(0, -dy), len(index) - max(0, dy))
         cells = index[rows, max(0, -dx) : grid[1] - max(0, dx)].ravel()
@@ -119,7 +119,7 @@ def propagate(
     for _ in range(PASSES):
         probability, total = np.exp(beliefs), scores.copy()
         for cells, neighbours, agreement in supports:
-            # Of two neighbours each supports the other, by the same agreement.
+            # Two neighbours support each other by the same agreement.
             for to, of, agreed in (
                 (cells, neighbours, agreement),
                 (neighbours, cells, agreement.transpose(0, 2, 1)),
@@ -131,7 +131,7 @@ def propagate(
 
 
 def _largest(values: np.ndarray, count: int) -> np.ndarray:
-    """Columns (n, count) of the largest values of each row, which are overwritten."""
+    """Columns (n, count) of the largest values of each row. Overwrites these values."""
     largest = np.empty((len(values), count), np.int64)
     for column in largest.T:  # faster than a partition for so few
         column[:] = values.argmax(1)
@@ -140,7 +140,8 @@ def _largest(values: np.ndarray, count: int) -> np.ndarray:
 
 
 class EpipolarBand:
-    """The cells of a source and a target, row by row, of stride 16 or as `children` of stride 8."""
+    """Which cells of a source and a target lie near each other's epipolar lines. Cells are counted
+    row by row, at stride 16 or, with `children`, at stride 8."""
 
     def __init__(
         self,
@@ -157,14 +158,13 @@ class EpipolarBand:
         self.limit = _BAND * (side1 + side2) / 2  # Sampson distance, in the points' unit
 
     def all(self) -> np.ndarray:
-        """(n, m) bool, for each cell of the target which of the source it may match."""
+        """Which source cells each target cell may match: (n, m) bool."""
         every1, every2 = (np.arange(len(points))[None] for points in (self.points1, self.points2))
         parts = slices(every2.size, _CHUNK)
         return np.concatenate([self.among(every2[:, part], every1)[0] for part in parts])
 
     def among(self, cells2: np.ndarray, cells1: np.ndarray) -> np.ndarray:
-        """(n, q, m) bool, which of the source's cells (n, m) each of the target's (n, q) may
-        match."""
+        """Which source cells (n, m) each target cell (n, q) may match: (n, q, m) bool."""
         lines1, lines2 = self.points2[cells2] @ self.E, self.points1 @ self.E.T
         distance = np.abs(lines1 @ self.points1[cells1].transpose(0, 2, 1))
         norms2 = (lines2[:, :2] ** 2).sum(1)[cells1]
@@ -175,8 +175,8 @@ class EpipolarBand:
 def _normalised(
     view: View, features: NativeFeatures, camera: Camera, finer: int
 ) -> tuple[np.ndarray, float]:
-    """Centres (n, 3) float32 of the cells, normalised by the camera of the whole image and
-    homogeneous, and the side of one."""
+    """Homogeneous centres (n, 3) float32 of the cells, normalised by the camera of the whole image;
+    and the side of a cell in the same unit."""
     rows, columns = (finer * side for side in features.coarse.shape[:2])
     points = homogeneous(camera.normalise(view.centres((columns, rows)).reshape(-1, 2)))
     area = math.prod(view.size) / (rows * columns) / view.scale**2

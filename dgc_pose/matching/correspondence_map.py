@@ -1,5 +1,5 @@
-"""The dense map of two images, the matches selected from it, and what it shows of the images:
-rotation, scale, and the parts that match."""
+"""The dense map of two images, the matches selected from it, and the rotation, scale and matching
+parts of the images that it determines."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from dgc_pose.system.options import check_options, option
 ERROR_CELLS = 0.5
 # Mean matchability below which the images may be rotated or of different scales
 WEAK = 0.25
-MATCHABILITY = 0.7  # least of a match
-MIN_SHARE = 0.01  # of all cells that must pass; a smaller patch matches by chance
-_SAMPLE = 40  # cells a row of the sample of a map
-_MATCHABLE = 0.5  # matchability of the cells that rotation, scale and window are of
-_LEAST_SHARE = 0.01  # of the cells that must be matchable to determine rotation and scale
+MATCHABILITY = 0.7  # least matchability of a match
+MIN_SHARE = 0.01  # share of all cells that must pass; a smaller patch may match by chance
+_SAMPLE = 40  # most cells along the longer side of a map's sample
+_MATCHABLE = 0.5  # least matchability of the cells that determine rotation, scale and window
+_LEAST_SHARE = 0.01  # share of the cells that must be matchable to determine rotation and scale
 _OUTER = 1.0  # percent of the points, on each side, that may lie outside a window
-_WINDOW_MARGIN = 0.25  # on each side of a window, of its sides
-_MOST_SHARE = 0.4  # of an image's area; a larger window is not worth cutting out
+_WINDOW_MARGIN = 0.25  # margin on each side of a window, as a share of its extent
+_MOST_SHARE = 0.4  # share of an image's area; a larger window is not worth cutting out
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +40,8 @@ class CorrespondenceMap:
             a net without a mask.
         size1: Size (width, height) of image 1, pixels.
         size2: Size (width, height) of image 2, pixels.
-        used: (H, W) bool, False where either point lies on a masked pixel, and matchability is 0;
-            None if no image has a mask.
+        used: (H, W) bool, False where either point lies on a masked pixel (the matchability is 0
+            there); None if neither image has a mask.
     """
 
     map: np.ndarray
@@ -72,8 +72,8 @@ class CorrespondenceMap:
 
     @property
     def sample(self) -> Matches:
-        """An even sample of the used cells, with any matchability, their confidence: evidence for
-        or against a pose, not matches to estimate one from."""
+        """An even sample of the used cells of any matchability, which is their confidence. It
+        serves as evidence for or against a pose, not to estimate one."""
         sample = self.thinned(max(1, -(-max(self.matchability.shape) // _SAMPLE)))
         used = np.ones(sample.matchability.shape, bool) if sample.used is None else sample.used
         return Matches(
@@ -92,7 +92,7 @@ class CorrespondenceMap:
         )
 
     def masked(self, image1: Image, image2: Image) -> CorrespondenceMap:
-        """The map between the two images with their masks."""
+        """The map with the images' masks applied."""
         if image1.mask is None and image2.mask is None:
             return self
         used = ~(image1.is_masked(self.map) | image2.is_masked(self.grid))
@@ -101,12 +101,12 @@ class CorrespondenceMap:
 
 @dataclass(frozen=True)
 class MatchingOptions:
-    """Which matches a dense map gives. Raises InputError, naming the field, for a value out of
-    range.
+    """Options for selecting and refining matches. Raises InputError, naming the field, for a value
+    out of range.
 
     Attributes:
         aligned: Whether a network's matches are refined on the originals: those of its features,
-            and those selected from its map if they are few. Other matchers refine nothing.
+            or, if too few remain, those selected from its map. Other matchers refine nothing.
     """
 
     max_matches: int = option(
@@ -136,14 +136,14 @@ def select_matches(
     min_share: float = MIN_SHARE,
     min_matchability: float = MATCHABILITY,
 ) -> Matches:
-    """The cells of enough matchability that the map sends into image 1, as matches; none if they
-    are less than a share of all. With 0 and 0 these are all such cells."""
+    """At most `max_matches` matches, evenly spread over the cells that have `min_matchability` and
+    map into image 1; none if these cells are less than `min_share` of all."""
     width, height = dense.size1
     keep = dense.matchability >= min_matchability
     keep &= (dense.map >= -0.5).all(-1) & (dense.map <= (width - 0.5, height - 0.5)).all(-1)
     if keep.mean() < min_share:
         keep = np.zeros_like(keep)
-    # Evenly spread, the matches condition the essential matrix well where the confident cells
+    # Evenly spread matches condition the essential matrix well, even if the confident cells
     # concentrate on one object.
     cells, confidence = np.argwhere(keep)[:, ::-1], dense.matchability[keep]
     side = max(1.0, math.sqrt(len(cells) / options.max_matches))
@@ -164,9 +164,9 @@ def points_in_image1(dense: CorrespondenceMap, points2: np.ndarray) -> np.ndarra
 
 
 def rotation_between(points1: np.ndarray, points2: np.ndarray) -> float:
-    """Degrees, -180 to 180, by which image 2 has to be rotated counter-clockwise (as by
-    `numpy.rot90`) to have the orientation of image 1, by the similarity that best fits points
-    (N, 2) of both; 0 without any."""
+    """The counter-clockwise rotation (as by `numpy.rot90`), -180 to 180 degrees, that turns image 2
+    to the orientation of image 1, from the similarity that best fits points (N, 2) of both images;
+    0 without points."""
     if len(points1) == 0:
         return 0.0
     points1, points2 = points1 - np.median(points1, 0), points2 - np.median(points2, 0)
@@ -177,7 +177,7 @@ def rotation_between(points1: np.ndarray, points2: np.ndarray) -> float:
 
 
 def matchable_points(dense: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
-    """The matchable cells: (N, 2) float64 in image 1 and image 2; none if they are few."""
+    """Points (N, 2) float64 of the matchable cells in image 1 and in image 2; empty if few."""
     matchable = dense.matchability >= _MATCHABLE
     if matchable.mean() < _LEAST_SHARE:
         matchable = np.zeros_like(matchable)
@@ -186,9 +186,9 @@ def matchable_points(dense: CorrespondenceMap) -> tuple[np.ndarray, np.ndarray]:
 
 
 def window_shown(points: np.ndarray, size: Size) -> tuple[Size, tuple[float, float]]:
-    """The part of an image of `size` (width, height) that holds nearly all of its points (N, 2)
-    and a margin: (width, height), and the pixel at its centre. The whole image if that is not much
-    larger, or without points."""
+    """The window of an image of `size` (width, height) that contains nearly all points (N, 2) and a
+    margin: its (width, height), and the pixel at its centre. The whole image if the window is
+    nearly as large, or without points."""
     whole = size, ((size[0] - 1) / 2, (size[1] - 1) / 2)
     if len(points) == 0:
         return whole
@@ -205,9 +205,9 @@ def window_shown(points: np.ndarray, size: Size) -> tuple[Size, tuple[float, flo
 
 
 def scale_between(dense: CorrespondenceMap) -> float:
-    """Pixels of image 1 per pixel of image 2, 1/10 to 10: the median over the matchable cells, of
-    areas a thirtieth of the image wide, which errors hardly change. If few cells are matchable,
-    that of equal fields of view."""
+    """Pixels of image 1 per pixel of image 2, 1/10 to 10: the median over areas that
+    matchable cells span, a thirtieth of the image wide, so that errors of the map hardly matter. If
+    few cells are matchable, the scale assumes equal fields of view."""
     matchable = dense.matchability >= _MATCHABLE
     step = max(1, len(matchable) // 30)
     corners = matchable[:-step, :-step] & matchable[step:, :-step] & matchable[:-step, step:]

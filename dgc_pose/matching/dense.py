@@ -1,14 +1,13 @@
-"""The dense map of images of any size by the frozen network, and the search for the rotation and
-scale between them.
+"""The dense map of two images of any size by the frozen network, with a search for the rotation and
+scale between the images.
 
-The network is trained on upright pairs of similar scale. Where its map is weak, small copies of an
-image, rotated by twelve angles, are compared with the other image, at equal fields of view and at
-fields that differ by 2, and by 4 where 2 matches best. The copy with the lowest mean entropy of the
-coarse matching distribution is taken, as REDI-Match does for quarter turns; nothing is trained for
-it. Its most probable matches give the similarity that the views of both images are cut by.
+The network is trained on upright pairs of similar scale. If its map is weak, rotated small copies
+of one image are compared with the other image: at twelve angles for equal fields of view, at eight
+for fields of view that differ by a factor of 2, and of 4 if 2 matches best. The copy with the
+lowest mean entropy of the coarse matching distribution wins, as in REDI-Match for quarter turns;
+this needs no training. Its most probable matches give the similarity that cuts both views.
 
-Entropies are relative to each other within a pair, so that no bound depends on the weights'
-temperature.
+Entropies are compared only within a pair, so no bound depends on the weights' temperature.
 """
 
 from __future__ import annotations
@@ -32,21 +31,21 @@ from dgc_pose.network.correlation import log_softmax, match_scores
 from dgc_pose.runtime.engine import Engine, MapFeatures, NativeFeatures
 from dgc_pose.system.parallel import in_threads
 
-_CELLS = 56  # of an image at its smallest scale; 225 find the rotation no better
+_CELLS = 56  # cells of an image's smallest copy; 225 find the rotation no better
 _ANGLES = range(0, 360, 30)  # degrees, at equal fields of view
 _FEWER_ANGLES = range(0, 360, 45)  # at other fields of view
-_LARGEST = 4  # ratio between the fields of view
-# Entropy of a copy, relative to that of the upright pair and to the median of all copies, below
-# which it is taken.
+_LARGEST = 4  # largest ratio between the fields of view
+# A copy is selected if its entropy is below this share of the upright pair's entropy, and of the
+# median of all copies.
 _LOWER = 0.92
-_CLEAR = 0.8  # relative to the median: below it, other scales are not tried
+_CLEAR = 0.8  # relative to the median: if the entropy is lower, other scales are not tried
 _PIXELS = 480  # square root of the area of a view, before the network resizes it
-_MARGIN = 1.5  # sides of a window, relative to what the other image is expected to cover
-_MIN_MATCHES = 6  # matches that a similarity must fit
-_ANGLE_STEP = 5  # degrees that views are rotated by a multiple of
-_REACH = 1.5  # cells that they may be off
-_ANGLE_OFF = 30.0  # degrees that a similarity may differ by from what was compared
-_SCALE_OFF = 2.0  # and the factor
+_MARGIN = 1.5  # sides of a window, relative to the part that the other image should cover
+_MIN_MATCHES = 6  # least number of inliers of a similarity
+_ANGLE_STEP = 5  # degrees: views are rotated by multiples of it
+_REACH = 1.5  # inlier threshold of a similarity, cells
+_ANGLE_OFF = 30.0  # degrees by which a similarity may differ from the copy that was compared
+_SCALE_OFF = 2.0  # factor by which its scale may differ
 
 
 def dense_map(
@@ -58,9 +57,9 @@ def dense_map(
     cells: int = INPUT_SIZE,
     search: bool = True,
 ) -> CorrespondenceMap:
-    """The map of a pair; image 1 is the network's source, image 2 its target. cells: as of
-    `Engine.decode`. search: other rotations of image 2 and other scales, if the mean matchability
-    is below `WEAK`."""
+    """The map of a pair; image 1 is the network's source, image 2 its target. cells: see `finest`
+    of `Engine.decode`. search: whether to try other rotations of image 2 and other scales if the
+    mean matchability is below `WEAK`."""
 
     def decode(views: tuple[View, View]) -> tuple[np.ndarray, np.ndarray, Size]:
         source, target = map_features(engine, cache, *views)
@@ -76,7 +75,7 @@ def dense_map(
             views, (points, matchability, size) = likely, again
     seen = matchability.shape[::-1]
     grid = whole[1].centres(seen)
-    if views[1] != whole[1]:  # the map over image 2 as it is, 0 where the view shows nothing
+    if views[1] != whole[1]:  # resample to image 2 as it is; matchability 0 outside the view
         sides = engine.config.input_size(image2.size)
         columns, rows = (side * cells // INPUT_SIZE for side in sides)
         grid = whole[1].centres((columns, rows))
@@ -107,8 +106,8 @@ def map_features(engine: Engine, cache: ImageCache, *views: View) -> list[MapFea
 class _Thumbnail:
     """A small copy of an image."""
 
-    points: np.ndarray  # (N, 2), centres of the cells inside, pixels of the image
-    pixel: float  # side of a pixel of the copy in pixels of the image
+    points: np.ndarray  # (N, 2), centres of the cells inside, in pixels of the image
+    pixel: float  # side of the copy's pixels, in pixels of the image
     features: NativeFeatures
     inside: np.ndarray  # (h, w) bool, which cells of stride 16 show the image
 
@@ -119,21 +118,21 @@ class _Thumbnail:
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A relative rotation and scale, compared."""
+    """A relative rotation and scale, with the result of the comparison."""
 
-    angle_deg: float  # that image 2 is rotated by
+    angle_deg: float  # rotation of image 2
     octave: int  # log2 of the ratio of the fields of view: positive if image 1 shows more
     wide: _Thumbnail  # of the image with the larger field of view
     narrow: _Thumbnail
     logarithms: np.ndarray  # see `matching_distribution`
-    entropy: float  # mean over the cells of the small copy, 1 for a uniform distribution
+    entropy: float  # mean over the cells of `narrow`, 1 for a uniform distribution
 
 
 def search_views(
     engine: Engine, image1: Image, image2: Image, cache: ImageCache
 ) -> tuple[View, View] | None:
-    """Views of both images at one rotation and scale; None if the images as they are match best. An
-    image that the network squeezes is not rotated: its copy would be nearly all border."""
+    """Views of both images at a common orientation and scale; None if the images as they are match
+    as well, or if the network squeezes one: its rotated copy would be nearly all border."""
     images = image1, image2
     if any(max(image.size) > LONGEST * min(image.size) for image in images):
         return None
@@ -145,16 +144,16 @@ def search_views(
         view = View.whole(small, float(angle_deg), scale)
         columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
         features = engine.native(view.pixels(), (columns, rows))
-        features = replace(features, fine=features.fine[:0].copy())  # which is not compared
+        features = replace(features, fine=features.fine[:0].copy())  # not compared
         inside = view.mask((columns, rows))
         points = view.centres((columns, rows))[inside]
         pixel = math.sqrt(math.prod(image.size) / math.prod(small.size)) / view.scale
         return _Thumbnail(rescale(points, small.size, image.size), pixel, features, inside)
 
     def compared(motions: Sequence[tuple[int, int]]) -> list[_Candidate]:
-        """The candidate of each angle and octave. The image of the smaller field of view is
-        rotated, and shrunk to the other's scale."""
-        copies: list[tuple[Image, int, int]] = []  # of each motion the wide and the narrow one
+        """The candidate for each angle and octave. The image with the smaller field of view is
+        rotated, and shrunk to the scale of the other."""
+        copies: list[tuple[Image, int, int]] = []  # for each motion the wide and the narrow copy
         for angle_deg, octave in motions:
             small, turn = (1, angle_deg) if octave >= 0 else (0, -angle_deg)
             copies += [(images[1 - small], 0, abs(octave)), (images[small], turn % 360, 0)]
@@ -185,13 +184,13 @@ def search_views(
 
 
 def _shrunk(image: Image) -> np.ndarray:
-    """The image as large as its largest copy, or as it is if that is less."""
+    """The image shrunk to the size of its largest copy, or as it is if it is smaller."""
     largest = _LARGEST * STRIDE * math.sqrt(_CELLS)
     return resize_by(image.pixels, min(1.0, largest / math.sqrt(math.prod(image.size))))
 
 
 def _lowest(candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
-    """The candidate of the lowest entropy, and the median of the entropies."""
+    """The candidate with the lowest entropy, and the median of the entropies."""
     entropies = [candidate.entropy for candidate in candidates]
     return candidates[int(np.argmin(entropies))], float(np.median(entropies))
 
@@ -199,9 +198,9 @@ def _lowest(candidates: Sequence[_Candidate]) -> tuple[_Candidate, float]:
 def matching_distribution(
     source: NativeFeatures, target: NativeFeatures, inside: np.ndarray, scales: np.ndarray
 ) -> np.ndarray:
-    """Log-probability (n1, n2) of each coarse cell of the source for each of the target's n2 cells
-    `inside` (h, w), by the dual softmax over the cosines of the correlated levels; scales: their
-    inverse temperatures, the coarsest first."""
+    """For each of the target's n2 cells `inside` (h, w), the log-probabilities (n1, n2) of the
+    source's coarse cells, by the dual softmax over the cosines of the correlated levels. scales:
+    inverse temperatures of the levels, the coarsest first."""
     cells = np.flatnonzero(inside)
     coarse1, coarse2 = (
         features.coarse.reshape(-1, features.coarse.shape[2]) for features in (source, target)
@@ -218,7 +217,7 @@ def matching_distribution(
 
 
 def mean_entropy(logarithms: np.ndarray) -> float:
-    """Mean entropy of log-probabilities (n1, n2) over columns: 0 if certain, 1 without a match."""
+    """Mean entropy of the columns of log-probabilities (n1, n2): 0 certain, 1 uniform or empty."""
     cells, columns = logarithms.shape
     if cells < 2 or columns == 0:
         return 1.0
@@ -226,10 +225,10 @@ def mean_entropy(logarithms: np.ndarray) -> float:
 
 
 def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
-    """The whole of the image with the smaller field of view, and the part of the other that it
-    covers, with a margin; both whole at equal fields."""
+    """Views of image 1 and image 2: the image with the smaller field of view is whole, the other is
+    cut to the part that both show, with a margin. At equal fields of view both are whole."""
     linear, shift = _similarity(best)
-    ratio = float(np.hypot(*linear[0]))  # pixels of the larger field's image per pixel of the other
+    ratio = float(np.hypot(*linear[0]))  # pixels of the wide image per pixel of the narrow one
     turned = math.degrees(math.atan2(linear[0, 1], linear[0, 0]))
     step = _ANGLE_STEP * round((turned if best.octave >= 0 else -turned) / _ANGLE_STEP)
     angle = float(step % 360)
@@ -238,7 +237,7 @@ def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
     small, large = (image2, image1) if best.octave > 0 else (image1, image2)
     turn = angle if best.octave > 0 else 0.0
     whole = View.rotated(small, turn, _PIXELS)
-    # At scale 1: in the orientation of both views, which is that of image 1.
+    # At scale 1, in the orientation of image 1, which both views have.
     extent = [_MARGIN * ratio * side for side in View.whole(small, turn).size]
     centre = linear @ ((np.array(small.size) - 1) / 2) + shift
     centre = centre.clip(0, np.array(large.size) - 1)
@@ -251,8 +250,8 @@ def _views(best: _Candidate, image1: Image, image2: Image) -> tuple[View, View]:
 
 
 def _similarity(best: _Candidate) -> tuple[np.ndarray, np.ndarray]:
-    """(2, 2) and (2,): from pixels of the image with the smaller field of view to the other's, as
-    most of the matches have it, or else the angle and the octave that were compared."""
+    """Matrix (2, 2) and shift (2,) of the similarity from pixels of the narrow image to the wide
+    one: fitted to the most probable matches, or else by the candidate's angle and octave."""
     peaks = best.logarithms.max(0)
     sure = peaks >= np.median(peaks)
     wide = best.wide.points[best.logarithms.argmax(0)][sure]

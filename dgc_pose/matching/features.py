@@ -2,9 +2,9 @@
 
 The encoder is fully convolutional, so the image keeps its shape and most of its resolution. At
 stride 16 each cell of image 2 gets a few candidate cells of image 1: the likeliest by consensus
-among neighbouring cells, and those that the map points to. At stride 8 their children are compared,
-and mutual nearest neighbours remain. At stride 4 the point is located to a fraction of a cell.
-Only the comparison at stride 16 is quadratic in the number of pixels.
+among neighbouring cells, and those that the map points to. At stride 8 their children (four
+cells each) are compared, and mutual nearest neighbours remain. At stride 4 points are located to a
+fraction of a cell. Only the comparison at stride 16 is quadratic in the number of pixels.
 """
 
 from __future__ import annotations
@@ -36,22 +36,22 @@ from dgc_pose.network.config import STRIDE
 from dgc_pose.runtime.engine import Engine, NativeFeatures
 from dgc_pose.system.parallel import in_threads, slices
 
-LONG_SIDE = 800  # most pixels of the images that features are computed on
-SIMILAR_CELLS = 12  # most similar cells of stride 16, for the consensus
-LIKELY_CELLS = 4  # of them and of the map's, that are searched besides the map's
-MOST_HYPOTHESES = 2  # near whose epipolar lines matches are searched
-_SQUEEZE = 0.6  # of the width or the height of one image; see docs/experiments.md
-ERROR_CELLS = 0.25  # of a match along one axis, in cells of stride 4
-_WIDER = 1.6  # ratio of the fields of view, along a side
-_ANGLE_STEP = 30.0  # degrees that image 2 is rotated by a multiple of
-_UPRIGHT = 35.0  # degrees up to which it is not: resampling costs the features more
+LONG_SIDE = 800  # longest side of the images that features are computed on, pixels
+SIMILAR_CELLS = 12  # most similar cells of stride 16 that enter the consensus
+LIKELY_CELLS = 4  # likeliest cells by consensus, compared besides those the map points to
+MOST_HYPOTHESES = 2  # hypotheses of the pose near whose epipolar lines matches are searched
+_SQUEEZE = 0.6  # factor on the width or the height of one image; see docs/experiments.md
+ERROR_CELLS = 0.25  # error of a match along one axis, in cells of stride 4
+_WIDER = 1.6  # ratio of the fields of view, along a side, from which even a weak map crops
+_ANGLE_STEP = 30.0  # degrees: image 2 is rotated by a multiple of it
+_UPRIGHT = 35.0  # degrees up to which it is not rotated: resampling would harm the features more
 _SMALL = 480  # pixels of the longer side, below which both images are enlarged
 _SHARPNESS = 20.0  # inverse temperature of the soft-argmax over cosines
 _RADIUS = 3  # cells of stride 4 searched around a match of stride 8
 _WINDOW = window_offsets(_RADIUS)
-_NEAR = np.abs(_WINDOW[:, None] - _WINDOW).max(-1) <= 1  # which of its cells are within one of each
-_WINDOWS = 128  # compared at a time, which stays in the processor's cache
-_CHUNK = 128  # coarse cells compared at a time, likewise
+_NEAR = np.abs(_WINDOW[:, None] - _WINDOW).max(-1) <= 1  # for each of its cells, those within one
+_WINDOWS = 128  # windows compared at a time, so that they stay in the processor's cache
+_CHUNK = 128  # coarse cells compared at a time, for the same reason
 
 Shown = tuple[View, Size]  # a view, and the columns and rows of stride 16 that it is resized to
 Encoded = tuple[View, NativeFeatures]
@@ -66,14 +66,14 @@ def feature_matches(
     long_side: int = LONG_SIDE,
     hypotheses: Sequence[TwoViews] | None = None,
 ) -> tuple[list[Matches], list[Encoded], float]:
-    """Mutual nearest neighbours of the features, guided by the map, by each of several comparisons;
-    the confidence is their cosine. And the views of both images that are compared, and their scale,
-    see `_compared_views`.
+    """Mutual nearest neighbours of the features, guided by the map, from each of several
+    comparisons; the confidence is their cosine. Also returns the views of both images, encoded,
+    and their scale, see `_compared_views`.
 
-    hypotheses: of the pose. None for one comparison of both views; otherwise further ones:
+    hypotheses: of the pose. None for one comparison of both views; otherwise other comparisons:
 
-    - with one view narrower or lower than it is: a surface that one camera sees from the side and
-      the other from the front becomes alike;
+    - with one view squeezed in width or height: a surface that one camera sees from the side and
+      the other from the front then looks alike;
     - for each of the first hypotheses, of cells near its epipolar lines.
     """
     first, second, scale = _compared_views(image1, image2, dense, long_side)
@@ -85,7 +85,7 @@ def feature_matches(
             comparisons.append((first, _squeezed(second, axis), None))
         comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
     encoded: dict[Shown, Encoded] = {}
-    # In turn: one image occupies all processors, and memory for one is enough.
+    # One by one: an image occupies all processors, and only one needs memory.
     for view, cells in dict.fromkeys(chain(*(comparison[:2] for comparison in comparisons))):
         make = partial(_encode, engine, view, cells)
         encoded[view, cells] = view, cache.get(view.image, (view, cells), make)
@@ -100,13 +100,13 @@ def feature_matches(
 def _compared_views(
     image1: Image, image2: Image, dense: CorrespondenceMap, long_side: int
 ) -> tuple[Shown, Shown, float]:
-    """Views of the parts of both images that the map shows to match, at one orientation; with the
-    columns and rows of stride 16 at one scale, to the octave, with long sides of about `long_side`
-    pixels; and their sides over those at full resolution."""
+    """Views of the matching parts of both images, at a common orientation, each with its columns
+    and rows of stride 16. These give both one scale, to the octave, and a longest side of about
+    `long_side` pixels. Also returns the ratio of the sides to the sides at full resolution."""
     scale = 2.0 ** round(math.log2(scale_between(dense)))
     points1, points2 = matchable_points(dense)
     angle = rotation_between(points1, points2)
-    # What a weak map shows is too little to crop by, unless the fields of view differ.
+    # A weak map is too little evidence for cropping, unless the fields of view differ.
     wider = scale * math.sqrt(math.prod(dense.size2) / math.prod(dense.size1))
     if dense.mean_matchability < WEAK and 1 / _WIDER < wider < _WIDER:
         points1, points2 = points1[:0], points2[:0]
@@ -117,7 +117,7 @@ def _compared_views(
     view2 = View.window(image2, *window2, angle, 1.0)
     factor1, factor2 = equal_scales(view1.size, view2.size, scale, long_side)
     full1, _ = equal_scales(view1.size, view2.size, scale, LONG_SIDE)
-    if angle % 90:  # the image is resized before it is rotated: mostly it is shrunk
+    if angle % 90:  # resize the image before it is rotated: mostly it is shrunk
         view2 = View.window(image2, *window2, angle, factor2)
     first, second, full = _shown(view1, factor1), _shown(view2, factor2), _shown(view1, full1)
     return first, second, max(first[1]) / max(full[1])
@@ -146,7 +146,7 @@ def _neighbours(
     second: Encoded,
     hypothesis: TwoViews | None,
 ) -> Matches:
-    """Mutual nearest neighbours of two views, with a hypothesis those near its epipolar lines."""
+    """Mutual nearest neighbours of two views; with a hypothesis, only near its epipolar lines."""
     (view1, source), (view2, target) = first, second
     guided = _guided_cells(dense, first, second)
     coarse, middle = None, None
@@ -168,7 +168,7 @@ def _neighbours(
     points1 = view1.to_image(fine1, source.fine.shape[1::-1])
     points2 = view2.to_image(fine2, target.fine.shape[1::-1])
     inside = view1.shows(points1) & view2.shows(points2)
-    area1, area2 = (  # of a cell of stride 4, pixels of the original
+    area1, area2 = (  # area of a cell of stride 4, pixels of the original
         math.prod(view.size) / math.prod(features.fine.shape[:2]) / view.scale**2
         for view, features in (first, second)
     )
@@ -199,9 +199,9 @@ def mutual_neighbours(
     candidates: np.ndarray,
     band: EpipolarBand | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mutual nearest neighbours at stride 8, cells (M, 2) int of source and target, x and y, and
-    their cosine, among the children of `candidates`: (n, K) indices of stride-16 cells of the
-    source for each of the target's n. band: which cells of stride 8 may match."""
+    """Mutual nearest neighbours at stride 8 among the children of the candidates: source and target
+    cells (M, 2) int, x and y, and cosines (M,). candidates: for each of the target's n cells of
+    stride 16, indices (n, K) of the source's. band: which cells of stride 8 may match."""
     middle1, middle2 = (np.concatenate(features.middle) for features in (source, target))
     children1, children2 = _children(source.coarse), _children(target.coarse)
 
@@ -232,11 +232,11 @@ def mutual_neighbours(
 def subcell_points(
     fine1: np.ndarray, fine2: np.ndarray, cells1: np.ndarray, cells2: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (M, 2) float64 in cells of stride 4 of matched cells (M, 2) of stride 8: the centre of
-    the target's; of the source's the mean of the cells within one of the most similar in a window,
-    weighted by the softmax of their cosines."""
+    """Points (M, 2) float64, in cells of stride 4, of matched source and target cells (M, 2) of
+    stride 8. The target's point is the centre of its cell. The source's is a mean over the most
+    similar point of a window and its neighbours, weighted by the softmax of the cosines."""
     rows, columns, channels = fine1.shape
-    # Points between the cells, where four of them meet: their cosines are the mean of the four's.
+    # The window's points lie where four cells meet; a point's cosine is the mean of the four.
     x1, y1 = (2 * cells1[:, axis, None] + np.arange(-_RADIUS, _RADIUS + 2) for axis in (0, 1))
     inside_y, inside_x = (
         (cells[:, :-1] >= 0) & (cells[:, 1:] < side) for cells, side in ((y1, rows), (x1, columns))
@@ -265,7 +265,7 @@ def subcell_points(
 
 
 def _guided_cells(dense: CorrespondenceMap, first: Encoded, second: Encoded) -> np.ndarray:
-    """The 2x2 cells of stride 16 around the map's point for each cell of the target: (n, 4)."""
+    """For each target cell, the indices (n, 4) of the 2x2 source cells around the map's point."""
     (view1, source), (view2, target) = first, second
     rows, columns = source.coarse.shape[:2]
     points2 = view2.centres(target.coarse.shape[1::-1]).reshape(-1, 2)
@@ -276,7 +276,7 @@ def _guided_cells(dense: CorrespondenceMap, first: Encoded, second: Encoded) -> 
 
 
 def _children(coarse: np.ndarray) -> np.ndarray:
-    """Indices (n, 4), row by row, of the cells of twice the resolution in each cell of a level."""
+    """For each cell of a level, row by row, indices (n, 4) of its cells at twice the resolution."""
     height, width = coarse.shape[:2]
     finer = np.arange(4 * height * width).reshape(height, 2, width, 2)
     return finer.transpose(0, 2, 1, 3).reshape(-1, 4)

@@ -1,12 +1,12 @@
-"""Matchers of key points: what they detect in an image is kept for its next pair.
+"""Matchers of key points. The key points of an image are kept for its next pair.
 
-SIFT, for comparison through the same estimator; and a detector with descriptors that the user
-brings as an ONNX model. The model takes one image (1, 3, H, W) or (1, 1, H, W) in [0, 1]. Two
-layouts of outputs are known:
+SIFT serves for comparison with the same estimator. The user can supply another detector with
+descriptors as an ONNX model. The model takes one image (1, 3, H, W) or (1, 1, H, W) in [0, 1]. Two
+layouts of outputs are supported:
 
-- a grid: descriptors (1, C, h, w); logits (1, 65, h, w), of the 8x8 pixels of a cell, row by row,
-  and of no key point in it; and optionally a reliability (1, 1, h, w), as XFeat has (Potje et al.,
-  CVPR 2024);
+- a grid: descriptors (1, C, h, w); logits (1, 65, h, w), for the 8x8 pixels of a cell, row by row,
+  and for no key point in the cell; and optionally a reliability (1, 1, h, w), as XFeat has (Potje
+  et al., CVPR 2024);
 - points: key points ([1,] N, 2) in pixels of the model's image, descriptors ([1,] N, D), and
   optionally scores.
 """
@@ -31,16 +31,16 @@ from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.network.weights import find_weights
 from dgc_pose.system.files import read_bytes
 
-ERROR_PX = 1.0  # of a match along one axis: of SIFT's the originals' pixels, else the model's
-FEATURES = 8000  # of SIFT of an image at most
-RATIO = 0.8  # largest, of the distances to the nearest and the second nearest descriptor
-LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model takes one size alone
-MAX_POINTS = 4096  # of an image by a model, those of the highest scores
-_MULTIPLE = 32  # pixels that the sides of the model's image are a multiple of
-Shape = list[int | str | None]  # of a tensor; a name for a side that may change
+ERROR_PX = 1.0  # of a match along one axis: pixels of the originals for SIFT, else of the input
+FEATURES = 8000  # most SIFT key points of an image
+RATIO = 0.8  # largest ratio of distances, nearest to second nearest descriptor
+LONG_SIDE = 1024  # pixels; larger images are shrunk to it, unless the model has a fixed size
+MAX_POINTS = 4096  # most key points of an image by a model, of the highest scores
+_MULTIPLE = 32  # pixels: the sides of the model's input are multiples of it
+Shape = list[int | str | None]  # of a tensor; a variable side is a name or None
 _CELL = 8  # pixels along a cell of the grid
-_LEAST_SCORE = 0.05  # probability of a key point
-_RADIUS = 2  # pixels around a key point without another one
+_LEAST_SCORE = 0.05  # least probability of a key point
+_RADIUS = 2  # pixels around a key point that contain no other one
 
 
 class KeyPoints(NamedTuple):
@@ -55,8 +55,8 @@ class KeyPoints(NamedTuple):
 
 
 class KeyPointMatcher(Matcher):
-    """Detects key points with descriptors in each image alone (`_detect`, what a subclass defines),
-    and matches these (`_matched`, likewise); makes no map."""
+    """Detects key points in each image (`_detect`) and matches their descriptors (`_matched`); a
+    subclass defines both methods. Makes no map."""
 
     def __init__(self, cache: ImageCache | None = None) -> None:
         self.cache = cache or ImageCache(None)
@@ -67,7 +67,7 @@ class KeyPointMatcher(Matcher):
     def _matched(
         self, descriptors1: np.ndarray, descriptors2: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows of the first (M,) and of the second (M,) that match, and their confidence (M,)."""
+        """Rows (M,) of the first and of the second descriptors that match, and confidences (M,)."""
         raise NotImplementedError
 
     def _error_px(self, image1: Image, image2: Image) -> float:
@@ -81,7 +81,7 @@ class KeyPointMatcher(Matcher):
         )
         rows1 = rows2 = np.zeros(0, int)
         confidence = np.zeros(0)
-        if min(len(points1), len(points2)) > 1:  # a ratio test needs a second one
+        if min(len(points1), len(points2)) > 1:  # a ratio test needs two
             rows1, rows2, confidence = self._matched(descriptors1, descriptors2)
         error_px = self._error_px(image1, image2)
         matches = Matches(points1[rows1], points2[rows2], confidence, error_px, key_points=True)
@@ -124,7 +124,7 @@ class OnnxMatcher(KeyPointMatcher):
     """
 
     def __init__(self, path: str | Path, cache: ImageCache | None = None) -> None:
-        from dgc_pose.runtime.onnx_engine import Session  # ONNX Runtime takes its time to import
+        from dgc_pose.runtime.onnx_engine import Session  # ONNX Runtime is slow to import
 
         super().__init__(cache)
         self.path = find_weights(path)
@@ -177,7 +177,7 @@ class OnnxMatcher(KeyPointMatcher):
         return ERROR_PX * sum(map(math.sqrt, areas)) / 2
 
     def _size(self, image: Image) -> Size:
-        """(width, height) of the model's image."""
+        """(width, height) of the model's input."""
         height, width = self._sides
         if isinstance(width, int) and isinstance(height, int):
             return width, height
@@ -187,7 +187,7 @@ class OnnxMatcher(KeyPointMatcher):
 
 
 def _find_roles(shapes: Sequence[Shape]) -> dict[str, int]:
-    """The outputs' indices by what they are; none for shapes of neither layout."""
+    """The indices of the outputs by role; empty if the shapes fit neither layout."""
     rank = next((len(shape) for shape in shapes if shape[-1:] == [2]), 0)  # of points
 
     def role(shape: Shape) -> str:
@@ -223,7 +223,7 @@ def _decode_grid(role: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _decode_points(role: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The same of outputs that hold points; without scores all are equal."""
+    """As `_decode_grid`, for the layout of points; without scores, each score is 1."""
     points = role["points"].reshape(-1, 2)
     descriptors = role["descriptors"].reshape(-1, role["descriptors"].shape[-1])
     if len(descriptors) != len(points):  # (D, N)

@@ -1,4 +1,4 @@
-"""The contract of all matchers: two images in, matches out, with the dense map if there is one."""
+"""The interface of all matchers: two images in, matches out, with the dense map if there is one."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class MatchResult:
     """The matches of two images.
 
     Attributes:
-        matches: Matches that a pose is estimated from, pixels of the images matched.
+        matches: Matches to estimate a pose from, in pixels of the matched images.
         correspondence_map: The dense map; None for a matcher of key points.
-        aligned: Those of refined matches whose patches are aligned; None without refinement.
+        aligned: The refined matches whose patches are aligned; None without refinement.
     """
 
     matches: Matches
@@ -41,16 +41,16 @@ class MatchResult:
 class Matcher:
     """Anything that matches two images: the network, SIFT, a detector, or files.
 
-    `match` is all that a pair needs. `coarse`, `refined` and `guided` are further steps of
-    `solve_pair`; each is None if it has no other matches than those that are there.
+    `match` suffices for a pair. `coarse`, `refined` and `guided` are further steps of `solve_pair`;
+    each returns None if it has no new matches.
     """
 
     name: str  # in results and tables
-    engine: Engine | None = None  # the network that it matches by, which has all steps
+    engine: Engine | None = None  # the network of a `NetworkMatcher`, which has all steps
 
     @cached_property
     def cache(self) -> ImageCache:
-        """What is computed of an image; by default that of the last three images is kept."""
+        """Values computed of images; by default the values of the last three images are kept."""
         return ImageCache(None)
 
     @property
@@ -58,8 +58,8 @@ class Matcher:
         """16 hexadecimal digits that identify the weights; None for a matcher without weights."""
 
     def match(self, image1: Image, image2: Image) -> MatchResult:
-        """Matches in pixels of the images, both points where the images have structure and no mask,
-        and the dense map if the matcher makes one."""
+        """The matches in pixels of the images, and the dense map if the matcher makes one. Both
+        points of a match lie where their image has structure and no mask."""
         result = self._match(image1, image2)
         return replace(result, matches=self._textured(image1, image2, result.matches))
 
@@ -67,7 +67,7 @@ class Matcher:
         """Match small images, which is enough for an easy pair."""
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """Match at full resolution by the map of a result."""
+        """Match at full resolution, guided by the map of a result."""
 
     def guided(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
@@ -80,7 +80,7 @@ class Matcher:
         raise InputError(f"{self.name} cannot choose pairs: only the features of a network can")
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        """As `match`, also where an image has no structure: what a subclass defines."""
+        """As `match`, but also where an image has no structure or a mask. A subclass defines it."""
         raise NotImplementedError
 
     def _textured(self, image1: Image, image2: Image, matches: Matches) -> Matches:

@@ -27,16 +27,16 @@ from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
-COARSE_CELLS = 60  # cells a side of the map of the coarse step
-_FIRST_CELLS = 30  # and of one before: where it is weak, the next has been too; docs/experiments.md
-COARSE_SIDE = 512  # most pixels of the images that its features are computed on
-COARSE_CORNER_RADIUS = 12  # its cells are larger, so that the strongest corner of one is further
-MIN_ALIGNED = 100  # fewer aligned matches are completed by those that agree with their neighbours
+COARSE_CELLS = 60  # cells a side of the coarse step's map
+_FIRST_CELLS = 30  # of a first map: where it was weak, so was the next; see docs/experiments.md
+COARSE_SIDE = 512  # longest side of the images that its features are computed on, pixels
+COARSE_CORNER_RADIUS = 12  # pixels: its cells are larger, so their strongest corners are further
+MIN_ALIGNED = 100  # with fewer aligned matches, all that agree with their neighbours are used
 
 
 class NetworkMatcher(Matcher):
-    """Matches by a frozen network; image 1 is its source, image 2 its target. The steps beside
-    `match` are None where nothing is refined (`MatchingOptions.aligned`)."""
+    """Matches by a frozen network; image 1 is its source, image 2 its target. All steps except
+    `match` return None if refinement is off (`MatchingOptions.aligned`)."""
 
     engine: Engine
 
@@ -60,15 +60,15 @@ class NetworkMatcher(Matcher):
 
     @one_blas_thread()
     def match(self, image1: Image, image2: Image) -> MatchResult:
-        """As `Matcher`: matches of the features at native resolution are refined, or else those of
-        the map, which stay as they are where refinement leaves too few."""
+        """As `Matcher.match`. Refines the matches of the features at native resolution, or else the
+        matches of the map. If too few remain, returns the map's matches unrefined."""
         given = super().match(image1, image2)
         return self.refined(image1, image2, given) or given
 
     def coarse(self, image1: Image, image2: Image) -> MatchResult | None:
-        """Match with the map of 60 cells and small images: enough for an easy pair. None too if it
-        leaves too few matches, and for images that may be rotated or of different scales, which it
-        does not search."""
+        """Match with a map of 60 cells and small images: enough for an easy pair. Returns None also
+        if too few matches remain, or if the map is weak: the images may be rotated or differ in
+        scale, and this step does not search for either."""
         if self.options.aligned == "none" or self.engine.config.matchability == "network":
             return None  # a mask network needs the finest map
         for cells in (_FIRST_CELLS, COARSE_CELLS) if self.engine.can_resume else (COARSE_CELLS,):
@@ -78,8 +78,8 @@ class NetworkMatcher(Matcher):
         return self._refined(image1, image2, dense, side=COARSE_SIDE)
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """Match at full resolution by the map of a result: refine the matches of the features, or,
-        if that leaves too few, those of the result."""
+        """Match at full resolution, guided by the map of a result: refine the matches of the
+        features, or, if too few remain, the matches of the result."""
         dense = result.correspondence_map
         if self.options.aligned == "none" or dense is None:
             return None
@@ -88,9 +88,9 @@ class NetworkMatcher(Matcher):
     def guided(
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
     ) -> MatchResult | None:
-        """Add to a result matches of squeezed images and near the epipolar lines of the hypotheses;
-        each part is refined by itself. All go together: the matches near the lines of a single pose
-        would agree with it, right or wrong."""
+        """Add to a result matches of squeezed images and matches near the epipolar lines of the
+        hypotheses; each part is refined separately. All are used together, because matches near the
+        lines of a single pose would agree with it, right or wrong."""
         dense = result.correspondence_map
         if result.aligned is None or dense is None:
             return None
@@ -113,9 +113,9 @@ class NetworkMatcher(Matcher):
         hypotheses: Sequence[TwoViews] | None = None,
         instead: Matches | None = None,
     ) -> MatchResult | None:
-        """The matches of `feature_matches` by a map, refined on the images; None if they are too
-        few, and so are those refined `instead`. first: aligned and agreeing matches (see `refine`)
-        that they join."""
+        """The matches of `feature_matches`, refined on the images; None if too few remain. instead:
+        matches to refine if too few of these remain. first: pairs of aligned and agreeing matches
+        (see `refine`) to add."""
         found, views, scale = feature_matches(
             self.engine, image1, image2, dense, self.cache, side, hypotheses
         )
@@ -134,9 +134,9 @@ class NetworkMatcher(Matcher):
         if instead is not None and too_few:
             part = aligned_and_agreeing(instead)
             aligned, agreeing = (self._textured(image1, image2, of) for of in part)
-        # Patches of views far apart often differ too much. What is left of them is more accurate,
-        # but too little to distinguish a pose from chance: both together have the error that all of
-        # them had before.
+        # Patches of views far apart often differ too much. Few aligned matches are more accurate,
+        # but cannot distinguish a pose from chance. All agreeing matches are then used, with the
+        # error that they had before alignment.
         enough = len(aligned) >= MIN_ALIGNED
         chosen = aligned if enough else agreeing
         if len(chosen) < MIN_MATCHES:

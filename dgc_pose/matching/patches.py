@@ -1,10 +1,10 @@
-"""Matches that agree with their neighbours, their affinity, and patches that are aligned by it.
+"""Matches that agree with their neighbours, their affinities, and patches aligned by these.
 
-A surface is locally affine. For each match, the affinity of its nearest matches in image 2 is
-fitted by iteratively reweighted least squares; matches that do not fit are dropped. A patch of
-image 2 and the one that the affinity cuts from image 1 differ by a small shift, a gain and an
-offset, and by what the affinity lacks. The inverse compositional Lucas-Kanade iteration (Baker &
-Matthews, IJCV 2004) finds the shifts of many patches at once.
+Two views of a surface differ locally by an affine map (affinity). For each match, an affinity is
+fitted to its nearest matches in image 2 by iteratively reweighted least squares; matches that do
+not fit are dropped. A patch of image 2 and the patch that the affinity cuts from image 1 differ by
+a small shift, a gain, an offset, and the error of the affinity. The inverse compositional
+Lucas-Kanade iteration (Baker & Matthews, IJCV 2004) finds the shifts of many patches at once.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from dgc_pose.geometry.sampling import bilinear_at, nearest
 from dgc_pose.matches import Matches
 from dgc_pose.system.parallel import in_threads, slices
 
-_ROUNDS = 4  # of reweighting, the tolerance shrinking from round to round
+_ROUNDS = 4  # of reweighting; the tolerance shrinks from round to round
 _TOLERANCE = 2.5  # residual in units of the matches' error at which the weight has fallen to 1/4
-_LEAST_SUPPORT = 5  # of the matches fitted, within twice the tolerance, the match itself included
+_LEAST_SUPPORT = 5  # least inliers, within twice the tolerance, including the match itself
 _STRETCH = (0.2, 5.0)  # least and largest singular value of a plausible affinity
 _ITERATIONS = 8
 _AFFINE_ITERATIONS = 12
-_STEP = 1.5  # pixels at most of one iteration
-_CHUNK = 256  # patches at a time, which stay in the processor's cache
-_STILL = 0.02  # pixels of a step after which a patch is not moved again
+_STEP = 1.5  # largest step of one iteration, pixels
+_CHUNK = 256  # patches at a time, so that they stay in the processor's cache
+_STILL = 0.02  # pixels: after a shorter step, a patch is not moved again
 _NOISE = 1.0  # grey levels, added to the contrast of a patch
-_FLAT = np.sqrt(2) * _NOISE  # contrast, with that, of a patch that has none itself
+_FLAT = np.sqrt(2) * _NOISE  # contrast, noise included, of a patch whose contrast equals the noise
 _RIDGE = 1e-6  # on shifts, towards zero
-_STIFFNESS = 0.02  # on changes of the affinity, likewise: fewer patches diverge
-_CHANGE = 2.0  # most that an affinity may change by along any axis, or its inverse
+_STIFFNESS = 0.02  # ridge on changes of the affinity: fewer patches diverge
+_CHANGE = 2.0  # largest factor by which an affinity may stretch or shrink along any axis
 
 
 @dataclass(frozen=True)
 class LocalMatches:
-    """Consistent matches: near points2[i], x goes to points1[i] + affinity[i] (x - points2[i])."""
+    """Consistent matches: near points2[i], x maps to points1[i] + affinity[i] (x - points2[i])."""
 
-    points1: np.ndarray  # (N, 2) float64, by the affinity fitted, pixels of image 1
+    points1: np.ndarray  # (N, 2) float64, by the fitted affinity, pixels of image 1
     points2: np.ndarray  # (N, 2) float64, pixels of image 2
     affinity: np.ndarray  # (N, 2, 2) float64
-    index: np.ndarray  # (N,) int, of the matches that they come from
+    index: np.ndarray  # (N,) int, indices of the original matches
 
     def subset(self, kept: np.ndarray | slice) -> LocalMatches:
         return LocalMatches(
@@ -50,14 +50,14 @@ class LocalMatches:
 
 
 def consistent(matches: Matches, neighbours: int) -> LocalMatches:
-    """The matches that fit the affinity of their `neighbours` nearest in image 2."""
+    """The matches that fit the affinity of their `neighbours` nearest matches in image 2."""
     points1, points2 = matches.points1, matches.points2
     finite = np.flatnonzero(np.isfinite(points1).all(1) & np.isfinite(points2).all(1))
     points1, points2 = points1[finite], points2[finite]
     if len(points1) <= neighbours:
         return LocalMatches(points1[:0], points2[:0], np.zeros((0, 2, 2)), finite[:0])
     distance, index = nearest(points2, neighbours + 1)
-    # The matches last in all arrays: NumPy is slow along short axes.
+    # All arrays have the axis of the matches last: NumPy is slow along short axes.
     near1, near2 = (np.take(points.T, index.T, axis=1) for points in (points1, points2))
     offsets = near2 - points2.T[:, None]
     design = np.concatenate([offsets, np.ones_like(offsets[:1])])  # (3, k + 1, N)
@@ -75,7 +75,7 @@ def consistent(matches: Matches, neighbours: int) -> LocalMatches:
         residual = np.linalg.norm((fit[:, :, None] * design[:, None]).sum(0) - near1, axis=0)
         weights = 1 / (1 + (residual / (tolerance * (1 + 2 * remaining))) ** 2) ** 2
     (xx, yx), (xy, yy), fitted = fit
-    # Half the sum and half the difference of the singular values; this is negative if mirrored.
+    # Half the sum and half the difference of the singular values; middle - half < 0 if mirrored.
     middle, half = np.hypot(xx + yy, yx - xy) / 2, np.hypot(xx - yy, yx + xy) / 2
     kept = (
         (np.linalg.norm(fitted - points1.T, axis=0) < 2 * tolerance)
@@ -92,11 +92,11 @@ class Patches:
     """Patches of image 1 after alignment."""
 
     points1: np.ndarray  # (N, 2) float64, their centres, pixels of image 1
-    affinity: np.ndarray  # (N, 2, 2) float64, of offsets in image 2 to offsets in image 1
-    # (N,) float64, correlation of the patches, -1 to 1; NaN, as it is undefined, if one of them has
-    # no more contrast than noise
+    affinity: np.ndarray  # (N, 2, 2) float64, maps offsets in image 2 to offsets in image 1
+    # (N,) float64, correlation of both patches, -1 to 1; NaN (undefined) if either has no more
+    # contrast than noise
     zncc: np.ndarray
-    step: np.ndarray  # (N,) float64, pixels of the last step
+    step: np.ndarray  # (N,) float64, length of the last step, pixels
 
 
 def align_patches(
@@ -107,10 +107,10 @@ def align_patches(
     *,
     affine: bool = False,
 ) -> Patches:
-    """The patches in image 1 of those around the matches' points in image 2, of `radius` pixels.
+    """The patches of image 1, aligned with patches of `radius` pixels around the points of image 2.
 
-    grey: (H, W) float32. matches: points1 and affinity are where the search begins. affine: adjust
-    the affinity too; one that changes much has a correlation of -1.
+    grey: (H, W) float32. matches: points1 and affinity are the initial values. affine: adjust the
+    affinity too; a patch whose affinity changes much gets a correlation of -1.
     """
     parts = in_threads(
         lambda part: _align(grey1, grey2, matches.subset(part), radius, affine),
@@ -132,7 +132,7 @@ def _align(
         if len(moving) == 0:
             break
         centres = points1[moving].astype(np.float32)
-        # The coordinates apart: NumPy is slow along an axis of two.
+        # x and y separately: NumPy is slow along an axis of two.
         x, y = affinity[moving].transpose(1, 0, 2).astype(np.float32) @ offsets.T
         x += centres[:, :1]
         y += centres[:, 1:]
@@ -158,12 +158,12 @@ def _align(
 def _template(
     grey: np.ndarray, points: np.ndarray, radius: int, affine: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Patches of image 2, and the motion that a difference from them stands for.
+    """Patches of image 2, and the linear maps from differences of a patch to motions.
 
     Returns the offsets (P, 2) of a patch's samples from its centre, pixels; their weights (P,), of
-    sum 1; the patches (N, P), standardised; their contrasts (N, 1); and the gain (N, 2 or 6, P) by
-    which a difference is multiplied for the shift in pixels and, times the radius, the columns of
-    the change of the affinity.
+    sum 1; the patches (N, P), standardised; their contrasts (N, 1); and the gain (N, 2 or 6, P).
+    The gain times a difference is the shift in pixels and, if affine, the columns of the change of
+    the affinity times the radius.
     """
     axis, halves = np.arange(-radius, radius + 1.0), np.arange(-radius - 0.5, radius + 1.0)
     offsets = window_offsets(radius).astype(np.float32)
@@ -181,7 +181,7 @@ def _template(
         x, y = offsets.T / np.float32(radius)
         jacobian = np.concatenate([jacobian, jacobian * x, jacobian * y], 1)
         ridge = np.append(ridge, np.full(4, _STIFFNESS))
-        # Without what gain and offset explain: an enlargement can resemble a gain.
+        # Remove what gain and offset explain: an enlargement can resemble a gain.
         jacobian -= (jacobian @ weights)[..., None]
         jacobian -= ((jacobian * patches[:, None]) @ weights)[..., None] * patches[:, None]
     weighted = jacobian * weights
@@ -199,15 +199,15 @@ def _alike(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _window(grey: np.ndarray, points: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Values (N, Y * X) of an image around points (N, 2), at offsets x (X,) of each of y (Y,)."""
+    """Values (N, Y * X) of an image around points (N, 2), at offsets x (X,) for each of y (Y,)."""
     columns, rows = (offset.ravel() for offset in np.meshgrid(x, y))
     return bilinear_at(grey, points[:, :1] + columns, points[:, 1:] + rows)
 
 
 def _standardised(patches: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Patches (N, P) with weighted mean 0 and deviation 1, and their deviations (N, 1).
+    """Patches (N, P) with weighted mean 0 and standard deviation 1, and their deviations (N, 1).
 
-    The noise is added to the deviation, so that flat patches stay small and correlate with nothing.
+    The deviation includes `_NOISE`, so that flat patches stay small and correlate with nothing.
     """
     patches = patches - (patches @ weights)[:, None]
     deviation = np.sqrt((patches**2 @ weights)[:, None] + _NOISE**2)

@@ -1,15 +1,15 @@
-"""Where an image has structure, without which no match is made, and what surrounds the matches.
+"""Where an image has structure, which matches need, and how alike two images are around matches.
 
 Two blank patches, or two patches of noise, agree with each other wherever they lie. A point can be
-located where the image changes around it in every direction: where both eigenvalues of the
-structure tensor (Förstner and Gülch 1987) are larger than those of the image's noise. Along an edge
-or a stripe the smaller one is not (the aperture problem). Uniform bars at the border are no scene.
+located if the image changes around it in every direction: both eigenvalues of the structure tensor
+(Förstner and Gülch 1987) exceed those of the image's noise. Along an edge or a stripe the smaller
+eigenvalue does not (the aperture problem). Uniform bars at the border are not part of the scene.
 
-Matches of one place go on to an occlusion, to the end of an image, or to a surface without texture.
-Those of two places that have an object, a wall or a window alike end with it, in the midst of
-texture. Cells near the matches are therefore looked for in the other image, where the affinity
-of their nearest match has them. Likeness is the cosine of the frozen features there, over that at
-random places.
+If two images show one place, the matches extend to an occlusion, to the border of an image, or to a
+surface without texture. If they show two places with a similar object, wall or window, the matches
+end at its outline, amid texture. Cells near the matches are therefore compared with the place in
+the other image that the affinity of their nearest match predicts. Likeness is the cosine of the
+frozen features there, minus its mean at random places.
 """
 
 from __future__ import annotations
@@ -29,46 +29,46 @@ from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import NativeFeatures
 from dgc_pose.system.parallel import in_threads
 
-LONG_SIDE = 800  # pixels; larger images are shrunk to it, which is what features are computed on
-_GRADIENT = 1.5  # pixels, deviation of the Gaussian before the derivative
-_WINDOW = 4.0  # pixels, deviation of the Gaussian over which gradients are averaged
-_EDGE = 5  # pixels at the image's edge that the first Gaussian and the derivative reach
-_TIMES_NOISE = 3.0  # both eigenvalues over that of the noise
-_LEAST_NOISE = 2.0  # grey levels: rounding, dithering and the blocks of JPEG at the least
-# The smaller eigenvalue over the larger one. The jagged edges of a stripe have less.
+LONG_SIDE = 800  # pixels; larger images are shrunk to it, as they are for the features
+_GRADIENT = 1.5  # standard deviation of the Gaussian before the derivative, pixels
+_WINDOW = 4.0  # standard deviation of the Gaussian that averages the gradients, pixels
+_EDGE = 5  # pixels at the image's border that the first Gaussian and the derivative reach
+_TIMES_NOISE = 3.0  # least ratio of both eigenvalues to the noise's eigenvalue
+_LEAST_NOISE = 2.0  # grey levels, for rounding, dithering and the blocks of JPEG
+# Least ratio of the smaller eigenvalue to the larger; the jagged edges of a stripe have less.
 _LEAST_RATIO = 0.003
-_BAR_RANGE = 12.0  # grey levels between most pixels of a row or column that belongs to a bar
-_BAR_SHARE = 0.02  # of the pixels of a row or column that may differ at each end of the range
+_BAR_RANGE = 12.0  # largest range of the grey levels of a row or column in a bar
+_BAR_SHARE = 0.02  # share of its pixels that may lie outside this range at each end
 _BAR_EDGE = 8  # pixels beside a bar that its edge, smeared by compression, may reach
 # Variance of the derivative of white noise of variance 1 after the Gaussian: 1 / (8 pi s^4).
 _NOISE_GRADIENT = 1 / (8 * np.pi * _GRADIENT**4)
-_NEIGHBOURS = 8  # matches, whose affinity predicts where a cell lies
-# Cells of stride 8, at full resolution, from a cell to the nearest match: below, it is at a match;
-# between, it is around the matches
+_NEIGHBOURS = 8  # matches whose affinity predicts where a cell lies
+# Distance from a cell to the nearest match, in cells of stride 8 at full resolution: below the
+# first, the cell is at a match; between the other two, it is around the matches.
 _AT_MATCHES, _RIM = 1.5, (3.0, 8.0)
-_MOST = 250  # cells of each kind, drawn at random
-_REACH = 2  # cells searched about a place
-_PLACES = 4  # at random, that a cell is compared with
-_LEAST = 8  # cells of each kind, of an image that counts
-_LEAST_LIKENESS = 0.01  # of cells at matches
+_MOST = 250  # most cells of each kind, drawn at random
+_REACH = 2  # cells along each axis around a place that are searched
+_PLACES = 4  # random places that a cell is compared with
+_LEAST = 8  # least cells of each kind for an image to count
+_LEAST_LIKENESS = 0.01  # lower bound of the likeness at matches, the divisor
 _SEED = 0
 _AROUND = window_offsets(_REACH).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """The places where an image has structure, on the image or on a shrunk copy of it."""
+    """The pixels of an image, or of a shrunk copy of it, that have structure."""
 
     mask: np.ndarray  # (h, w) bool
-    size: tuple[int, int]  # (width, height) of the image itself
+    size: tuple[int, int]  # (width, height) of the image
 
     @property
     def nbytes(self) -> int:
         return self.mask.nbytes
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """Whether the image has structure at points (N, 2), its pixels: (N,) bool. False outside it
-        and for points that are not finite."""
+        """Whether the image has structure at points (N, 2) in its pixels: (N,) bool; False outside
+        the image and for points that are not finite."""
         height, width = self.mask.shape
         finite = np.isfinite(points).all(1)
         cells = rescale(np.where(finite[:, None], points, -1.0), self.size, (width, height))
@@ -90,7 +90,7 @@ def texture(image: Image) -> Texture:
 
 
 def structured(grey: np.ndarray) -> np.ndarray:
-    """Find where a grey image (H, W) float32, of whole levels, has structure in every direction:
+    """Where a grey image (H, W) float32 of whole grey levels has structure in every direction:
     (H, W) bool."""
     mask = np.zeros(grey.shape, dtype=bool)
     rows = _content(grey)
@@ -105,24 +105,24 @@ def structured(grey: np.ndarray) -> np.ndarray:
 
 
 def noise_level(grey: np.ndarray) -> float:
-    """Standard deviation of the noise of an image (H, W) float32, of whole grey levels, H, W >= 3,
-    by the upper quartile (the median suffers where noise around black is cut off) of the response
-    to the difference of two Laplacians, which cancels planes and straight edges (Immerkær 1996)."""
+    """Standard deviation of the noise of an image (H, W) float32 of whole grey levels, H, W >= 3.
+    The difference of two Laplacians cancels planes and straight edges (Immerkær 1996); the estimate
+    is from the upper quartile of its response, as clipping near black biases the median."""
     kernel = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
     response = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1, 1:-1])
-    largest = 8 * 255  # a whole number, as all of them are, so that a histogram has their quartile
+    largest = 8 * 255  # all responses are whole numbers, so a histogram gives their quartile
     counts = cv2.calcHist([response], [0], None, [largest + 1], [0, largest + 1]).ravel()
     return float(np.searchsorted(counts.cumsum(), 0.75 * response.size)) / (1.1503 * 6)
 
 
 def _eigenvalues(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The smaller and the larger eigenvalue of the structure tensor at each pixel but the outer
-    ones, where the filters mirror the image, which gives a stripe a corner."""
+    """The smaller and the larger eigenvalue of the structure tensor at each pixel, except `_EDGE`
+    pixels at the border: there the filters mirror the image, which gives a stripe a corner."""
     smooth = cv2.GaussianBlur(grey, (0, 0), _GRADIENT)
     smooth = smooth[_EDGE - 1 : 1 - _EDGE, _EDGE - 1 : 1 - _EDGE]
     x = (smooth[1:-1, 2:] - smooth[1:-1, :-2]) / 2
     y = (smooth[2:, 1:-1] - smooth[:-2, 1:-1]) / 2
-    # The wide Gaussian leaves nothing that half the resolution does not show.
+    # Half the resolution loses nothing that the wide Gaussian keeps.
     height, width = x.shape
     halved = max(1, width // 2), max(1, height // 2)
     xx, yy, xy = (
@@ -162,9 +162,9 @@ def surroundings(
     matches: Matches,
     scale: float = 1.0,
 ) -> float | None:
-    """The likeness of what surrounds the matches of two images, over that at the matches; means
-    over cells with structure and no mask, and of both images the lesser. None if nothing surrounds
-    them. scale: of the views' sides, over those at full resolution."""
+    """Ratio of the mean likeness around the matches to the mean likeness at them, over cells with
+    structure and no mask; the smaller ratio of the two images. None if both images have too few
+    such cells. scale: ratio of the views' sides to the sides at full resolution."""
     first, second = views
     both = (first, second, textures[1], matches), (second, first, textures[0], matches.swapped())
     shares = []
@@ -181,7 +181,7 @@ def _likeness(
     every: Matches,
     scale: float,
 ) -> list[np.ndarray]:
-    """The likeness of cells of the target, image 2 of the matches: at matches, and around them."""
+    """The likeness of cells of the target (image 2 of `every`): at the matches, and around them."""
     matches = consistent(every, _NEIGHBOURS)
     rng = np.random.default_rng(_SEED)
     (view1, features1), (view2, features2) = source, target
@@ -209,7 +209,7 @@ def _likeness(
 
 
 def _best(middle: np.ndarray, wanted: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """The largest cosine (N,) of features (N, C) within a window about places (N, 2) of a level."""
+    """The largest cosine (N,) of features (N, C) in a window around places (N, 2) of a level."""
     cells = np.rint(places).astype(np.int64)[:, None] + _AROUND
     x, y = cells.clip(0, np.subtract(middle.shape[1::-1], 1)).transpose(2, 0, 1)
     return (middle[y, x] @ wanted[:, :, None])[..., 0].max(1)

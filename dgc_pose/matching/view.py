@@ -1,4 +1,4 @@
-"""Views: parts of an image, rotated and resized by a similarity, as the network is shown them."""
+"""Views: parts of an image, rotated and resized by a similarity, as input of the network."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from dgc_pose.geometry.pixels import Size, pixel_grid, rescale, within
 from dgc_pose.images.image import Image, resize_by
 
-# Around the image: ImageNet's mean colour, which is zero for the network, as is its padding.
+# Outside the image: ImageNet's mean colour, which normalisation maps to zero, like padding.
 _BORDER = (124, 116, 104)
 
 
@@ -20,10 +20,10 @@ class View:
     """A window on an image, rotated and resized; hashable, so that caches take it as a key."""
 
     image: Image
-    angle_deg: float  # of the image's rotation, counter-clockwise, as by `numpy.rot90`
+    angle_deg: float  # rotation of the image, counter-clockwise as by `numpy.rot90`
     scale: float  # pixels of the view per pixel of the image
     centre: tuple[float, float]  # pixel of the image, x and y, at the centre of the view
-    size: Size  # (width, height) of the view, its pixels
+    size: Size  # (width, height) of the view, pixels of the view
 
     @staticmethod
     def whole(image: Image, angle_deg: float = 0.0, scale: float = 1.0) -> View:
@@ -32,8 +32,8 @@ class View:
 
     @staticmethod
     def rotated(image: Image, angle_deg: float, side: float) -> View:
-        """The whole of an image, with an area of at most that of a square of `side` pixels if it is
-        rotated."""
+        """The whole of an image; if it is rotated, shrunk to an area of at most `side` x `side`
+        pixels."""
         scale = min(1.0, side / math.sqrt(math.prod(image.size)))
         return View.whole(image, angle_deg, scale if angle_deg else 1.0)
 
@@ -41,7 +41,7 @@ class View:
     def window(
         image: Image, extent: Size, centre: tuple[float, float], angle_deg: float, scale: float
     ) -> View:
-        """The smallest view that holds `extent` (width, height) of the image around a pixel."""
+        """The smallest view that contains `extent` (width, height) of the image around a pixel."""
         cosine, sine = _cosine_sine(angle_deg)
         width = abs(extent[0] * cosine) + abs(extent[1] * sine)
         height = abs(extent[0] * sine) + abs(extent[1] * cosine)
@@ -51,7 +51,7 @@ class View:
 
     @property
     def matrix(self) -> np.ndarray:
-        """(2, 3) float64: from pixels of the image to pixels of the view."""
+        """The affine matrix (2, 3) float64 from pixels of the image to pixels of the view."""
         linear = similarity(self.angle_deg, self.scale)
         middle = (np.array(self.size) - 1) / 2
         return np.column_stack([linear, middle - linear @ self.centre])
@@ -64,7 +64,7 @@ class View:
         return points if cells is None else rescale(points, self.size, cells)
 
     def to_image(self, points: np.ndarray, cells: Size | None = None) -> np.ndarray:
-        """Points (..., 2) of the view, likewise, in pixels of the image."""
+        """Points (..., 2) of the view, or of a grid of `cells` over it, in pixels of the image."""
         matrix = self.matrix
         points = points if cells is None else rescale(points, cells, self.size)
         return (points - matrix[:, 2]) @ np.linalg.inv(matrix[:, :2]).T
@@ -74,8 +74,8 @@ class View:
         return self.to_image(pixel_grid(cells), cells)
 
     def pixels(self) -> np.ndarray:
-        """(height, width, 3) uint8: area means to shrink, bilinear otherwise, ImageNet's mean
-        colour outside the image."""
+        """The view as an image (height, width, 3) uint8: shrunk by area means, otherwise bilinear,
+        with ImageNet's mean colour outside the image."""
         pixels, size = self.image.pixels, self.image.size
         if self == View.whole(self.image, self.angle_deg) and self.angle_deg % 90 == 0:
             return np.ascontiguousarray(np.rot90(pixels, round(self.angle_deg / 90)))
@@ -97,19 +97,19 @@ class View:
         return within(self.centres(cells), self.image.size)
 
     def shows(self, points: np.ndarray) -> np.ndarray:
-        """Which points (..., 2) lie on the image, and on no pixel that is masked: (...) bool."""
+        """Which points (..., 2) lie on the image, and not on a masked pixel: (...) bool."""
         return within(points, self.image.size) & ~self.image.is_masked(points)
 
 
 def similarity(angle_deg: float, scale: float) -> np.ndarray:
-    """(2, 2): a rotation, counter-clockwise as by `numpy.rot90`, and a scale of pixels."""
+    """The matrix (2, 2), on pixels, of a scale and a counter-clockwise (`numpy.rot90`) rotation."""
     cosine, sine = _cosine_sine(angle_deg)
     # y points down, so a counter-clockwise rotation takes (1, 0) to (cos, -sin).
     return scale * np.array([[cosine, sine], [-sine, cosine]])
 
 
 def _cosine_sine(angle_deg: float) -> tuple[float, float]:
-    """Exact for quarter turns."""
+    """The cosine and sine, exact for quarter turns."""
     quarters, rest = divmod(angle_deg, 90)
     cosine, sine = math.cos(math.radians(rest)), math.sin(math.radians(rest))
     for _ in range(int(quarters) % 4):

@@ -1,4 +1,4 @@
-"""Every matcher of the package vismatch (image-matching-models) by its name there."""
+"""The matchers of the package vismatch (image-matching-models), by their names there."""
 
 import contextlib
 import sys
@@ -26,7 +26,7 @@ class VismatchMatcher(Matcher):
         try:
             import torch
             import vismatch
-        except (ImportError, RuntimeError) as error:  # as of a torchvision of another torch
+        except (ImportError, RuntimeError) as error:  # e.g. torchvision built for another torch
             raise InputError(f"{name} needs `pip install vismatch` ({reason(error)})") from None
         if model not in vismatch.available_models:
             names = ", ".join(vismatch.available_models)
@@ -36,9 +36,9 @@ class VismatchMatcher(Matcher):
         try:
             with contextlib.redirect_stdout(sys.stderr):  # it prints what it downloads
                 self._model = vismatch.get_matcher(model, device=device)
-        except Exception as error:  # of any of some fifty libraries
+        except Exception as error:  # of any library that vismatch wraps
             raise InputError(f"{name} cannot be loaded: {reason(error)}") from error
-        self._model.skip_ransac = True  # a homography, which is not asked for here
+        self._model.skip_ransac = True  # which would fit a homography
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         import torch
@@ -55,7 +55,7 @@ class VismatchMatcher(Matcher):
         points1, points2 = result["matched_kpts0"], result["matched_kpts1"]
         confidence = result.get("matched_confidences")
         confidence = np.ones(len(points1)) if confidence is None else confidence.clip(0, 1)
-        # Only detectors list all of the key points that they matched.
+        # Only detectors list the key points that they detected.
         detected = result.get("all_kpts0")
         key_points = detected is not None and len(detected) > 0
         return MatchResult(Matches(points1, points2, confidence, ERROR_PX, key_points), None)

@@ -9,25 +9,25 @@ from typing import Literal
 from dgc_pose.errors import InputError
 
 DEFAULT_WEIGHTS = "dgcm-lite0"
-INPUT_SIZE = 240  # pixels a side of both input images, if they are squared
+INPUT_SIZE = 240  # pixels a side of both input images, if they are resized to squares
 STRIDE = 16  # pixels of an input image per cell of the coarsest level
 LEVEL_SIZES = (240, 120, 60, 30, 15)  # cells a side of pyramid levels 0 to 4
 COARSEST = 4  # index of the level that the correlation runs on
-# Of the peak that corrections start from (ours):
+# The correlation peak that corrections start from (ours):
 CORRELATED = (4, 3)  # levels whose features are correlated, the coarsest first
-SECOND_SIZE = 128  # pixels, for 240: both images are also encoded at this scale
-LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed after all
+SECOND_SIZE = 128  # pixels for 240: both images are also encoded at this smaller scale
+LONGEST = 9.0  # ratio of the sides beyond which an image is squeezed
 EPSILON = 1e-6  # under the root of a feature's length
 PEAK = (0.01, 0.99)  # bounds of the peak's probability, from which the coarsest mask logit starts
-PEAK_WINDOW = 2  # cells along each axis around the highest that belong to the peak
+PEAK_WINDOW = 2  # the peak: the cells within this distance of the highest, along each axis
 
-# Of the consensus. Chosen on training photographs; factors from one half to two change little.
+# The consensus. Chosen on training photographs; factors from one half to two change little.
 PASSES = 4  # rounds of belief propagation
-REACH = 1.4  # source cells, sigma of a neighbour's match about the match plus the cells' offset
+REACH = 1.4  # source cells, standard deviation of a neighbour's match from match plus offset
 WEIGHT = 0.4  # of the messages: neighbours are not independent of each other
 FLOOR = 0.01  # smallest message: the neighbour may lie on another surface
 
-MEAN = (0.485, 0.456, 0.406)  # of ImageNet's channels, which the network's input is normalised by
+MEAN = (0.485, 0.456, 0.406)  # of ImageNet's channels; normalises the network's input
 DEVIATION = (0.229, 0.224, 0.225)
 
 
@@ -37,7 +37,7 @@ class DecoderConfig:
 
     channels: tuple[int, ...]  # of each block
     dilations: tuple[int, ...]  # of each block
-    # Cells of local correlation around each cell. None: none, at level 4 the global correlation.
+    # Radius of the local correlation, in cells. None: no correlation; at level 4 the global one.
     local_radius: int | None = None
 
 
@@ -49,13 +49,13 @@ class NetworkConfig:
     # Channels of each 3x3 convolution of levels 0 to 4 (see `net.Pyramid`), or `efficientnet.py`.
     pyramid: tuple[tuple[int, ...], ...] | Literal["efficientnet-lite0"]
     decoders: tuple[DecoderConfig, ...]  # levels 0 to 4
-    # A decoder's output: the map itself, of images that are squared to 240x240 (False, the paper:
-    # the coarsest decoder reads a channel for each of their cells); or a correction of the previous
-    # map in cells, where the first map is the peak of the correlation of CORRELATED levels at two
-    # scales, of images that keep their shape (True, ours).
+    # False (the paper): images are resized to 240x240, and a decoder outputs the map itself; the
+    # coarsest one reads a channel for each source cell. True (ours): images keep their shape, and a
+    # decoder outputs a correction of the previous map, in cells; the first map is the correlation
+    # peak of the CORRELATED levels at two scales.
     any_shape: bool = False
-    # None: DGC-Net. "network": the paper's mask network on level 0. "decoder": a third channel of
-    # every decoder, refined level by level like the map (ours).
+    # None: no mask (DGC-Net). "network": the paper's mask network on level 0. "decoder": a third
+    # channel of every decoder, refined level by level like the map (ours).
     matchability: Literal["network", "decoder"] | None = None
     # Whether -1 and +1 are the centres of the outer pixels (True, as in the authors' weights) or
     # their outer edges (False, the same point at every level).
@@ -68,8 +68,8 @@ class NetworkConfig:
         return tuple(channels[-1] for channels in self.pyramid)
 
     def input_size(self, size: tuple[int, int]) -> tuple[int, int]:
-        """(width, height) that an image of `size` is resized to; with `any_shape` for about as many
-        cells as in a square of 240 pixels."""
+        """(width, height) that an image of `size` is resized to; with `any_shape` it has about as
+        many cells as a square of 240 pixels."""
         if not self.any_shape:
             return INPUT_SIZE, INPUT_SIZE
         side = INPUT_SIZE // STRIDE

@@ -1,7 +1,7 @@
 """Correlation of cells, neighbourhood consensus by belief propagation (ours), and peaks.
 
-For NumPy's arrays and for torch's tensors alike, with any leading dimensions (a batch). Scores are
-(..., h1 * w1, h2 * w2): of each source cell, column by column, for each target cell, row by row.
+Works on NumPy arrays and torch tensors with any leading (batch) dimensions. Scores are
+(..., h1 * w1, h2 * w2): source cells, column by column, by target cells, row by row.
 """
 
 import importlib
@@ -19,7 +19,7 @@ Scales = Sequence[Sequence[Array]]  # levels at full scale, and at the second, t
 
 
 def _library(values: Array) -> Any:
-    """NumPy, or torch, which is imported only where its tensors are."""
+    """NumPy or torch, whichever has made the values. Imports torch only for its tensors."""
     return np if isinstance(values, np.ndarray) else importlib.import_module("torch")
 
 
@@ -29,7 +29,7 @@ def _like(values: np.ndarray, other: Array) -> Array:
 
 
 def log_softmax(values: Array, axis: int) -> Array:
-    """As torch's, and SciPy's, which takes 0.4 s to import."""
+    """As torch's. SciPy's would take 0.4 s to import."""
     if not isinstance(values, np.ndarray):
         return values.log_softmax(axis)
     shifted: np.ndarray = values - values.max(axis, keepdims=True)
@@ -38,15 +38,15 @@ def log_softmax(values: Array, axis: int) -> Array:
 
 
 def match_evidence(source: Sequence[Array], target: Sequence[Array], scales: Array) -> Array:
-    """The sum of the levels' `cell_correlation`, the coarsest first, weighted by `scales`, inverse
-    temperatures (levels,)."""
+    """The sum of the levels' `cell_correlation`, the coarsest first, weighted by `scales`, their
+    inverse temperatures (levels,)."""
     pairs = enumerate(zip(source, target, strict=True))
     return sum(scales[index] * cell_correlation(*pair, side=2**index) for index, pair in pairs)
 
 
 def pooled_evidence(source: Scales, target: Scales, scales: Array) -> Array:
-    """The largest `match_evidence` of the full-sized images, and of either with the other at the
-    second scale."""
+    """For each pair of cells, the largest `match_evidence` of three comparisons: of both images at
+    full scale, and of each with the other at the second scale."""
     (full1, smaller1), (full2, smaller2) = source, target
     evidence = match_evidence(full1, full2, scales)
     for pair in ((smaller1, full2), (full1, smaller2)):
@@ -55,7 +55,7 @@ def pooled_evidence(source: Scales, target: Scales, scales: Array) -> Array:
 
 
 def cell_correlation(source: Array, target: Array, side: int) -> Array:
-    """Scores of cells that hold side x side features each, from (..., C, h1 side, w1 side) and
+    """Scores of cells of side x side features each, from (..., C, h1 side, w1 side) and
     (..., C, h2 side, w2 side): the largest correlation of a target feature with the source cell's
     features, averaged over the target cell's features."""
     library = _library(source)
@@ -75,14 +75,14 @@ def cell_correlation(source: Array, target: Array, side: int) -> Array:
 
 def match_scores(evidence: Array) -> Array:
     """Log-likelihood of a match for each pair of cells, up to a constant: the softmax over the
-    source and that over the target, multiplied (dual softmax)."""
+    source times the softmax over the target (dual softmax)."""
     return log_softmax(evidence, -2) + log_softmax(evidence, -1)
 
 
 def consensus(scores: Array, passes: int, source: Grid, target: Grid) -> Array:
     """Log-probabilities of each target cell's source cell, after `passes` rounds of sum-product
-    belief propagation on the grid of target cells: the match (s, t) of a target cell t is supported
-    by the matches (s + d, t + d) of its eight neighbours, blurred over s, as views are rotated,
+    belief propagation on the grid of target cells. The matches (s + d, t + d) of the eight
+    neighbours of t support a match (s, t). They are blurred over s, because views are rotated,
     scaled and distorted."""
     library = _library(scores)
     # A Gaussian over the source's cells, column by column on both axes.
@@ -98,8 +98,8 @@ def consensus(scores: Array, passes: int, source: Grid, target: Grid) -> Array:
 
 
 def _sum_of_neighbours(messages: Array) -> Array:
-    """The sum of the messages at (s + d, t + d) over the eight offsets d, of (..., w1, h1, h2, w2):
-    the smallest about cells outside the source, and none from cells outside the target."""
+    """The sum over the eight offsets d of the messages (..., w1, h1, h2, w2) at (s + d, t + d).
+    Source cells outside the grid have the smallest message, target cells outside have none."""
     *batch, columns, rows, height, width = messages.shape
     shape = (*batch, columns + 2, rows + 2, height + 2, width + 2)
     if isinstance(messages, np.ndarray):
@@ -116,9 +116,9 @@ def _sum_of_neighbours(messages: Array) -> Array:
 
 
 def peaks(scores: Array, source: Grid) -> tuple[Array, Array]:
-    """Of each target cell x and y in source cells (..., 2, h2 * w2), the mean of those near the
-    highest, weighted by their probability (without the window, a second peak would pull the mean
-    between both); and the probability (..., h2 * w2) inside the window."""
+    """For each target cell, x and y (..., 2, h2 * w2) of its peak, in source cells: the weighted
+    mean in a window around the most probable cell (without the window, a second peak would pull the
+    mean between both); and the probability (..., h2 * w2) inside the window."""
     library = _library(scores)
     probability = library.exp(log_softmax(scores, -2))
     cells = _like(np.stack(np.divmod(np.arange(source[0] * source[1]), source[0])), scores)

@@ -1,17 +1,17 @@
 """A feature pyramid with EfficientNet-Lite0 (Tan and Le, ICML 2019), to stride 16, as backbone.
 
 It differs from the published network in two ways. The batch norms are folded into the convolutions,
-in training too. And the kernels of strided convolutions have an even side, 4 or 6 instead of 3 or
-5. The centre of an odd kernel of stride 2 lies half a pixel right of and below the centre of its
-output cell (with TensorFlow's padding); over four such layers that adds up to half a cell of stride
-16. The offset cancels between two upright views, but not if one is rotated or scaled.
+in training too. The kernels of strided convolutions have an even side, 4 or 6 instead of 3 or 5.
+The centre of an odd kernel of stride 2 lies half a pixel right of and below the centre of its
+output cell (with TensorFlow's padding); four such layers add up to half a cell of stride 16. The
+offset cancels between two upright views, but not if one is rotated or scaled.
 """
 
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 STEM_CHANNELS = 32
-# Of each inverted residual block: output channels, kernel, stride, and expansion of the channels.
+# For each inverted residual block: output channels, kernel, stride, and expansion of the channels.
 BLOCKS = (
     (16, 3, 1, 1),
     (24, 3, 2, 6),
@@ -25,7 +25,7 @@ BLOCKS = (
     (112, 5, 1, 6),
     (112, 5, 1, 6),
 )
-LAST_BLOCKS = {2: 2, 4: 3, 10: 4}  # the last block of a stride, and the pyramid level it feeds
+LAST_BLOCKS = {2: 2, 4: 3, 10: 4}  # the last block of a stride: the pyramid level that it feeds
 
 
 class EfficientPyramid(nn.Module):
@@ -100,6 +100,6 @@ def _strided(inputs: int, outputs: int, kernel: int, groups: int = 1) -> nn.Conv
 
 
 def upsample(features: Tensor) -> Tensor:
-    """Features, or the state of a level, at twice its size, bilinear, align_corners False in every
+    """Features or a level's state at twice the size, bilinear, with align_corners False in every
     preset."""
     return F.interpolate(features, scale_factor=2, mode="bilinear", align_corners=False)

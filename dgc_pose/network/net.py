@@ -25,7 +25,7 @@ from dgc_pose.network.config import (
 from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_evidence
 from dgc_pose.network.efficientnet import EfficientPyramid, upsample
 
-# Inverse temperature of the correlation before the encoder's training has learned it.
+# Initial inverse temperature of the correlation; the encoder's training learns it.
 INITIAL_SCALE = 20.0
 
 
@@ -37,7 +37,7 @@ class Prediction:
     # source, normalised by the configuration's align_corners
     maps: tuple[Tensor, ...]
     # (B, 1, S, S) matchability logits: five from decoders with a mask channel, one (at 240) from
-    # the mask network; none for a network without a mask, or if its level is not decoded
+    # the mask network; none without a mask, or if the mask network's level is not decoded
     logits: tuple[Tensor, ...]
 
 
@@ -73,7 +73,7 @@ class DGCNet(nn.Module):
     def features(self, image: Tensor) -> list[Tensor]:
         """Features (B, C_k, H_k, W_k) of levels 0 to 4 of a normalised image (B, 3, 16 h, 16 w).
 
-        With `any_shape` there follow those of the correlated levels at the second scale, the
+        With `any_shape`, the features of the correlated levels at the second scale follow, the
         coarsest first, resampled to the grids of the same levels.
         """
         features = self.encode(image)
@@ -94,16 +94,16 @@ class DGCNet(nn.Module):
 
     def coarse_features(self, image: Tensor) -> list[Tensor]:
         """Features of levels 2 to 4 (strides 4, 8 and 16) of a normalised image (B, 3, 16 h, 16 w),
-        as the convolutions give them: bfloat16 at half precision."""
+        in the precision of the convolutions: bfloat16 with `half_precision`."""
         with self._precision(image):
             return self.pyramid.coarse(image)
 
     def decode(
         self, source: list[Tensor], target: list[Tensor], finest: int = INPUT_SIZE
     ) -> Prediction:
-        """The prediction from the features of both images, as `features` gives them.
+        """The prediction from the features of both images, as `features` returns them.
 
-        finest: cells a side of the last level decoded, for squared images, one of LEVEL_SIZES.
+        finest: the last level decoded, by its cells a side for square images, one of LEVEL_SIZES.
         """
         states = [self.start(source, target)]
         warped = source[0]
@@ -127,8 +127,8 @@ class DGCNet(nn.Module):
 
     def start(self, source: list[Tensor], target: list[Tensor]) -> Tensor:
         """The state of level 4 from both images' features: (B, 2 or 3, h, w), the map and, with
-        matchability "decoder", the mask logit. With `any_shape` it is corrected from the peak of
-        the evidence."""
+        matchability "decoder", the mask logit. With `any_shape`, it is the peak of the evidence,
+        corrected by the decoder."""
         level1, level2 = source[COARSEST], target[COARSEST]
         grid, target_grid = _grid(level1), _grid(level2)
         if not self.config.any_shape:
@@ -154,7 +154,7 @@ class DGCNet(nn.Module):
     def refine(
         self, level: int, warped: Tensor, target: Tensor, previous: Tensor, grid: tuple[int, int]
     ) -> Tensor:
-        """A level's state, or that of a part of it, from the previous one at this level's size.
+        """The state of a level, or of a part of it, from the previous state at this level's size.
         grid: rows and columns of the source at this level."""
         parts = [warped, target]
         radius = self.config.decoders[level].local_radius
@@ -189,9 +189,9 @@ class DGCNet(nn.Module):
 
 
 class Pyramid(nn.Module):
-    """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1), VGG-16's
-    first layers: 3x3 convolutions with ReLU, and a max-pool at the end of all levels but the
-    first."""
+    """Features of an image at 240, 120, 60, 30 and 15 cells a side (paper, section 3.1), by the
+    first layers of VGG-16: 3x3 convolutions with ReLU, and a max-pool at the end of each level
+    except the first."""
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
@@ -250,20 +250,20 @@ def _block(inputs: int, outputs: int, dilation: int = 1) -> nn.Sequential:
 
 
 def l2_normalise(features: Tensor) -> Tensor:
-    """Unit length over the channels of (B, C, H, W): f / sqrt(sum f^2 + 1e-6)."""
+    """Features (B, C, H, W) of unit length over the channels: f / sqrt(sum f^2 + 1e-6)."""
     return features / torch.sqrt(features.square().sum(1, keepdim=True) + EPSILON)
 
 
 def global_correlation(source: Tensor, target: Tensor) -> Tensor:
-    """Every source cell against every target cell (paper, section 3.2): (B, h1 * w1, h2, w2),
+    """Correlation of all source and target cells (paper, section 3.2): (B, h1 * w1, h2, w2),
     channel xs * h1 + ys at (yt, xt) is <source(ys, xs), target(yt, xt)>."""
     columns = source.transpose(2, 3).flatten(2)
     return torch.einsum("bcs,bcyx->bsyx", columns, target)
 
 
 def local_correlation(warped: Tensor, target: Tensor, radius: int) -> Tensor:
-    """Target cells against the warped source in a window around the same cell, zero outside:
-    (B, (2 radius + 1)^2, H, W), row by row over (dy, dx) <warped(y + dy, x + dx), target>."""
+    """Correlation of target cells with the warped source in a window around the same cell, zero
+    outside: (B, (2 radius + 1)^2, H, W), <warped(y + dy, x + dx), target>, (dy, dx) row by row."""
     height, width = target.shape[2:]
     padded = F.pad(warped, (radius,) * 4)
     scores = [
@@ -279,14 +279,14 @@ def _grid(features: Tensor) -> tuple[int, int]:
 
 
 def normalise(images: Tensor) -> Tensor:
-    """RGB images (B, 3, H, W) in [0, 1] to the network's input, by ImageNet's statistics."""
+    """The network's input from RGB images (B, 3, H, W) in [0, 1], by ImageNet's statistics."""
     mean, deviation = (images.new_tensor(v)[:, None, None] for v in (MEAN, DEVIATION))
     return (images - mean) / deviation
 
 
 def to_pixels(normalised: Tensor, size: tuple[int, int], align_corners: bool) -> Tensor:
-    """Pixels of an image of `size` (width, height) from normalised (..., 2) coordinates, of which
-    -1 and +1 are the centres of the outer pixels with align_corners, their outer edges without."""
+    """Pixels of an image of `size` (width, height) from normalised coordinates (..., 2). -1 and +1
+    are the centres of the outer pixels with align_corners, their outer edges without."""
     extent = normalised.new_tensor(size)
     if align_corners:
         return (normalised + 1) * (extent - 1) / 2

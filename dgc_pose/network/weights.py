@@ -1,5 +1,5 @@
-"""Weights: those shipped in the package by name, safetensors files of ours, and the authors'
-checkpoints. torch is imported where it is needed alone."""
+"""Weights: shipped in the package by name, our safetensors files, and the authors' checkpoints.
+torch is imported only where it is needed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def shipped() -> list[str]:
 
 
 def find_weights(weights: str | os.PathLike[str]) -> Path:
-    """The file of shipped weights by name, or of a path. Raises WeightsError if there is none."""
+    """The file of weights, by a shipped name or a path. Raises WeightsError if it is missing."""
     name = os.fspath(weights)
     if name in shipped():
         return _FOLDER / (name + SUFFIX)
@@ -50,7 +50,7 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
 
 
 def read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
-    """The preset's name, and the arrays of a file of ours. Raises WeightsError for any other."""
+    """The name of the preset and the arrays in a file of ours. Raises WeightsError for others."""
     metadata, state = read_tensors(path)
     name = metadata.get("preset", "")
     if name not in PRESETS:
@@ -67,7 +67,7 @@ def read_tensors(path: Path) -> tuple[dict[str, str], dict[str, np.ndarray]]:
 
 @contextmanager
 def reading(what: str, path: Path) -> Iterator[None]:
-    """`read_as`, of a regular file, where an OSError is a WeightsError, too."""
+    """As `read_as`, for a regular file; turns an OSError into a WeightsError, too."""
     try:
         open_file(path, WeightsError).close()
         with read_as(what, path, WeightsError):
@@ -79,8 +79,8 @@ def reading(what: str, path: Path) -> Iterator[None]:
 def check_state(
     path: Path, name: str, state: Mapping[str, np.ndarray], wanted: Mapping[str, Sequence[int]]
 ) -> None:
-    """Raise WeightsError, naming the first such key, if keys or shapes of the weights `name` are
-    not those wanted, or values are not finite real floats."""
+    """Raise WeightsError, naming the first faulty key, if keys or shapes of the weights `name`
+    differ from `wanted`, or if values are not finite real floats."""
     expected = {key: tuple(shape) for key, shape in wanted.items() if not key.endswith(COUNTER)}
     for key in [*expected, *state]:
         value, shape = state.get(key), expected.get(key)
@@ -98,7 +98,7 @@ def check_state(
 
 
 def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:
-    """16 hexadecimal digits that identify weights, in single precision, before they are folded."""
+    """16 hexadecimal digits that identify weights, from their single-precision, unfolded values."""
     digest = hashlib.sha256()
     for key, value in sorted(state):
         if not key.endswith(COUNTER):
@@ -129,9 +129,9 @@ def load_network(
 ) -> DGCNet:
     """A network with its weights, in evaluation mode and frozen.
 
-    weights: a shipped name ("dgcm-lite0"), a .safetensors of ours, or an authors' checkpoint (.pth;
+    weights: a shipped name ("dgcm-lite0"), our .safetensors, or a checkpoint of the authors (.pth;
     `dgc` or `dgcm` by its keys). Raises WeightsError, naming the file and the first key that
-    differs, if it is missing, unreadable or of another network.
+    differs, if the file is missing, unreadable or of another network.
     """
     import torch
 
@@ -178,7 +178,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
     with reading("a checkpoint", path):
         if zipfile.is_zipfile(path):
             with zipfile.ZipFile(path) as archive:
-                # A packed one could need any amount of memory; torch packs none.
+                # A compressed archive could need any amount of memory; torch does not compress.
                 if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
                     raise WeightsError(path, "is not a checkpoint of torch: its archive is packed")
         try:
@@ -202,5 +202,5 @@ def read_state(path: Path) -> dict[str, np.ndarray]:
         isinstance(key, str) and isinstance(value, torch.Tensor) for key, value in state.items()
     ):
         raise WeightsError(f"{path}: holds no state_dict")
-    with reading("weights", path):  # NumPy cannot hold every tensor, a sparse one
+    with reading("weights", path):  # NumPy cannot hold every tensor, e.g. sparse ones
         return {k: (v.float() if v.is_floating_point() else v).numpy() for k, v in state.items()}

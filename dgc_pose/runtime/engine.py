@@ -1,4 +1,4 @@
-"""The contract of what runs the network, and its ONNX graphs. Nothing above it knows torch."""
+"""The interface of a runtime of the network, and its ONNX graphs. Its users need no torch."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,21 +10,21 @@ from dgc_pose.geometry.pixels import Size
 from dgc_pose.network.config import DEFAULT_WEIGHTS, NetworkConfig
 
 GRAPHS = Path(__file__).parent / "graphs" / DEFAULT_WEIGHTS  # of the one preset that has them
-LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the pyramid, all of it and its coarser levels
+LEVELS, NATIVE = "levels.onnx", "native.onnx"  # the whole pyramid, and its coarser levels
 WARP, UPSAMPLE, RESAMPLE = "warp.onnx", "upsample.onnx", "resample.onnx"  # without weights
-# Beside the graphs: "stored", the shape of each stored weight by name, and "graphs", for each graph
-# the names of the weights that it is to be given, their batch norms folded.
+# JSON beside the graphs: "stored" has the shape of each stored weight by name; "graphs" has, for
+# each graph, the names of the weights that it takes, with batch norms folded.
 WEIGHTS = "weights.json"
 
 
 @dataclass(frozen=True, eq=False)
 class MapFeatures:
-    """Features of an image for the dense map; those of an engine mean nothing to another."""
+    """Features of an image for the dense map; only the engine that made them can use them."""
 
-    # (1, C, h, w) of levels 0 to 4, then those of the correlated levels at the second scale, if the
+    # (1, C, h, w) for levels 0 to 4, then for the correlated levels at the second scale, if the
     # network has one: arrays of the engine's library
     levels: list[Any]
-    size: Size  # (width, height) of the image as it was resized
+    size: Size  # (width, height) of the resized image
 
     @property
     def nbytes(self) -> int:
@@ -33,7 +33,7 @@ class MapFeatures:
 
 @dataclass(frozen=True, eq=False)
 class NativeFeatures:
-    """Features of an image in the image's shape, unit length over the channels, channels last."""
+    """Features of an image that keeps its shape, of unit length over the channels (last axis)."""
 
     coarse: np.ndarray  # (h, w, C) float32, stride 16
     middle: np.ndarray  # (2 h, 2 w, C') float32, stride 8
@@ -41,7 +41,7 @@ class NativeFeatures:
 
     @property
     def middle_by_cell(self) -> np.ndarray:
-        """(h * w, 4, C') the features of stride 8 in each cell of stride 16, both row by row."""
+        """The features (h * w, 4, C') of stride 8 in each cell of stride 16, both row by row."""
         height, width, channels = self.middle.shape
         split = self.middle.reshape(height // 2, 2, width // 2, 2, channels)
         return split.transpose(0, 2, 1, 3, 4).reshape(-1, 4, channels)
@@ -62,21 +62,21 @@ class Engine(Protocol):
 
     @property
     def fingerprint(self) -> str:
-        """16 hexadecimal digits that identify the weights, whatever runs them."""
+        """16 hexadecimal digits that identify the weights, the same for every engine."""
 
     def encode(self, pixels: np.ndarray) -> MapFeatures:
-        """Features of an image, resized as `config.input_size` has it."""
+        """Features of an image, resized to `config.input_size`."""
 
     def coarsest(self, features: MapFeatures) -> np.ndarray:
-        """(h, w, C) float32, the coarsest level of `encode`, unit length over the channels."""
+        """The coarsest level of `encode` (h, w, C) float32, of unit length over the channels."""
 
     def decode(
         self, source: MapFeatures, target: MapFeatures, finest: int
     ) -> tuple[np.ndarray, np.ndarray]:
-        """The map of a pair: for each cell of the target its x and y (H, W, 2) float32, pixels of
-        the source as it was resized, no NaN; and the matchability (H, W) float32 in [0, 1], 1 for a
-        network without a mask. finest: cells a side, for squared images, of the last level decoded,
-        one of LEVEL_SIZES."""
+        """The map of a pair: for each target cell, x and y (H, W, 2) float32 in pixels of the
+        resized source, no NaN; and the matchability (H, W) float32 in [0, 1], 1 for a network
+        without a mask. finest: the last level decoded, by its cells a side for square images, one
+        of LEVEL_SIZES."""
 
     def native(self, pixels: np.ndarray, cells: tuple[int, int]) -> NativeFeatures:
-        """Features of an image resized to so many columns and rows of stride 16."""
+        """Features of an image resized to `cells` (columns, rows) of stride 16."""

@@ -37,20 +37,20 @@ from dgc_pose.system.files import open_file
 from dgc_pose.system.onnx_library import SHARED_ARENA, onnxruntime
 from dgc_pose.system.parallel import in_threads
 
-_QUIET = 4  # errors are raised, and need not be printed
+_QUIET = 4  # log level: errors are raised, and need not be printed
 _MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
-_MAKING = threading.Lock()  # a session, which two threads might ask for at once
+_MAKING = threading.Lock()  # held while a session is made: two threads may need the same one
 
 
 class OnnxEngine:
-    """Weights of a safetensors file of ours, of a preset that has graphs, as an `Engine`.
+    """An `Engine` with the weights of a safetensors file of ours, whose preset has graphs.
 
-    Sessions are made on first use, anew in a forked process, whose threads are gone. Raises
-    WeightsError if it is no such file or holds other weights than its preset's, InputError if there
-    are no graphs of the preset.
+    Sessions are made on first use, and again in a forked process, which loses their threads. Raises
+    WeightsError if it is another kind of file or its weights do not fit its preset, InputError if
+    the preset has no graphs.
     """
 
-    concurrent = True  # each thread computes on, instead of waiting for the others at each layer
+    concurrent = True  # threads that share an image would wait for each other at each layer
     can_resume = True
 
     def __init__(self, path: Path) -> None:
@@ -61,10 +61,10 @@ class OnnxEngine:
         names: dict[str, Any] = json.loads((graphs.GRAPHS / graphs.WEIGHTS).read_text("utf-8"))
         check_state(path, name, self._stored, names["stored"])
         self._weights = folded(self._stored)
-        self.correlation_scales = self._weights["correlation_scales"]  # that no graph has
+        self.correlation_scales = self._weights["correlation_scales"]  # in no graph
         self._names = names["graphs"]
         self._sessions: dict[tuple[int, str], Session] = {}
-        # Source, target, level and state (1, 3, h, w) of the last map: a finer one goes on from it
+        # Source, target, level and state (1, 3, h, w) of the last map: a finer map continues it
         self._begun: tuple[MapFeatures, MapFeatures, int, np.ndarray] | None = None
 
     @cached_property
@@ -103,7 +103,7 @@ class OnnxEngine:
             features1, features2 = source.levels[level], target.levels[level]
             (warped,) = self._session(graphs.WARP)(features1, previous)
             radius = self.config.decoders[level].local_radius
-            assert radius is not None  # of a preset that has graphs
+            assert radius is not None  # in a preset that has graphs
             local = local_correlation(l2_normalised(warped[0]), l2_normalised(features2[0]), radius)
             # Corrections are in cells of the source; the mask logit has no unit.
             rows, columns = features1.shape[2:]
@@ -116,7 +116,7 @@ class OnnxEngine:
         return points, 1 / (1 + np.exp(-state[0, 2]))
 
     def _start(self, source: MapFeatures, target: MapFeatures) -> np.ndarray:
-        """The map and mask logit at the coarsest level from the correlation's peak (1, 3, h, w)."""
+        """The coarsest level's map and mask logit (1, 3, h, w), from the correlation's peak."""
         scales1, scales2 = self._scales(source), self._scales(target)
         evidence = pooled_evidence(scales1, scales2, self.correlation_scales)
         grid1, grid2 = (features.levels[COARSEST].shape[2:] for features in (source, target))
@@ -143,14 +143,14 @@ class OnnxEngine:
 
 
 def l2_normalised(features: np.ndarray) -> np.ndarray:
-    """Unit length over the channels of (C, H, W): f / sqrt(sum f^2 + 1e-6)."""
+    """Features (C, H, W) of unit length over the channels: f / sqrt(sum f^2 + 1e-6)."""
     squares = np.einsum("chw,chw->hw", features, features)
     return features * (1 / np.sqrt(squares + np.float32(EPSILON)))
 
 
 def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np.ndarray:
-    """As `network.net.local_correlation`, of (C, H, W): ((2 radius + 1)^2, H, W) float32. One pass
-    over the features for each offset, without arrays of products, is fastest."""
+    """As `network.net.local_correlation`, from (C, H, W) to ((2 radius + 1)^2, H, W) float32. One
+    pass over the features for each offset, without arrays of products, is fastest."""
     height, width = target.shape[1:]
     padded = np.pad(warped, ((0, 0), (radius, radius), (radius, radius)))
     side = 2 * radius + 1
@@ -166,8 +166,8 @@ def local_correlation(warped: np.ndarray, target: np.ndarray, radius: int) -> np
 
 
 def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
-    """An image (H, W, 3), float32, at a smaller scale, its sides multiples of 16, by means weighted
-    with a triangle, as torch's bilinear interpolation with antialiasing."""
+    """An image (H, W, 3) float32 at a smaller scale, its sides multiples of 16, by a triangle
+    filter, as torch's bilinear interpolation with antialiasing."""
     height, width = (STRIDE * max(1, round(side * ratio / STRIDE)) for side in image.shape[:2])
     planes = [
         PIL.Image.fromarray(plane).resize((width, height), PIL.Image.Resampling.BILINEAR)
@@ -179,8 +179,8 @@ def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
 class Session:
     """A graph, called with arrays in the order of its inputs, from any thread.
 
-    weights: by the names of the graph's initializers, no others. Raises WeightsError if they are
-    missing or do not fit, OSError, with the path, if the graph cannot be read.
+    weights: exactly the graph's initializers, by name. Raises WeightsError if weights are missing
+    or do not fit, OSError, with the path, if the graph cannot be read.
     """
 
     def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
@@ -190,7 +190,7 @@ class Session:
         options.inter_op_num_threads = 1
         options.log_severity_level = _QUIET
         options.add_session_config_entry(SHARED_ARENA, "1")
-        # Threads that wait for work must not take the processor from other processes.
+        # Threads without work must not take the processor from other processes.
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         # The values must outlive the session.
         self._values = [
@@ -202,7 +202,7 @@ class Session:
                 str(path),
                 options,
                 providers=["CPUExecutionProvider"],
-                enable_fallback=0,  # it would try the same again, and print
+                enable_fallback=0,  # would try the same again, and print
             )
         except Exception as error:  # onnxruntime's errors have no common base
             raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
@@ -217,7 +217,7 @@ class Session:
 
 
 def session_threads() -> int:
-    """As many threads as OpenCV uses (`dgc_pose.system.threads`), and as OMP_NUM_THREADS allows."""
+    """As many threads as OpenCV uses, but at most `_MOST_THREADS` and OMP_NUM_THREADS."""
     most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
     allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
     return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

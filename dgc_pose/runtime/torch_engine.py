@@ -71,7 +71,7 @@ def for_inference(net: Net) -> Net:
 
 
 def _fold(layers: nn.Sequential) -> None:
-    """Fold the batch norms into identities: the names of the other layers are unchanged."""
+    """Fold batch norms and leave identities in their places, so other layers keep their names."""
     for index, (before, layer) in enumerate(zip(layers, list(layers)[1:], strict=False), 1):
         if isinstance(layer, nn.BatchNorm2d) and isinstance(before, nn.Conv2d):
             layers[index - 1] = fuse_conv_bn_eval(before, layer)
@@ -81,8 +81,8 @@ def _fold(layers: nn.Sequential) -> None:
 
 
 def network_input(pixels: np.ndarray, size: tuple[int, int], device: torch.device) -> Tensor:
-    """An image (H, W, 3), uint8, as the network takes it: (1, 3, h, w) of `size` (width, height),
-    channels last."""
+    """The network's input (1, 3, h, w), channels last in memory, of `size` (width, height), from an
+    image (H, W, 3) uint8."""
     resized = torch.from_numpy(resize(pixels, size))
     planes = resized.to(device).permute(2, 0, 1)[None].float() / 255
     return normalise(planes).contiguous(memory_format=torch.channels_last)

@@ -1,1 +1,1 @@
-"""Files and their texts, arrays, options, parallel work, and libraries behind one module each."""
+"""Files, texts, arrays, options, parallel work, and one module for each library with a set-up."""

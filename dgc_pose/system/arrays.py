@@ -1,4 +1,4 @@
-"""Arrays: those of an argument, and those of NumPy's files .npy and .npz."""
+"""Arrays, from arguments and from NumPy's .npy and .npz files."""
 
 import io
 from collections.abc import Mapping
@@ -10,7 +10,7 @@ import numpy as np
 from dgc_pose.errors import InputError
 from dgc_pose.system.files import read_as, read_bytes
 
-ARRAY_BYTES = 2**29  # of all arrays of a file together, as they lie in memory
+ARRAY_BYTES = 2**29  # most bytes of all arrays of a file together, in memory
 
 
 def is_tensor(value: Any) -> bool:
@@ -21,7 +21,7 @@ def is_tensor(value: Any) -> bool:
 def as_numpy(value: Any, name: str) -> np.ndarray:
     """`value` as a NumPy array of booleans, integers or floats; shares memory if possible.
 
-    Raises InputError, naming the argument `name`, if `value` is no array of real numbers.
+    Raises InputError, naming the argument `name`, if `value` is not an array of real numbers.
     """
     try:
         if is_tensor(value):
@@ -38,24 +38,24 @@ def as_numpy(value: Any, name: str) -> np.ndarray:
 
 
 def read_array(path: str | Path) -> np.ndarray:
-    """The array of an .npy. Raises InputError, with the path, if it is damaged, holds Python
-    objects, or is larger than `ARRAY_BYTES`; OSError if it cannot be read."""
+    """The array of an .npy file. Raises InputError, with the path, if the file is damaged, contains
+    Python objects, or is larger than `ARRAY_BYTES`; OSError if it cannot be read."""
     data = read_bytes(path, ARRAY_BYTES + 2**16)
     with read_as("an .npy", path):
         return np.lib.format.read_array(io.BytesIO(data), allow_pickle=False)
 
 
 def read_arrays(path: str | Path) -> Mapping[str, np.ndarray]:
-    """The arrays of an .npz by name.
+    """The arrays of an .npz file by name.
 
-    Raises InputError, with the path, if it is damaged, holds Python objects, or is larger than
-    `ARRAY_BYTES` unpacked; OSError if it cannot be read.
+    Raises InputError, with the path, if the file is damaged, contains Python objects, or is larger
+    than `ARRAY_BYTES` unpacked; OSError if it cannot be read.
     """
     return unpacked(read_bytes(path, ARRAY_BYTES + 2**20), path)
 
 
 def unpacked(data: bytes, path: str | Path) -> Mapping[str, np.ndarray]:
-    """The arrays of the content of an .npz. Raises InputError as `read_arrays` does."""
+    """The arrays in the bytes of an .npz file. Raises InputError as `read_arrays` does."""
     with read_as("an .npz", path), np.load(io.BytesIO(data)) as file:
         if sum(info.file_size for info in file.zip.infolist()) > ARRAY_BYTES:
             most = f"at most {ARRAY_BYTES} bytes of arrays are read"

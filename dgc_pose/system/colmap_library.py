@@ -1,8 +1,8 @@
-"""pycolmap. Everything else imports it from here.
+"""pycolmap. All other modules import it from here.
 
-Its import sets handlers of signals, also of SIGTERM: a process would then print a stack trace and
-end at once, and leave its temporary files. The handlers that were there before are set again, and
-its log is turned off.
+Importing pycolmap installs signal handlers, also for SIGTERM: the process would print a stack
+trace, end at once, and leave its temporary files. This module restores the handlers that were there
+before, and turns off pycolmap's log.
 """
 
 import signal
@@ -13,11 +13,11 @@ _before = {n: signal.getsignal(n) for n in (signal.SIGTERM, signal.SIGINT, signa
 import pycolmap  # noqa: E402
 
 for _number, _handler in _before.items():
-    with suppress(ValueError):  # not in the main thread, which alone may do it
+    with suppress(ValueError):  # only the main thread may set handlers
         if _handler is not None:
             signal.signal(_number, _handler)
 
-# What goes wrong is raised: its log would be printed, and left in files among the temporary ones.
+# Errors are raised; the log would also be printed, and left in temporary files.
 pycolmap.logging.minloglevel = pycolmap.logging.Level.FATAL.value
 pycolmap.logging.logtostderr = True
 

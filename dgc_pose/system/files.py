@@ -1,7 +1,7 @@
-"""Files: inputs that are checked; outputs that appear whole or not at all, never over an input.
+"""Files: checked inputs, and outputs that appear whole or not at all, never over an input.
 
-For a damaged file a reader of NumPy, Pillow or torch raises almost anything, so a file is parsed
-within `read_as`, which names it.
+NumPy, Pillow and torch raise almost any exception for a damaged file. Files are therefore parsed
+within `read_as`, which names the file.
 """
 
 import fcntl
@@ -16,13 +16,13 @@ from typing import BinaryIO
 
 from dgc_pose.errors import DgcPoseError, InputError, reason
 
-TEXT_BYTES = 2**26  # of a text file: a list of some 100,000 pairs
-_START_BYTES = 4096  # of a text, which have no zero byte
+TEXT_BYTES = 2**26  # most bytes of a text file, enough for a list of some 100,000 pairs
+_START_BYTES = 4096  # bytes at the start of a file, without a zero byte in a text
 
 
 @contextmanager
 def naming_path(path: str | Path) -> Iterator[None]:
-    """Around code that reads or writes this file alone: an OSError that names no file names it."""
+    """Add the path to an OSError without one; for code that reads or writes only this file."""
     try:
         yield
     except OSError as error:
@@ -32,10 +32,10 @@ def naming_path(path: str | Path) -> Iterator[None]:
 
 
 def open_file(path: str | Path, error: type[DgcPoseError] = InputError) -> BinaryIO:
-    """A regular file to read, links followed.
+    """Open a regular file to read, following links.
 
-    Raises `error`, with the path, for a folder, a pipe, which would wait for its writer, a device
-    and no name of a file; OSError, with the path, if it cannot be opened.
+    Raises `error`, with the path, for a folder, a device, a pipe (which would wait for its writer)
+    or an invalid file name; OSError, with the path, if the file cannot be opened.
     """
     with suppress(ValueError):  # a zero byte
         if os.path.isfile(path) or not os.path.exists(path):
@@ -59,11 +59,11 @@ def read_bytes(
 def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError) -> Iterator[None]:
     """Turn whatever a reader raises into `error`: "PATH is not `what` that can be read (why)".
 
-    Our own errors and an OSError that names its file pass.
+    Our own errors and an OSError that names its file stay as they are.
     """
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of readers, about what they repair
+            warnings.simplefilter("ignore")  # readers warn about what they repair
             yield
     except DgcPoseError:
         raise
@@ -77,10 +77,10 @@ def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError)
 
 
 def read_text(path: str | Path, what: str = "a text") -> str:
-    """A text in UTF-8, without a byte order mark.
+    """The text of a UTF-8 file, without its byte order mark.
 
-    Raises InputError, with the path, if it is no such text, has a zero byte near its beginning, as
-    almost any other file has, or is not a regular file; OSError if it cannot be read.
+    Raises InputError, with the path, if the file is not regular or not UTF-8, or has a zero byte
+    near its beginning, as almost all binary files have; OSError if it cannot be read.
     """
     data = read_bytes(path, TEXT_BYTES)
     with suppress(UnicodeDecodeError):
@@ -91,11 +91,11 @@ def read_text(path: str | Path, what: str = "a text") -> str:
 
 @contextmanager
 def staged(*paths: str | None) -> Iterator[Callable[[str], Path]]:
-    """Open the output files of a command, before its work. Paths that are None are passed over.
+    """Open the output files of a command before its work. Skips paths that are None.
 
     Yields a function from an output's path to the file to write instead, see `replaced`. Raises
     OSError, naming the output, if it cannot be written; InputError if two outputs are the same
-    file, or one is a folder, a device, or written by another run.
+    file, or if an output is a folder, a device, or being written by another run.
     """
     outputs = [path for path in paths if path is not None]
     if len({output_target(path) for path in outputs}) < len(outputs):
@@ -107,9 +107,9 @@ def staged(*paths: str | None) -> Iterator[Callable[[str], Path]]:
 
 @contextmanager
 def replaced(path: str | Path) -> Iterator[Path]:
-    """A file that takes the place of an output if the block ends without an error and wrote it.
+    """Yield a new file, which replaces an output if the block writes it and ends without an error.
 
-    After an error or a kill the old file is whole. Raises as `staged` does.
+    After an error or a kill the old file is unchanged. Raises as `staged` does.
     """
     target = output_target(path)
     with _workplace(target, path) as folder:
@@ -121,7 +121,7 @@ def replaced(path: str | Path) -> Iterator[Path]:
 
 @contextmanager
 def replaced_folder(path: Path) -> Iterator[Path]:
-    """As `replaced`, of a folder. The caller sees to it that the old folder may go."""
+    """As `replaced`, for a folder. The caller ensures that the old folder may be deleted."""
     with _workplace(path, path) as folder:
         new = folder / path.name
         new.mkdir()
@@ -133,10 +133,10 @@ def replaced_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _workplace(target: Path, path: str | Path) -> Iterator[Path]:
-    """An empty folder beside an output, for this run alone, removed at the end.
+    """An empty folder beside an output, only for this run, removed at the end.
 
-    What a killed run left there is removed first. An OSError of a file in it names `path`, by which
-    the user knows the output.
+    Removes what a killed run left there. An OSError about a file in the folder names `path`
+    instead, the name that the user gave the output.
     """
     folder = target.with_name(f".{target.name}.partial")
     try:
@@ -156,8 +156,8 @@ def _workplace(target: Path, path: str | Path) -> Iterator[Path]:
 
 
 def output_target(path: str | Path) -> Path:
-    """The file that an output's path stands for, links followed. Raises InputError for the path of
-    a folder or a device, and for what is no path."""
+    """The file that the path of an output refers to, following links. Raises InputError if it is a
+    folder or a device, or if the path is invalid."""
     text = os.fspath(path)
     try:
         target = Path(text).resolve()
@@ -169,7 +169,7 @@ def output_target(path: str | Path) -> Path:
 
 
 def require_no_input(outputs: Iterable[str | Path], inputs: Iterable[str | Path]) -> None:
-    """Raise InputError if an output is one of the inputs: the same file, links followed."""
+    """Raise InputError if an output is the same file as one of the inputs, following links."""
     present = [path for path in inputs if os.path.exists(path)]
     for output in filter(os.path.exists, outputs):
         for path in present:
@@ -191,9 +191,9 @@ def write_text(path: Path, text: str) -> None:
 
 
 def require_room(path: Path, size: int) -> None:
-    """Raise OSError, with the path, unless so many bytes can be written beside it.
+    """Raise OSError, with the path, unless `size` bytes can be written in its folder.
 
-    For libraries that end the process, or say nothing, when a disk is full.
+    For libraries that end the process, or raise no error, when a disk is full.
     """
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:
@@ -211,8 +211,8 @@ def scratch_folder() -> Iterator[Path]:
 
 @contextmanager
 def only_writer(folder: Path, output: str | Path | None = None) -> Iterator[None]:
-    """Keep a folder to one run. Raises InputError, naming the folder or the output that is written
-    in it, if another run has it."""
+    """Lock a folder for this run. Raises InputError, naming `output` or else the folder, if another
+    run has locked it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):  # a file system without locks

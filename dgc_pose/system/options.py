@@ -1,7 +1,7 @@
-"""Fields of option dataclasses: default, help text and allowed values stand in one place.
+"""Fields of option dataclasses: default, help text and allowed values in one place.
 
-A field made by `option` is checked by `check_options`, and the commands make a command-line option
-of it, if it has a help text (`dgc_pose.cli.options`).
+`check_options` checks the fields made by `option`. From each field with a help text, the commands
+make a command-line option (`dgc_pose.cli.options`).
 """
 
 import math
@@ -14,31 +14,31 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from dgc_pose.errors import ArgumentName, InputError
 
-MAX_SEED = 2**63 - 1  # what torch takes
+MAX_SEED = 2**63 - 1  # the largest that torch accepts
 
-# Of a command's help, in the order that they have there.
+# Sections of a command's help, in their order.
 Section = Literal[
     "cameras", "output", "options", "scale", "reconstruction", "matching", "estimation", "advanced"
 ]
 
 _KEY = "option"
-_NUMBERS: dict[type, type] = {int: Integral, float: Real}  # those of NumPy too
+_NUMBERS: dict[type, type] = {int: Integral, float: Real}  # including NumPy's
 _TYPE_NAMES = {int: "an integer", float: "a number", bool: "true or false", str: "a text"}
 
 
 @dataclass(frozen=True)
 class OptionInfo:
-    """The facts of an option beside its type and default."""
+    """The properties of an option beside its type and default."""
 
     help: str = ""  # empty: not on the command line
-    flag: str | None = None  # as on the command line; None: made of the field's name
+    flag: str | None = None  # on the command line; None: derived from the field's name
     metavar: str | None = None
-    parse: Callable[[str], Any] | None = None  # makes the value of its text, or raises InputError
+    parse: Callable[[str], Any] | None = None  # makes the value from its text; raises InputError
     text: str | None = None  # the default as a user would write it, if the option is parsed
     min: float | None = None  # least allowed value
     above: float | None = None  # the value must be larger
     max: float | None = None  # largest allowed value
-    type: Any = None  # of click, for a text that is more than that, such as an output's path
+    type: Any = None  # click's type, for a text with a special role, such as an output's path
     section: Section = "options"  # of the command's help
 
 
@@ -55,9 +55,9 @@ def option_info(of: Field[Any]) -> OptionInfo | None:
 
 @cache
 def field_types(cls: Any) -> dict[str, tuple[Any, bool]]:
-    """For each field of a dataclass its type, without "or None", and whether None is allowed.
+    """The type of each field of a dataclass, without "or None", and whether None is allowed.
 
-    The types must be importable at run time, not under TYPE_CHECKING alone.
+    The types must be importable at run time, not only under TYPE_CHECKING.
     """
     types = {}
     for name, hint in get_type_hints(cls).items():
@@ -71,7 +71,7 @@ def check_options(options: Any) -> None:
     """Raise InputError, naming the field, if a value has another type, or lies outside its range or
     Literal.
 
-    For `__post_init__` of option dataclasses. None passes if the type has it.
+    For `__post_init__` of option dataclasses. None passes if it is the default or of the type.
     """
     cls: Any = type(options)
     for of in fields(options):
@@ -95,8 +95,8 @@ def check_options(options: Any) -> None:
 
 
 def check_type(value: Any, kind: Any, name: str) -> None:
-    """Raise InputError, naming the argument, for a value of another type than bool, int, float,
-    str, Path, a class or a tuple of these."""
+    """Raise InputError, naming the argument, if a value is not of the type `kind`: a class, such as
+    bool, int, float, str or Path, or a union or a tuple of classes."""
     kinds: tuple[Any, ...] = (kind,)
     parts = (value,)
     if get_origin(kind) in (Union, UnionType):

@@ -1,4 +1,4 @@
-"""Parallel work: in threads, which an interrupt does not wait for, and in processes."""
+"""Parallel work, in threads, which an interrupt does not wait for, and in processes."""
 
 import multiprocessing
 import os
@@ -23,10 +23,10 @@ Submit = Callable[..., Future[Any]]  # takes a function and its arguments
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """NumPy's products in one thread, and then in as many as before. They are small, or side by
-    side in `in_threads`: further threads would wait for each other.
+    """Limit NumPy's matrix products to one thread within the block. They are small, or already in
+    parallel in `in_threads`: further threads would wait for each other.
 
-    In the main thread alone: of two threads each could set back what the other has set.
+    Only in the main thread: two threads could undo each other's settings.
     """
     if threading.current_thread() is threading.main_thread():
         with threadpool_limits(limits=1, user_api="blas"):
@@ -52,18 +52,18 @@ class _Helper(threading.Thread):
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
     """`[work(item) for item in items]`, in as many threads as OpenCV uses.
 
-    For work that spends its time outside of Python and depends on its item alone, so that the
-    answer is the same for any number of threads. `cv2.setNumThreads` sets the number for both; the
-    default is the number of processors. Within such work a call goes item by item: the processors
-    have work already, and large pieces are done faster side by side than small ones. At its end a
-    process would wait for the threads of a ThreadPoolExecutor.
+    For work that spends its time outside of Python and depends only on its item, so that the result
+    is the same for any number of threads. `cv2.setNumThreads` sets the number, here and in OpenCV;
+    the default is the number of processors. A call within such work runs item by item: processors
+    are busy, and large pieces run faster in parallel than small ones. A ThreadPoolExecutor does not
+    serve: at its end a process would wait for the executor's threads.
 
-    Raises the error of the first item that has one. If an interrupt or a signal's handler raises in
-    the main thread, it is raised at once: what has begun is discarded, the rest is not begun.
+    Raises the error of the first item that fails. An exception of an interrupt or a signal handler
+    in the main thread is raised at once: what has begun is discarded, the rest is not begun.
     """
     count, current = min(cv2.getNumThreads(), len(items)), threading.current_thread()
     if isinstance(current, _Helper) or (count <= 1 and current is not threading.main_thread()):
-        return [work(item) for item in items]  # signals are handled in the main thread alone
+        return [work(item) for item in items]  # only the main thread handles signals
     results: dict[int, Result] = {}
     errors: dict[int, BaseException] = {}
     waiting, stopped = iter(range(len(items))), threading.Event()
@@ -78,7 +78,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
                 errors[number] = error
                 return
 
-    # Daemons: the process may end while a library's call, which nothing can stop, goes on.
+    # Daemons: the process can end while a library call, which nothing can stop, still runs.
     kind = _Helper if count > 1 else threading.Thread
     threads = [kind(target=run, daemon=True) for _ in range(max(count, 1))]
     try:
@@ -95,12 +95,12 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item]) -> list[Re
 
 @contextmanager
 def process_pool(size: int, start: Callable[..., None], *arguments: Any) -> Iterator[Submit]:
-    """A pool of processes, which use one core each. Any error within the context ends them at once.
-    start: is called with the arguments first in each process, and must not raise.
+    """A pool of processes that use one core each. Any error within the context ends them at once.
+    start: called first in each process, with the arguments; must not raise.
 
-    Raises DgcPoseError if a process ends before its work.
+    Raises DgcPoseError if a process ends before its work is done.
     """
-    # Not forked: torch's threads do not survive that.
+    # Not forked: torch's threads do not survive a fork.
     context = multiprocessing.get_context("spawn")
     pool = ProcessPoolExecutor(size, context, _start, (start, arguments))
     others = set(multiprocessing.active_children())
@@ -117,7 +117,7 @@ def process_pool(size: int, start: Callable[..., None], *arguments: Any) -> Iter
         # Work inside a library's call handles no signal; an interrupt must not wait for it.
         for process in started:
             process.terminate()
-        pool.shutdown(cancel_futures=True)  # the processes have exit codes then
+        pool.shutdown(cancel_futures=True)  # afterwards the processes have exit codes
         if not isinstance(error, BrokenProcessPool):
             raise
         codes = {process.exitcode or 0 for process in started}
@@ -130,7 +130,7 @@ def process_pool(size: int, start: Callable[..., None], *arguments: Any) -> Iter
 
 
 def _start(start: Callable[..., None], arguments: Sequence[Any]) -> None:
-    # A terminal sends an interrupt to all processes: the owner of the pool answers it.
+    # A terminal sends an interrupt to all processes: only the owner of the pool handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
@@ -138,7 +138,7 @@ def _start(start: Callable[..., None], arguments: Sequence[Any]) -> None:
 
 
 def _end_with_parent() -> None:
-    """If the owner of the pool is killed, nobody else ends this process."""
+    """End this process with the owner of the pool: if that is killed, nothing else ends it."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

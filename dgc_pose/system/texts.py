@@ -1,4 +1,4 @@
-"""Texts: JSON, which has no NaN and no infinity, YAML by PyYAML, TOML, and aligned tables."""
+"""Texts: JSON without NaN and infinity, YAML by PyYAML, TOML, and aligned tables."""
 
 import json
 import math
@@ -10,20 +10,20 @@ from typing import Any
 
 from dgc_pose.system.files import read_as, read_text, write_text
 
-_MAX_TEXT = 2**20  # characters of YAML and TOML: a calibration has a few thousand
-_MAX_DOTS = 100  # in a key of TOML: its time grows with their square
+_MAX_TEXT = 2**20  # characters of YAML and TOML; a calibration has a few thousand
+_MAX_DOTS = 100  # in a key of TOML: the time to parse it grows with their square
 _STRINGS = re.compile(r'"(?:\\.|[^"\\\n])*"|' + r"'[^'\n]*'")
 
 
 def read_json(path: str | Path, what: str) -> Any:
-    """The content of a JSON file. Raises as `read_text` does, and InputError for no JSON."""
+    """The content of a JSON file. Raises as `read_text` does, and InputError if it is not JSON."""
     text = read_text(path, what)
     with read_as(what, path):
         return json.loads(text)
 
 
 def json_text(data: Mapping[str, Any]) -> str:
-    """Strict JSON, a newline at its end. Raises ValueError for NaN and infinity."""
+    """Strict JSON with a newline at its end. Raises ValueError for NaN and infinity."""
     return json.dumps(data, indent=2, allow_nan=False) + "\n"
 
 
@@ -38,9 +38,9 @@ def finite_or_none(value: float | None) -> float | None:
 
 
 def yaml_data(text: str, path: Path) -> Any:
-    """The first document of a YAML text, also of cv::FileStorage, whose matrices are mappings.
+    """The first document of a YAML text. Matrices of cv::FileStorage become mappings.
 
-    Raises InputError, with the path, for no YAML, and for a text of over a million characters.
+    Raises InputError, with the path, if it is not YAML, has aliases or over a million characters.
     """
     import yaml
 
@@ -56,7 +56,7 @@ def yaml_data(text: str, path: Path) -> Any:
         _require_short(text)
         if text.startswith("%YAML:"):
             text = text.partition("\n")[2]
-        # A few lines of aliases of aliases would be lists of any length.
+        # A few lines of aliases of aliases could become lists of any length.
         if "*" in text and any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
             raise ValueError("an alias, which no calibration has")
         return next(yaml.load_all(text, Loader=Loader), None)
@@ -65,8 +65,8 @@ def yaml_data(text: str, path: Path) -> Any:
 def toml_data(text: str, path: Path) -> dict[str, Any]:
     """The tables of a TOML text.
 
-    Raises InputError, with the path and the line, for no TOML; also for a text of over a million
-    characters, and for a key of many parts.
+    Raises InputError, with the path and the line, if the text is not TOML; also if it has over a
+    million characters or a key of many parts.
     """
     # tomli became the standard library's tomllib.
     if sys.version_info >= (3, 11):
@@ -88,7 +88,7 @@ def _require_short(text: str) -> None:
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:
-    """Rows of one length as lines: the first column to the left, all others to the right."""
+    """Rows of equal length as lines: the first column aligned left, all others right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = (
         [row[0].ljust(widths[0])]
