@@ -262,7 +262,7 @@ def test_what_nerfstudio_cannot_hold_is_one_line_and_leaves_nothing(
     before = contents(tmp_path)
     for source, words, expected in (
         (images, (), "contains no COLMAP model"),
-        (cut, (), "images.bin is not COLMAP's images that can be read"),
+        (cut, (), "images.bin cannot be read as COLMAP's images"),
         (full, (), "--to nerfstudio cannot hold FULL_OPENCV"),
         (tmp_path / "mixed", (), "cannot hold OPENCV_FISHEYE, PINHOLE"),
         (model, ("--images", tmp_path / "nowhere"), "nowhere: No such file"),

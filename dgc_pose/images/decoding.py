@@ -26,7 +26,7 @@ from dgc_pose.system.files import open_file, read_as, read_bytes
 
 # Width times height; larger images are rejected before decoding. Phones take 16,384 x 12,288.
 MAX_PIXELS = 210_000_000
-_TOO_LARGE = f"is too large: at most {MAX_PIXELS} pixels are read"
+_TOO_LARGE = f"is too large: the limit is {MAX_PIXELS} pixels"
 PIL.Image.MAX_IMAGE_PIXELS = MAX_PIXELS // 2  # Pillow rejects images above twice this
 _MAX_BYTES = 2**31 - 1  # of a file: OpenCV counts them in a signed 32-bit number
 _END_BYTES = 2**17  # at both ends of a file, searched for XMP, and in a PNG for EXIF data

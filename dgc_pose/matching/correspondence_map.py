@@ -110,17 +110,12 @@ class MatchingOptions:
     """
 
     max_matches: int = option(
-        2000,
-        "Most matches, evenly spread.",
-        metavar="N",
-        min=1,
-        max=2**31,
-        section="matching",
+        2000, "Most matches, evenly spread.", metavar="N", min=1, max=2**31, section="matching"
     )
     aligned: Literal["none", "auto"] = option(
         "auto",
-        "Matches aligned on the originals: auto, those of the encoder's features at native "
-        "resolution, and those of the map if they are few; none.",
+        "Refinement on the original images. auto: of the matches of the encoder's features, or of "
+        "the map's matches if too few remain; none: off.",
         metavar="SOURCE",
         flag="--refine",
         section="matching",

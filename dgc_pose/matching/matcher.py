@@ -77,7 +77,7 @@ class Matcher:
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.
         Raises InputError for a matcher that has none."""
-        raise InputError(f"{self.name} cannot choose pairs: only the features of a network can")
+        raise InputError(f"{self.name} cannot choose pairs, which needs the features of a network")
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         """As `match`, but also where an image has no structure or a mask. A subclass defines it."""

@@ -30,7 +30,7 @@ class VismatchMatcher(Matcher):
             raise InputError(f"{name} needs `pip install vismatch` ({reason(error)})") from None
         if model not in vismatch.available_models:
             names = ", ".join(vismatch.available_models)
-            raise InputError(f"{name}: vismatch has no {model}; it has {names}")
+            raise InputError(f"{name}: vismatch has no {model}; choose one of {names}")
         if device == "auto":
             device = "cuda" if torch.cuda.is_available() else "cpu"
         try:

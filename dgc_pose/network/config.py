@@ -122,5 +122,5 @@ PRESETS: dict[str, NetworkConfig] = {
 def preset(name: str) -> NetworkConfig:
     """The preset of that name. Raises InputError, listing the names, for an unknown one."""
     if name not in PRESETS:
-        raise InputError(f"no preset '{name}'; there are {', '.join(PRESETS)}")
+        raise InputError(f"no preset '{name}'; choose one of {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -42,7 +42,7 @@ def find_weights(weights: str | os.PathLike[str]) -> Path:
         return _FOLDER / (name + SUFFIX)
     if name in PRESETS:
         known = ", ".join(shipped()) or "none"
-        raise WeightsError(f"no weights are shipped for {name} (there are: {known}); give a file")
+        raise WeightsError(f"no weights are shipped for {name} (shipped: {known}): give a file")
     path = Path(weights)
     if "\0" in name or not path.exists():
         raise WeightsError(path, "is not a file, and no weights of that name are shipped")
@@ -54,7 +54,7 @@ def read_safetensors(path: Path) -> tuple[str, dict[str, np.ndarray]]:
     metadata, state = read_tensors(path)
     name = metadata.get("preset", "")
     if name not in PRESETS:
-        raise WeightsError(path, f"has a header that names no preset of ours ({name or 'nothing'})")
+        raise WeightsError(path, f"has a header without a known preset ({name or 'nothing'})")
     return name, state
 
 
@@ -94,7 +94,7 @@ def check_state(
             fault = f"has {key} with values that are not finite"
         else:
             continue
-        raise WeightsError(path, f"has no weights of {name}: it {fault}")
+        raise WeightsError(path, f"does not contain the weights of {name}: it {fault}")
 
 
 def fingerprint(state: Iterable[tuple[str, np.ndarray]]) -> str:
@@ -180,7 +180,7 @@ def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> Any:
             with zipfile.ZipFile(path) as archive:
                 # A compressed archive could need any amount of memory; torch does not compress.
                 if any(info.compress_type != zipfile.ZIP_STORED for info in archive.infolist()):
-                    raise WeightsError(path, "is not a checkpoint of torch: its archive is packed")
+                    raise WeightsError(path, "is not a torch checkpoint: its archive is compressed")
         try:
             return torch.load(path, map_location=device, weights_only=True)
         except pickle.UnpicklingError as error:
@@ -201,6 +201,6 @@ def read_state(path: Path) -> dict[str, np.ndarray]:
     if not isinstance(state, dict) or not all(
         isinstance(key, str) and isinstance(value, torch.Tensor) for key, value in state.items()
     ):
-        raise WeightsError(f"{path}: holds no state_dict")
+        raise WeightsError(path, "contains no state_dict")
     with reading("weights", path):  # NumPy cannot hold every tensor, e.g. sparse ones
         return {k: (v.float() if v.is_floating_point() else v).numpy() for k, v in state.items()}

@@ -115,8 +115,7 @@ class Server:
         """Receive an image as the raw body; answer with its identifier, size and a picture."""
         most = self.options.max_megabytes
         too_large = (
-            f"the file is too large: at most {most:g} MB are taken "
-            "(--max-megabytes of dgc-pose serve)"
+            f"the file is too large: the limit is {most:g} MB (--max-megabytes of dgc-pose serve)"
         )
         try:
             with anyio.fail_after(UPLOAD_SECONDS):
@@ -194,7 +193,7 @@ def preview(path: Path, max_pixels: int) -> dict[str, Any]:
         width, height = image_size(path)
         if width * height > max_pixels:  # checked before decoding
             raise ImageError(
-                f"{path} is too large: {width} x {height}, at most {max_pixels} pixels are read "
+                f"{path} is too large: {width} x {height}, and the limit is {max_pixels} pixels "
                 "(--max-megapixels of dgc-pose serve)"
             )
         image = load_image(path)

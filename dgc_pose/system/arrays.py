@@ -58,6 +58,6 @@ def unpacked(data: bytes, path: str | Path) -> Mapping[str, np.ndarray]:
     """The arrays in the bytes of an .npz file. Raises InputError as `read_arrays` does."""
     with read_as("an .npz", path), np.load(io.BytesIO(data)) as file:
         if sum(info.file_size for info in file.zip.infolist()) > ARRAY_BYTES:
-            most = f"at most {ARRAY_BYTES} bytes of arrays are read"
+            most = f"the limit is {ARRAY_BYTES} bytes of arrays"
             raise InputError(Path(path), f"is too large: {most}")
         return {name: file[name] for name in file.files}

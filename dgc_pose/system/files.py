@@ -51,13 +51,13 @@ def read_bytes(
     with open_file(path, error) as stream, naming_path(path):
         size = os.fstat(stream.fileno()).st_size
         if size > limit:
-            raise error(Path(path), f"is too large: {size} bytes, at most {limit} are read")
+            raise error(Path(path), f"is too large: {size} bytes, and the limit is {limit}")
         return stream.read(size)
 
 
 @contextmanager
 def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError) -> Iterator[None]:
-    """Turn whatever a reader raises into `error`: "PATH is not `what` that can be read (why)".
+    """Turn whatever a reader raises into `error`: "PATH cannot be read as `what` (why)".
 
     Our own errors and an OSError that names its file stay as they are.
     """
@@ -72,7 +72,7 @@ def read_as(what: str, path: str | Path, error: type[DgcPoseError] = InputError)
     except Exception as failure:
         if isinstance(failure, OSError) and failure.filename is not None:
             raise
-        why = f"is not {what} that can be read ({reason(failure)})"
+        why = f"cannot be read as {what} ({reason(failure)})"
         raise error(Path(path), why) from failure
 
 
@@ -86,7 +86,7 @@ def read_text(path: str | Path, what: str = "a text") -> str:
     with suppress(UnicodeDecodeError):
         if b"\0" not in data[:_START_BYTES]:
             return data.decode("utf-8-sig")
-    raise InputError(Path(path), f"is not text, and {what} is")
+    raise InputError(Path(path), f"is not UTF-8 text; expected {what}")
 
 
 @contextmanager
@@ -175,7 +175,7 @@ def require_no_input(outputs: Iterable[str | Path], inputs: Iterable[str | Path]
         for path in present:
             if os.path.samefile(path, output):
                 same = f"the input {path}" if str(path) != str(output) else "an input"
-                raise InputError(f"{output}: this output is {same}, which would be lost")
+                raise InputError(f"{output}: this output is {same}: choose another")
 
 
 def save_text(path: str | Path, text: str) -> None:
@@ -219,7 +219,7 @@ def only_writer(folder: Path, output: str | Path | None = None) -> Iterator[None
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise InputError(f"{output or folder}: another run is writing there") from None
+                raise InputError(f"{output or folder}: another run is writing it") from None
         yield
     finally:
         os.close(descriptor)

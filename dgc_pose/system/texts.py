@@ -58,7 +58,7 @@ def yaml_data(text: str, path: Path) -> Any:
             text = text.partition("\n")[2]
         # A few lines of aliases of aliases could become lists of any length.
         if "*" in text and any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
-            raise ValueError("an alias, which no calibration has")
+            raise ValueError("it contains an alias, which is not supported")
         return next(yaml.load_all(text, Loader=Loader), None)
 
 
@@ -84,7 +84,7 @@ def toml_data(text: str, path: Path) -> dict[str, Any]:
 
 def _require_short(text: str) -> None:
     if len(text) > _MAX_TEXT:
-        raise ValueError(f"{len(text)} characters, at most {_MAX_TEXT} are read")
+        raise ValueError(f"{len(text)} characters, and the limit is {_MAX_TEXT}")
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> str:

@@ -37,7 +37,7 @@ def test_a_run_that_another_one_writes_is_left_as_it_is(path) -> None:
     whole = path.read_bytes()
     with open_run(path, SETTINGS, resume=True):
         for resume in (True, False):
-            with pytest.raises(InputError, match="another run is writing there"):
+            with pytest.raises(InputError, match="another run is writing it"):
                 open_run(path, SETTINGS, resume=resume).__enter__()
         assert path.read_bytes() == whole
     with open_run(path, SETTINGS) as (done, _):
@@ -46,7 +46,7 @@ def test_a_run_that_another_one_writes_is_left_as_it_is(path) -> None:
 
 def test_other_settings_and_other_files_are_refused(path) -> None:
     whole = path.read_bytes()
-    with pytest.raises(InputError, match=r'had protocol "native", not "paper"'):
+    with pytest.raises(InputError, match=r'has protocol "native", not "paper"'):
         open_run(path, {**SETTINGS, "protocol": "paper"}, resume=True).__enter__()
     assert path.read_bytes() == whole
     for other in (whole.replace(b"{", b"", 1), b"[1]\n", b"\xff\n"):

@@ -120,7 +120,7 @@ def test_which_images_share_a_camera_without_K() -> None:
     ("text", "size", "error"),
     [
         ("500,510,160,238", (640, 240), "320x240 has another aspect ratio"),
-        ("500,510,160,160", (320, 320), "K is for 320x320 pixels and the image has 320x240"),
+        ("500,510,160,160", (320, 320), "K is for 320x320 pixels, and the image of 320x240 has"),
         ("PINHOLE,640,480,500,510,320,240", (1280, 960), "K states 640x480, and K_size 1280x960"),
         ("500,510,320,240", (160, 120), "641x481 pixels; the image has 160x120"),
         ("auto", SIZE, "K_size needs a K, and K states none"),

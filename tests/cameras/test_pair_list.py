@@ -114,7 +114,7 @@ def test_shorter_lines_give_the_names_and_their_cameras(tmp_path):
         (f"a b 0 0 {K.replace('500', 'x')} {K}\n", ":1: could not convert"),
         ("a,b\n,c\n", ":2: expected two names"),
         (f"a,b\n{'a' * 200_000},b\n", ":2: field larger than field limit"),
-        (f"a b 0 0 {K} {K}\na c 0 0 {K.replace('500', '501')} {K}\n", ":2: another K of a"),
+        (f"a b 0 0 {K} {K}\na c 0 0 {K.replace('500', '501')} {K}\n", ":2: K of a differs"),
     ],
 )
 def test_a_wrong_line_of_names_is_named(tmp_path, text, reason):
@@ -127,8 +127,8 @@ def test_a_wrong_line_of_names_is_named(tmp_path, text, reason):
     ("content", "reason"),
     [
         (b"\n# nothing\n", "no pairs"),
-        (b"\xff", "is not text, and a list of pairs is"),
-        (b"\0\0\0\x18ftypmp42" + bytes(900), "is not text, and a list of pairs is"),
+        (b"\xff", "is not UTF-8 text; expected a list of pairs"),
+        (b"\0\0\0\x18ftypmp42" + bytes(900), "is not UTF-8 text; expected a list of pairs"),
     ],
 )
 def test_a_file_that_is_no_list_is_an_error(tmp_path, read, content, reason):

@@ -151,7 +151,7 @@ def test_a_pose_is_read_from_its_json(made: Callable[[], RelativePose]) -> None:
     ],
 )
 def test_what_is_no_pose_is_refused(change: Callable[[Any], Any]) -> None:
-    with pytest.raises(InputError, match="^data is not a pose of to_dict that can be read"):
+    with pytest.raises(InputError, match="^data cannot be read as a pose of to_dict"):
         RelativePose.from_dict(change(of_scene().to_dict()))
 
 

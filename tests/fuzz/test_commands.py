@@ -94,8 +94,8 @@ def test_each_bad_value_is_refused_in_one_line_and_changes_nothing(folder, begin
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "would be lost"),
-        ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "would be lost"),
+        ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "choose another"),
+        ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "choose another"),
         ((*EXPORT, "--database", "views/one.png"), ""),
         ((*EXPORT, "--hloc", "batch"), ""),
         (RECONSTRUCT, "exists already"),

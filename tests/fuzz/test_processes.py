@@ -75,7 +75,7 @@ def test_a_stopped_command_leaves_the_file_of_before(tmp_path, number):
 def test_an_output_has_one_writer(tmp_path):
     first = ready(start(tmp_path))
     refused = start(tmp_path).communicate("on\n", timeout=60)
-    assert refused == ("", "error: out.json: another run is writing there\n")
+    assert refused == ("", "error: out.json: another run is writing it\n")
     assert first.communicate("on\n", timeout=60) == ("done\n", "")
     assert (tmp_path / "out.json").read_text() == '{"whole": 1}'
 

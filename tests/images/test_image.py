@@ -143,7 +143,7 @@ def test_alpha_of_arrays_and_tensors_is_a_mask(rgb: np.ndarray) -> None:
     assert load_image(array).mask is None
     np.testing.assert_array_equal(load_image(array).pixels, load_image(array[:, :, :3]).pixels)
     array[:, :, 3] = 0
-    with pytest.raises(InputError, match="^image1 has alpha 0 everywhere, which leaves no pixel"):
+    with pytest.raises(InputError, match="^image1 has alpha 0 everywhere: no pixel"):
         load_image(array, "image1")
 
 

@@ -62,7 +62,7 @@ def test_its_matches_are_ours(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == ""
     with pytest.raises(InputError, match="vismatch:orb-nn failed on the pair"):
         matcher.match(images[0], Image(np.zeros((40, 40, 3), np.uint8)))
-    with pytest.raises(InputError, match="vismatch has no nothing; it has .*orb-nn"):
+    with pytest.raises(InputError, match="vismatch has no nothing; choose one of .*orb-nn"):
         load_matcher("vismatch:nothing")
 
 

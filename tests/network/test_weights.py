@@ -75,12 +75,14 @@ def test_the_first_differing_keys_are_named(tmp_path):
         if value is not None:
             state[key] = value
         torch.save({"state_dict": state}, tmp_path / "other.pth")
-        with pytest.raises(WeightsError, match=rf"other\.pth has no weights of dgc: it {words}"):
+        with pytest.raises(
+            WeightsError, match=rf"other\.pth does not contain the weights of dgc: it {words}"
+        ):
             load_network(tmp_path / "other.pth")
         state[key] = torch.zeros(2)
     ours = {k: v.half() for k, v in _random_net("dgcm-lite0").state_dict().items()}
     for metadata, words in (
-        ({"preset": "dgcm"}, "has no weights of dgcm: it has pyramid"),
+        ({"preset": "dgcm"}, "does not contain the weights of dgcm: it has pyramid"),
         ({}, "no preset"),
     ):
         save_file(ours, tmp_path / "x.safetensors", metadata=metadata)

@@ -56,7 +56,7 @@ def test_a_table(tmp_path: Path) -> None:
     assert first.size == SIZE and first.K.diagonal().tolist() == [500, 510, 1]
     path.write_text(f"{text}a.jpg,600,510,320,240,640,480,0.01,1\n")
     with pytest.raises(
-        InputError, match=r"cameras\.csv line 4: another camera of a.jpg than in a line"
+        InputError, match=r"cameras\.csv line 4: the camera of a.jpg differs from an earlier line"
     ):
         read_calibration(str(path))
 

@@ -39,7 +39,7 @@ def test_a_run_ends_with_weights_and_is_not_overwritten(photos, tmp_path, monkey
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (["--preset", "vgg"], "no preset 'vgg'; there are dgc, dgcm, dgcm-lite0"),
+        (["--preset", "vgg"], "no preset 'vgg'; choose one of dgc, dgcm, dgcm-lite0"),
         (["--shares", "0,100,0,0"], "no kind of pairs with a share has data"),
         (["--preset", "dgc"], "--encoder or init is needed"),
         (["--seconds", "3"], "either in seconds or in steps"),
