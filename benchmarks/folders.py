@@ -21,14 +21,14 @@ import torch
 from sklearn.metrics import roc_auc_score
 
 from dgc_pose.batch.look_alikes import (
-    by_itself,
     evidence_of_pairs,
-    shows_repeats,
+    has_repeats,
+    own_log_odds,
     solutions,
     triples,
 )
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.batch.pairs import LEAST_BELIEF, MatchedPair
+from dgc_pose.batch.pairs import MIN_FOLDER_PROBABILITY, MatchedPair
 from dgc_pose.batch.result import read_batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import PairChoice, Source
@@ -52,7 +52,7 @@ KINDS = ("rooms", "object", "tower", "shelf")
 # By layer: half the length that a photograph covers, over the root of a box's median half size
 _SPANS = ((0.4, 1.1), (0.25, 0.75))
 _OTHER_LIGHT = 0.3  # share of the relit view in the photograph
-_HOLDS = math.log(LEAST_BELIEF / (1 - LEAST_BELIEF))
+_HOLDS = math.log(MIN_FOLDER_PROBABILITY / (1 - MIN_FOLDER_PROBABILITY))
 _FRAMES = 13  # of a posed scene, evenly spread
 _LANDS_PX = 8.0  # largest distance of a right inlier from its true point
 _RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the baseline over the depth, from which t counts
@@ -274,10 +274,12 @@ def fit(folders: Mapping[str, Pairs]) -> str:
     on all. Column "by repeats": log-odds per pair by which repeats explain the folder better."""
     table = ["folder,pairs,wrong,AUC of pairs,by repeats,right rejected,wrong kept".split(",")]
     for name, (values, right, found, agree) in folders.items():
-        alone = by_itself(values, *_weights([of for other, of in folders.items() if other != name]))
-        solved = solutions(values[:, 0], alone, found, agree)
-        kept, better = solved[shows_repeats(solved, values)] > _HOLDS, solved[2]
-        area = roc_auc_score(right, alone) if 0 < right.sum() < len(right) else np.nan
+        own = own_log_odds(
+            values, *_weights([of for other, of in folders.items() if other != name])
+        )
+        solved = solutions(values[:, 0], own, found, agree)
+        kept, better = solved[has_repeats(solved, values)] > _HOLDS, solved[2]
+        area = roc_auc_score(right, own) if 0 < right.sum() < len(right) else np.nan
         errors = (right & ~kept).sum(), (kept & ~right).sum()
         counts = (
             len(right),

@@ -245,7 +245,7 @@ def placed(locator: Locator, name: str, apart: int) -> dict[str, Any]:
     names = sorted(model.poses)
     number = names.index(name)
     out = names[max(0, number - apart + 1) : number + apart]
-    location = locator.locate(model.root / name, model.cameras[name], left_out=out)
+    location = locator.locate(model.root / name, model.cameras[name], excluded=out)
     figures = {
         "name": name,
         "status": location.status,

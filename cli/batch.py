@@ -72,7 +72,7 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
     from dgc_pose.cameras.calibration import read_calibration
 
     images = choice.open(source, out)
-    for line in images.left_out:
+    for line in images.skipped:
         say(f"warning: {line}")
     if len(images.names) < min_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
@@ -108,11 +108,11 @@ def report(batch: Batch) -> None:
         say(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
         say(f"more than {MOST_PAIRS} pairs have a pose: the look-alike check is skipped")
-    if summary["turned_down"]:
-        number = sum(entry["pairs"] for entry in summary["turned_down"])
+    if summary["rejected"]:
+        number = sum(entry["pairs"] for entry in summary["rejected"])
         judged = counted(summary["judged_together"], "pair")
         say(f"{number} of {judged} rejected as look-alike places:")
-    for entry in summary["turned_down"][:CAMERAS_SHOWN]:
+    for entry in summary["rejected"][:CAMERAS_SHOWN]:
         groups = [
             f"{counted(len(g), 'image')} ({printable(g[0])}{', ...' * (len(g) > 1)})"
             for g in entry["groups"]
@@ -163,7 +163,7 @@ def _echo_pairs(rows: Sequence[PairRow]) -> None:
         shown = ["-" if value is None else f"{value:.2f} deg" for value in degrees]
         likely = "-" if row.probability is None else percent_text(row.probability)
         names, inliers = f"{row.name1} {row.name2}", f"{row.num_inliers} of {row.num_matches}"
-        status = f"{row.status}, rejected" if row.turned_down else row.status
+        status = f"{row.status}, rejected" if row.rejected else row.status
         lines.append([printable(names), status, likely, *shown, inliers])
     click.echo(aligned(lines))
     if len(rows) > PAIRS_SHOWN:

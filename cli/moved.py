@@ -96,7 +96,7 @@ def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
         image_header(path)  # raises if it is not an image
         return {source: path}
     found = search_images(path)
-    for line in found.left_out:
+    for line in found.skipped:
         say(f"warning: {line}")
     if not found.names:
         raise InputError(f"{source}: no image is in this folder")

@@ -85,7 +85,7 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
     cameras = pose.camera1, pose.camera2
     text1, text2 = map(_camera_text, cameras, priors or cameras)
     if text1 == text2 and cameras[0].identity == cameras[1].identity is not None:
-        assumed = priors is not None and priors[0].belief and priors[0].identity != SHARED
+        assumed = priors is not None and priors[0].focal_prior and priors[0].identity != SHARED
         why = " (assumed: one size, and the same EXIF data or none)" if assumed else ""
         return [f"camera of both images{why}: {text1}"] if text1 else []
     return [f"camera {n}: {text}" for n, text in enumerate((text1, text2), start=1) if text]

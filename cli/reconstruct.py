@@ -51,8 +51,8 @@ def reconstruct(
         show = partial(progress, "images")
         models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
-    turned_down = [row.names for row in batch.rows if row.turned_down]
-    write_text(out / PAGE, model_page(models[0], metric.get("unit", ""), turned_down))
+    rejected = [row.names for row in batch.rows if row.rejected]
+    write_text(out / PAGE, model_page(models[0], metric.get("unit", ""), rejected))
     data = reconstruction.write_summary(out, batch, models, shared, metric, seconds)
     click.echo(f"{out / reconstruction.DATABASE}: {shared_text(shared)}")
     click.echo(

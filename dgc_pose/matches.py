@@ -28,7 +28,7 @@ class Matches:
             dense map, errors of neighbours are correlated.
         weights: Fingerprint of the weights of the network that made the matches; None for other
             matchers. The probability of a pose is fitted on the matches of certain weights.
-        surroundings: Similarity of the images around the matches divided by that at the matches,
+        context_ratio: Similarity of the images around the matches divided by that at the matches,
             any finite number; None if it is unknown or nothing surrounds the matches.
     """
 
@@ -38,7 +38,7 @@ class Matches:
     error_px: float
     key_points: bool = False
     weights: str | None = None
-    surroundings: float | None = None
+    context_ratio: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("points1", "points2"):
@@ -61,8 +61,8 @@ class Matches:
             raise InputError(f"confidence must lie in 0 to 1, not {outside[0]}")
         if not 0 < self.error_px < math.inf:
             raise InputError(f"error_px must be positive and finite, not {self.error_px}")
-        if self.surroundings is not None and not math.isfinite(self.surroundings):
-            raise InputError(f"surroundings must be finite or None, not {self.surroundings}")
+        if self.context_ratio is not None and not math.isfinite(self.context_ratio):
+            raise InputError(f"context_ratio must be finite or None, not {self.context_ratio}")
 
     def __repr__(self) -> str:
         kind = "key points" if self.key_points else "of a dense map"

@@ -52,5 +52,5 @@ def test_joined_matches_are_there_once_in_order() -> None:
 
 def test_surroundings_are_finite_or_none() -> None:
     matches = _of_rows([[1, 2, 3, 4]], 1.0, 1.0)
-    with pytest.raises(InputError, match="^surroundings must be finite or None, not"):
-        replace(matches, surroundings=np.nan)
+    with pytest.raises(InputError, match="^context_ratio must be finite or None, not"):
+        replace(matches, context_ratio=np.nan)

@@ -164,7 +164,7 @@ def _split(root: Path) -> tuple[list[Path], list[Path]]:
 
 def _images(root: Path) -> list[Path]:
     content = search_images(root)
-    for line in content.left_out:
+    for line in content.skipped:
         _log.warning("%s: %s", root, line)
     return sorted(root / name for name in content.names)
 

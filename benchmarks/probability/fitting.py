@@ -23,8 +23,8 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     CHOICE_FEATURES,
     FEATURES,
-    OF_AUTO,
-    OF_MAPS,
+    FITTED_FOCAL_FEATURES,
+    MAP_FEATURES,
     MatchKind,
     choice_shares,
     log_error,
@@ -36,7 +36,7 @@ _MIN_POSES = 20  # least number of right poses, and of wrong ones, for a fit
 _MIN_SCENES = 3
 _WITHIN = 0.9  # intended share of right poses with an error below the expected one
 _QUANTILES = (0.9, 0.91, 0.92, 0.93, 0.94, 0.95, 0.96, 0.97, 0.98)
-_ALTOGETHER_WRONG_DEG = 30.0  # focal lengths of poses worse than this are not used
+_MOST_FOCAL_FIT_DEG = 30.0  # focal lengths of poses worse than this are not used
 _CERTAIN = 30.0  # log-odds of certainty
 _LEAST_SLOPE = 0.2  # of the calibration
 _RIDGE = 1e-3  # on the weights of the choice
@@ -64,13 +64,13 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
             f"at least {_MIN_POSES} of each and {_MIN_SCENES} scenes are needed"
         )
     left_out = (
-        *(() if kind.startswith("network") else OF_MAPS),
-        *(() if kind.endswith("auto") else OF_AUTO),
+        *(() if kind.startswith("network") else MAP_FEATURES),
+        *(() if kind.endswith("auto") else FITTED_FOCAL_FEATURES),
     )
     names = [name for name in FEATURES if name not in left_out]
     X = np.array([[FEATURES[name].value(e) for name in names] for _, e in samples])
     signs = np.array([FEATURES[name].sign for name in names])
-    odds = {c: _left_out_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
+    odds = {c: _cross_validated_log_odds(X, right, scenes, signs, c) for c in _STRENGTHS}
     # The one with the smallest negative log-likelihood
     strength = min(odds, key=lambda c: np.logaddexp(0, np.where(right, -odds[c], odds[c])).mean())
     slope, offset = _platt(odds[strength], right)
@@ -129,8 +129,8 @@ def fit_focal_error(rows: Sequence[Record]) -> dict[str, float]:
         and row.evidence
         and row.evidence.raw_focal_90_percent is not None
         and row.exact_cameras
-        and row.best.rotation_error_deg < _ALTOGETHER_WRONG_DEG
-        and folded(row.best.translation_error_deg) < _ALTOGETHER_WRONG_DEG
+        and row.best.rotation_error_deg < _MOST_FOCAL_FIT_DEG
+        and folded(row.best.translation_error_deg) < _MOST_FOCAL_FIT_DEG
     ]
     if len(samples) < _MIN_POSES:
         return {"slope": 0.0, "intercept": 0.0}
@@ -146,10 +146,10 @@ def fit_lines(pieces: Iterable[Mapping[str, Any]]) -> dict[str, float]:
         for true, scores, count in piece["focals"]:
             key = piece["scene"], round(true, 6), tuple(scores)
             images[key] = (true, np.array(scores), count)
-    belief = auto_camera(Header("", (640, 480))).belief
-    assert belief is not None
+    focal_prior = auto_camera(Header("", (640, 480))).focal_prior
+    assert focal_prior is not None
     prior = np.zeros(len(LOG_FOCALS))
-    for part in (belief.usual, belief.tail):
+    for part in (focal_prior.usual, focal_prior.tail):
         off = (LOG_FOCALS - part.log_focal) / part.std
         prior += np.exp(part.log_weight - off**2 / 2) / part.std
 
@@ -166,7 +166,7 @@ def fit_lines(pieces: Iterable[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def fit_same_place(around: np.ndarray, right: np.ndarray) -> dict[str, float]:
-    """Fit the `SamePlace` of claimed poses to their `Evidence.surroundings` (n,) and whether each
+    """Fit the `SamePlace` of claimed poses to their `Evidence.context_ratio` (n,) and whether each
     is right (n,) or shows two places. Too few poses give certainty of one place."""
     if min(right.sum(), (~right).sum()) < _MIN_POSES:
         return {"slope": 0.0, "intercept": _CERTAIN}
@@ -191,7 +191,7 @@ def _logistic(
         used = np.delete(used, int(np.argmin(signed)))
 
 
-def _left_out_odds(
+def _cross_validated_log_odds(
     X: np.ndarray, right: np.ndarray, scenes: np.ndarray, signs: np.ndarray, strength: float
 ) -> np.ndarray:
     """Log-odds (N,) of each pose, with weights fitted on the other scenes."""
@@ -204,7 +204,7 @@ def _left_out_odds(
 
 
 def _platt(odds: np.ndarray, right: np.ndarray) -> tuple[float, float]:
-    """Slope and offset that calibrate the log-odds of `_left_out_odds`.
+    """Slope and offset that calibrate the log-odds of `_cross_validated_log_odds`.
 
     The targets are smoothed as Platt proposes, so that the slope of separable samples is finite.
     """

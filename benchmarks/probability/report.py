@@ -24,9 +24,9 @@ from dgc_pose.estimation.probability import (
     FORMAT,
     MatchKind,
     ProbabilityModel,
+    bound_if_right,
     choice_shares,
     match_kind,
-    of_right,
     parse_models,
     utility,
 )
@@ -81,8 +81,8 @@ def judged(record: Record, model: ProbabilityModel) -> Judged:
         replace(record, poses=tuple(record.poses[k] for k in order)),
         known.has_t,
         0.0 if verdict.status == "rotation_only" else same_place * share * any_right,
-        of_right(rotation),
-        of_right(translation),
+        bound_if_right(rotation),
+        bound_if_right(translation),
         verdict.status == "ambiguous",
     )
 
@@ -172,16 +172,16 @@ def fit_all(
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
     data = {"format": FORMAT, "engine": used, "focal_error": focal_error}
     certain = fit_same_place(np.zeros(0), np.zeros(0, bool))
-    alone = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
-    claims = [judged(row, alone["network"]) for row in by_kind.get("network", [])]
+    models = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
+    claims = [judged(row, models["network"]) for row in by_kind.get("network", [])]
     known = [
-        (claim.record.evidence.surroundings, claim.right)
+        (claim.record.evidence.context_ratio, claim.right)
         for claim in claims
         if claim.by_probability
         and claim.record.entry.part == "fit"
         and (claim.right or claim.record.entry.kind == "pasted")
         and claim.record.evidence is not None
-        and claim.record.evidence.surroundings is not None
+        and claim.record.evidence.context_ratio is not None
     ]
     around, right = np.array(known, float).reshape(-1, 2).T
     data |= {"same_place": fit_same_place(around, right > 0), "models": fitted}

@@ -21,8 +21,8 @@ from dgc_pose.batch.pairs import MatchedPair, PairRow
 from dgc_pose.batch.workers import Cameras, PoseRunner
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import OTHER_STD, SHARED
-from dgc_pose.estimation.camera_model import OF_STATED, ModelName, with_model
-from dgc_pose.estimation.intrinsics_prior import SIZE, is_of_part, parameter_stds, with_parameters
+from dgc_pose.estimation.camera_model import STATED_K_MODELS, ModelName, with_model
+from dgc_pose.estimation.intrinsics_prior import SIZE, may_be_crop, parameter_stds, with_parameters
 from dgc_pose.estimation.least_squares import EFFICIENT
 
 _STARTS, _STEPS = 101, 50
@@ -87,14 +87,14 @@ def folder_cameras(poses: PoseRunner, cameras: Cameras) -> list[PooledCamera]:
     refitted = _rows_of(poses.estimate({**known, **own}, fit=True, only=some))
     exact = {name: camera.as_exact() for name, camera in known.items()}
     found = pool({**exact, **own}, refitted)
-    alone = {
+    unshared = {
         name
         for name, fit in by_image(found).items()
         if (not _agrees(fit, known[name]) if name in apart else fit.focal_std < _MOST_FOCAL_STD)
     }
-    members = {name: camera for name, camera in start.items() if name not in alone}
-    kept = [row for row in rows if not alone & {*row.names}]
-    found = [replace(one, why=_ALONE) for one in found if alone & one.cameras.keys()]
+    members = {name: camera for name, camera in start.items() if name not in unshared}
+    kept = [row for row in rows if not unshared & {*row.names}]
+    found = [replace(one, why=_ALONE) for one in found if unshared & one.cameras.keys()]
     split = {n for n, c in members.items() if cameras[n].identity and c.identity is None}
     shared = pool(members, kept, inside=certain)
     return [replace(o, why=_SPLIT) if split & o.cameras.keys() else o for o in shared] + found
@@ -116,7 +116,7 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
     for name, names in groups.items():
         of_group = weights[names[0]]
         for model, weight in of_group.items():
-            if weight > sum(of_group.values()) / 2 and model not in OF_STATED:
+            if weight > sum(of_group.values()) / 2 and model not in STATED_K_MODELS:
                 changed[name] = with_model(cameras[name], model)
     return changed
 
@@ -214,7 +214,7 @@ def pool(
         first_camera = cameras[names[0]]
         focal = first_camera.focal
         prior = np.array(parameter_stds(first_camera)) * ([1, focal, focal, 1, 1, 1])
-        cut = first_camera.focal_source in ("size", "lines") and is_of_part(first_camera)
+        cut = first_camera.focal_source in ("size", "lines") and may_be_crop(first_camera)
         if (cut and len(names) > 1) or len({cameras[name].size for name in names}) > 1:
             prior[1:3] = 0
         open_ = np.flatnonzero(prior)  # the fitted parameters
@@ -297,7 +297,7 @@ def _pooled(camera: Camera, value: np.ndarray, std: np.ndarray, fitted: bool) ->
     a parameter that is not fitted."""
     moved = with_parameters(camera, value / [1, camera.focal, camera.focal, 1, 1, 1])
     if fitted and std[0]:
-        moved = replace(moved, focal_source="matches", belief=None)
+        moved = replace(moved, focal_source="matches", focal_prior=None)
     focal, *centre, lens, _, aspect = std.tolist()
     centre_std = float(np.sqrt(np.square(centre).mean())) or camera.centre_std
     return replace(moved, focal_std=focal, centre_std=centre_std, lens_std=lens, aspect_std=aspect)

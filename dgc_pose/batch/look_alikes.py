@@ -21,10 +21,10 @@ from itertools import combinations, islice
 
 import numpy as np
 
-from dgc_pose.batch.pairs import LEAST_BELIEF, MatchedPair, PairRow
+from dgc_pose.batch.pairs import MIN_FOLDER_PROBABILITY, MatchedPair, PairRow
 from dgc_pose.batch.store import Plan
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.evidence import alikeness
+from dgc_pose.estimation.evidence import rotation_corrected
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.pixels import Size
@@ -45,13 +45,13 @@ _WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
 _QUANTILE = 0.75  # of the folder's pairs, with which each pair is compared
 # Prior log-odds per pair for a folder without repeats: the smallest value with which `fit-folders`,
 # cross-validated, takes no folder of a posed scene for one with repeats
-_ORDINARY = 0.3
+_NO_REPEATS_LOG_ODDS = 0.3
 # Likelihoods that three poses agree, and that they disagree, if 0 to 3 of them are right, each up
 # to a factor
 _AGREE, _DISAGREE = np.array([[0.8, 1.0, 0.02, 1.0], [0.8, 1.0, 1.0, 0.02]])
 _FULL_TRIPLES = 4  # of a pair; with more, each counts less, as they are not independent
 _ROUNDS, _DAMPING = 60, 0.5
-_MOST_SENT = 8.0  # log-odds
+_MAX_MESSAGE_LOG_ODDS = 8.0  # log-odds
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,23 +111,23 @@ def folder_probabilities(pairs: Iterable[MatchedPair], plan: Plan) -> list[PairR
     if not 0 < len(rows) <= MOST_PAIRS:
         return []
     found, agree = triples(placed)
-    solved = solutions(values[:, 0], by_itself(values), found, agree)
-    log_odds = solved[shows_repeats(solved, values)]
+    solved = solutions(values[:, 0], own_log_odds(values), found, agree)
+    log_odds = solved[has_repeats(solved, values)]
     if log_odds is solved[0]:  # a pair in no triple keeps its own probability
-        alone = ~np.isin(np.arange(len(rows)), found)
+        without_triples = ~np.isin(np.arange(len(rows)), found)
         own = [_UNKNOWN if r.probability is None else r.probability for r in rows]
-        own_odds = _log_odds(np.clip(own, LEAST_BELIEF, _MOST))
-        log_odds = np.where(alone, own_odds, log_odds)
-    belief = np.round(1 / (1 + np.exp(-log_odds)), 4)
+        own_odds = _log_odds(np.clip(own, MIN_FOLDER_PROBABILITY, _MOST))
+        log_odds = np.where(without_triples, own_odds, log_odds)
+    probability = np.round(1 / (1 + np.exp(-log_odds)), 4)
     counts = np.zeros((len(rows), 2), np.int64)  # triples that agree, and that disagree
     for k in range(3):
         pair, *others = np.roll(found, k, axis=1).T
-        holds = (belief[others] >= LEAST_BELIEF).all(0)
+        holds = (probability[others] >= MIN_FOLDER_PROBABILITY).all(0)
         np.add.at(counts, (pair[holds], 1 - agree[holds].astype(np.int64)), 1)
     return [
         replace(row, folder_probability=value, folder_triples=(agreeing, differing))
         for row, value, (agreeing, differing) in zip(
-            rows, belief.tolist(), counts.tolist(), strict=True
+            rows, probability.tolist(), counts.tolist(), strict=True
         )
     ]
 
@@ -151,10 +151,10 @@ def evidence_of_pairs(
         # A success starts as accepted, and only other pairs can reject it. Most rotations without a
         # likely pose are wrong.
         known = pose.one_place_probability if pose.success else pose.any_probability
-        least = LEAST_BELIEF if pose.success else 1 - _MOST
+        least = MIN_FOLDER_PROBABILITY if pose.success else 1 - _MOST
         known = _UNKNOWN if known is None else min(max(known, least), _MOST)
-        around = pair.matches.surroundings
-        values.append((known, math.nan if around is None else alikeness(around, pose.R)))
+        around = pair.matches.context_ratio
+        values.append((known, math.nan if around is None else rotation_corrected(around, pose.R)))
         rows.append(row)
     found = np.column_stack([np.array(values).reshape(-1, 2), log_unshared_cells(placed)])
     found[:, 0] = _log_odds(found[:, 0])
@@ -164,7 +164,7 @@ def evidence_of_pairs(
     return rows, placed, found
 
 
-def by_itself(
+def own_log_odds(
     values: np.ndarray, weights: np.ndarray = _WEIGHTS, intercept: float = _INTERCEPT
 ) -> np.ndarray:
     """Log-odds (n,) of pairs in a folder with repeats, by `evidence_of_pairs` (n, 3)."""
@@ -175,11 +175,11 @@ def _log_odds(probability: np.ndarray) -> np.ndarray:
     return np.log(probability / (1 - probability))
 
 
-def shows_repeats(solved: tuple[np.ndarray, np.ndarray, float], values: np.ndarray) -> bool:
+def has_repeats(solved: tuple[np.ndarray, np.ndarray, float], values: np.ndarray) -> bool:
     """Whether a folder has repeats, by its `solutions` and values (n, 3) of `evidence_of_pairs`.
     False unless the context of the matches is known for more than half of the pairs."""
     known = np.isfinite(values[:, 1]).mean() > 0.5
-    return bool(known and solved[2] > _ORDINARY * len(values))
+    return bool(known and solved[2] > _NO_REPEATS_LOG_ODDS * len(values))
 
 
 def solutions(
@@ -188,14 +188,14 @@ def solutions(
     """Log-odds (n,) of pairs in a folder without repeats, and in a folder with repeats; and the
     log-odds of the second explanation over the first.
 
-    probable: log-odds of the pairs' own probabilities (n,); with_repeats: `by_itself` (n,); found:
-    triples (M, 3); agree: whether the poses of each triple agree (M,).
+    probable: log-odds of the pairs' own probabilities (n,); with_repeats: `own_log_odds` (n,);
+    found: triples (M, 3); agree: whether the poses of each triple agree (M,).
     """
     count = np.bincount(found.ravel(), minlength=len(probable))
     weight = np.minimum(1, _FULL_TRIPLES / np.maximum(count, 1))
     likely, solved = np.where(agree[:, None], _AGREE, _DISAGREE), []
     for before in (probable.clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS), with_repeats):
-        after = _after_messages(before, found, likely, weight)
+        after = _propagate(before, found, likely, weight)
         right = after > 0
         of_triples = np.log(likely[np.arange(len(found)), right[found].sum(1)])
         solved.append((after, weight[found].mean(1) @ of_triples - before[~right].sum()))
@@ -203,7 +203,7 @@ def solutions(
     return ordinary, repeating, float(with_them - explained)
 
 
-def _after_messages(
+def _propagate(
     before: np.ndarray, found: np.ndarray, likely: np.ndarray, weight: np.ndarray
 ) -> np.ndarray:
     """The log-odds `before` (n,) updated by the messages of triples. likely: (M, 4), likelihoods of
@@ -216,7 +216,7 @@ def _after_messages(
     messages = np.zeros(found.shape)
     for _ in range(_ROUNDS):
         sent = total(messages)[found] - weight[found] * messages
-        right = 1 / (1 + np.exp(-sent.clip(-_MOST_SENT, _MOST_SENT)))
+        right = 1 / (1 + np.exp(-sent.clip(-_MAX_MESSAGE_LOG_ODDS, _MAX_MESSAGE_LOG_ODDS)))
         new = np.empty_like(messages)
         for k in range(3):
             a, b = right[:, k - 1], right[:, k - 2]

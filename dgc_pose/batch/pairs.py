@@ -18,7 +18,9 @@ from dgc_pose.system.files import read_as
 # Statuses of pairs without an estimate. BAD_INPUT: an image or camera is unusable. FAILED: matching
 # or estimation raised an unexpected error; a resumed batch matches the pair again.
 BAD_INPUT, FAILED = "bad_input", "failed"
-LEAST_BELIEF = 0.6  # folder probability to accept a pose; `fit-folders` has fewest errors with it
+MIN_FOLDER_PROBABILITY = (
+    0.6  # folder probability to accept a pose; `fit-folders` has fewest errors with it
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +64,11 @@ class PairRow:
         return None if self.pose is None else self.pose.probability
 
     @property
-    def turned_down(self) -> bool:
+    def rejected(self) -> bool:
         """Whether the folder rejects the pose or rotation of the pair."""
-        return self.folder_probability is not None and self.folder_probability < LEAST_BELIEF
+        return (
+            self.folder_probability is not None and self.folder_probability < MIN_FOLDER_PROBABILITY
+        )
 
     @property
     def fitted_cameras(self) -> tuple[Camera, Camera] | None:
@@ -109,11 +113,11 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
             pose = RelativePose.from_dict(data | {"seconds": {}})
         except InputError as error:
             raise ValueError(str(error)) from None
-        belief, (agree, differ) = data["folder_probability"], data["folder_triples"]
+        probability, (agree, differ) = data["folder_probability"], data["folder_triples"]
         return PairRow(
             *(*names, status, pose.reason, pose, data["error_px"], data["camera_model"]),
             index=index,
-            folder_probability=None if belief is None else float(belief),
+            folder_probability=None if probability is None else float(probability),
             folder_triples=(int(agree), int(differ)),
         )
 

@@ -131,21 +131,21 @@ def summary_of(
         "poses": sum(by_status[status] for status, facts in STATUSES.items() if facts.has_t),
         "bad_pairs": by_status[BAD_INPUT],
         "failed_pairs": by_status[FAILED],
-        "turned_down": _turned_down(rows),
+        "rejected": _rejected_between_groups(rows),
         "judged_together": sum(row.folder_probability is not None for row in rows),
         "by_status": dict(sorted(by_status.items())),
     }
 
 
-def _turned_down(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
+def _rejected_between_groups(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
     """The numbers of rejected pairs between groups of images, or within a group. Accepted pairs
     connect the images of a group."""
     group = {name: frozenset([name]) for row in rows for name in row.names}
     for row in rows:
         first, second = (group[name] for name in row.names)
-        if row.folder_probability is not None and not row.turned_down and first is not second:
+        if row.folder_probability is not None and not row.rejected and first is not second:
             group.update(dict.fromkeys(first | second, first | second))
-    between = Counter(frozenset(group[n] for n in row.names) for row in rows if row.turned_down)
+    between = Counter(frozenset(group[n] for n in row.names) for row in rows if row.rejected)
     return [
         {"pairs": count, "groups": sorted(sorted(images) for images in groups)}
         for groups, count in between.most_common()

@@ -52,7 +52,7 @@ from dgc_pose.system.files import only_writer, read_bytes
 Progress = Callable[[str, int, int], None]  # stage, items done, all items
 _RESUME = ArgumentName("resume")
 _EXHAUSTIVE_UP_TO = 20  # images
-_FEW_LEFT = 0.5  # of the inliers that a pair had on its own: with fewer there is a warning
+_MIN_KEPT_INLIERS = 0.5  # of the inliers that a pair had on its own: with fewer there is a warning
 
 
 def run_batch(
@@ -103,7 +103,7 @@ def run_batch(
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
     }
-    with _folder_alone(out):
+    with _locked_folder(out):
         before: Plan | None = None
         again: set[int] = set()
         if (out / STORE).is_file():
@@ -156,28 +156,30 @@ def _pose(
     """Store the pairs of the result, with poses by the cameras of the folder. Returns the plan with
     these cameras, and the list of the pooled cameras."""
     cameras: list[PooledCamera] = []
-    pairs, alone = store.pairs("matched"), store.rows("matched")
+    pairs, earlier = store.pairs("matched"), store.rows("matched")
     if plan.uncertain:
         cameras = folder_cameras(poses, plan.cameras)
         plan = replace(plan, pooled=by_image(cameras))
-        flipped = [row.index for row in alone if row.status == "mirrored"]
-        others = [row.index for row in alone if row.status != "mirrored"]
+        flipped = [row.index for row in earlier if row.status == "mirrored"]
+        others = [row.index for row in earlier if row.status != "mirrored"]
         first = list(poses.estimate(plan.final_cameras, fit=False, only=flipped))
         for pair in first:  # with the folder's cameras, a pair may no longer be mirrored
-            alone[pair.row.index] = pair.row
+            earlier[pair.row.index] = pair.row
         pairs = chain(first, poses.estimate(plan.final_cameras, fit=False, only=others))
-    for done, pair in enumerate(_compared(pairs, alone), start=1):
+    for done, pair in enumerate(_with_folder_checks(pairs, earlier), start=1):
         store.add("result", [pair])
         if plan.uncertain:
             progress("poses", done, len(plan.pairs))
     return plan, cameras
 
 
-def _compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterator[MatchedPair]:
+def _with_folder_checks(
+    pairs: Iterable[MatchedPair], earlier: Sequence[PairRow]
+) -> Iterator[MatchedPair]:
     """Yield the pairs. A pose between a mirrored photograph and another becomes "mirrored"; a pose
-    that lost most of its inliers gets a warning. alone: the earlier rows, to compare with."""
-    mirrored = _mirrored(alone)
-    inliers = {row.names: row.num_inliers if row.success else 0 for row in alone}
+    that lost most of its inliers gets a warning. earlier: the earlier rows, to compare with."""
+    mirrored = _mirrored(earlier)
+    inliers = {row.names: row.num_inliers if row.success else 0 for row in earlier}
     for pair in pairs:
         row, pose = pair.row, pair.row.pose
         one = mirrored.intersection(row.names)
@@ -186,7 +188,9 @@ def _compared(pairs: Iterable[MatchedPair], alone: Sequence[PairRow]) -> Iterato
             none = np.zeros_like(pose.inliers)
             pose = RelativePose("mirrored", why, none, pose.num_matches)
             row = replace(row, status=pose.status, reason=why, pose=pose)
-        elif pose is not None and row.num_inliers < _FEW_LEFT * (before := inliers[row.names]):
+        elif pose is not None and row.num_inliers < _MIN_KEPT_INLIERS * (
+            before := inliers[row.names]
+        ):
             few = f"only {row.num_inliers} of {before} inliers remain with the folder's cameras"
             row = replace(row, pose=replace(pose, warnings=(*pose.warnings, few)))
         yield replace(pair, row=row)
@@ -214,7 +218,7 @@ def _mirrored(rows: Sequence[PairRow]) -> set[str]:
 
 
 @contextmanager
-def _folder_alone(out: Path) -> Iterator[None]:
+def _locked_folder(out: Path) -> Iterator[None]:
     """Lock the folder for this process. Creates it if missing; removes it if it stays empty."""
     is_used = out.exists() and (not out.is_dir() or any(p.name[0] != "." for p in out.iterdir()))
     if is_used and not (out / STORE).is_file():

@@ -22,7 +22,7 @@ from dgc_pose.cameras.prior import by_lines
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.decoding import Header, image_header
-from dgc_pose.images.folder import copies_of_others, left_out_line, search_images
+from dgc_pose.images.folder import identical_copies, search_images, skipped_line
 from dgc_pose.images.image import load_image, mask_file, masked, size_in_file
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
@@ -44,7 +44,7 @@ class Source:
     names: tuple[str, ...]
     pairs: tuple[tuple[str, str], ...] | None  # None: to be chosen
     cameras: Mapping[str, Camera]  # from the source itself
-    left_out: tuple[str, ...] = ()  # skipped files of a folder, a line for each reason
+    skipped: tuple[str, ...] = ()  # skipped files of a folder, a line for each reason
     masks: Path | None = None  # folder of the images' masks
 
 
@@ -70,7 +70,7 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
         source = Source(root or path.parent, listed.names, listed.pairs or None, listed.cameras)
     if len(source.names) < 2:
         what = "no image" if not source.names else "one image"
-        raise InputError("; ".join([f"{path}: {what}, and a pair needs two", *source.left_out]))
+        raise InputError("; ".join([f"{path}: {what}, and a pair needs two", *source.skipped]))
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(
             _ROOT,
@@ -96,14 +96,14 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     files = {os.path.realpath(file) for n in content.names if (file := mask_file(masks, n))}
     others = {n for n in content.names if files and os.path.realpath(root / n) in files}
     names = [name for name in content.names if name not in others.union(results)]
-    copies = copies_of_others(root, names)
+    copies = identical_copies(root, names)
     why = {
         f"results, beside {STORE}": results,
         "copies of other photographs": copies,
     }
-    lines = [left_out_line("file", found, reason) for reason, found in why.items() if found]
+    lines = [skipped_line("file", found, reason) for reason, found in why.items() if found]
     kept = tuple(name for name in names if name not in copies)
-    return Source(root, kept, None, {}, (*content.left_out, *lines))
+    return Source(root, kept, None, {}, (*content.skipped, *lines))
 
 
 def survey(
@@ -155,7 +155,7 @@ def _with_lines(source: Source, cameras: Mapping[str, Camera]) -> dict[str, Came
     """The cameras after the evidence of straight lines, in some photographs of each camera."""
     groups = defaultdict[str, list[str]](list)
     for name, camera in cameras.items():
-        if camera.belief is not None:
+        if camera.focal_prior is not None:
             groups[camera.identity or name].append(name)
     some = [n for names in groups.values() for n in names[:: -(-len(names) // _MOST_WITH_LINES)]]
 

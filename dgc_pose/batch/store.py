@@ -27,7 +27,7 @@ from dgc_pose.system.arrays import unpacked
 from dgc_pose.system.files import read_as
 
 _VERSION = 8
-_BY_PHOTOGRAPHS = ("K", "focal_std", "focal_source")
+_FITTED_CAMERA_FIELDS = ("K", "focal_std", "focal_source")
 _RESUME = ArgumentName("resume")
 _TABLES = (
     "facts (name TEXT PRIMARY KEY, value TEXT)",
@@ -150,7 +150,7 @@ def _facts(plan: Plan, names: Collection[str], *, pairs: bool) -> Any:
     cameras = []
     for data in (camera_data(plan.cameras[name]) for name in names if name in plan.cameras):
         # Without a given K, the photographs determine the camera, and the lines of one affect all.
-        open_ = _BY_PHOTOGRAPHS if data["focal_source"] != "given" else ()
+        open_ = _FITTED_CAMERA_FIELDS if data["focal_source"] != "given" else ()
         cameras.append({k: v for k, v in data.items() if k not in ("warnings", *open_)})
     settings = {k: v for k, v in plan.settings.items() if k != "command"}
     named = [plan.pair(i) for i in range(len(plan.pairs))] if pairs else []
@@ -270,7 +270,7 @@ class BatchStore:
             points1, points2, confidence = (arrays[name] for name in _FIELDS)
             matches = Matches(points1, points2, confidence, error_px, bool(key_points))
             if not math.isnan(around):
-                matches = replace(matches, surroundings=around)
+                matches = replace(matches, context_ratio=around)
             sample = None
             if map_error_px:
                 points1, points2, confidence = (arrays[f"map_{name}"] for name in _FIELDS)
@@ -304,7 +304,7 @@ def _arrays(pair: MatchedPair) -> dict[str, np.ndarray]:
     if sample is not None:
         arrays |= {f"map_{name}": getattr(sample, name).astype(np.float32) for name in _FIELDS}
     map_error_px = 0.0 if sample is None else sample.error_px
-    around = math.nan if matches.surroundings is None else matches.surroundings
+    around = math.nan if matches.context_ratio is None else matches.context_ratio
     facts = matches.error_px, matches.key_points, map_error_px, around
     return {**arrays, "facts": np.array(facts)}
 

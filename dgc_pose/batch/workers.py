@@ -20,8 +20,8 @@ from dgc_pose.batch.pairs import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
 from dgc_pose.batch.store import BatchStore
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, reason, require
-from dgc_pose.estimation import EstimationOptions, estimate_pose, of_stated
-from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.estimation import EstimationOptions, estimate_pose, reject_contradicted_K
+from dgc_pose.estimation.intrinsics_prior import may_be_crop
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image
 from dgc_pose.matchers import MatcherOptions
@@ -105,7 +105,7 @@ class Worker:
         pair = cameras[names[0]], cameras[names[1]]
         solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
         dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
-        row = row_of(names, of_stated(solved.pose, pair), solved.matches.error_px)
+        row = row_of(names, reject_contradicted_K(solved.pose, pair), solved.matches.error_px)
         return MatchedPair(row, solved.matches, None if dense is None or exact else dense.sample)
 
     def _estimated(self, pair: MatchedPair, cameras: Cameras, fit_cameras: bool) -> MatchedPair:
@@ -118,7 +118,7 @@ class Worker:
             return pair if exact else self._matched(names, cameras)
         # Errors of two cameras are independent, and so are those of images without an identity.
         known = camera1.identity is not None and camera1.identity == camera2.identity
-        known &= all(c.focal_std <= KNOWN_FOCAL_STD and not is_of_part(c) for c in both)
+        known &= all(c.focal_std <= KNOWN_FOCAL_STD and not may_be_crop(c) for c in both)
         matches = replace(pair.matches, weights=self.matcher.fingerprint)
         pose = estimate_pose(
             *(matches, *both, self.job.estimation),
@@ -242,15 +242,15 @@ class CoreWorker:
         return work(self._worker, *task)
 
 
-_of_process: list[CoreWorker] = []  # the worker of this process, once it has been started
+_process_worker: list[CoreWorker] = []  # the worker of this process, once it has been started
 
 
 def _start(job: Job) -> None:
-    _of_process.append(CoreWorker(job))
+    _process_worker.append(CoreWorker(job))
 
 
 def _do(work: Work, *task: Any) -> Any:
-    return _of_process[0].do(work, *task)
+    return _process_worker[0].do(work, *task)
 
 
 @dataclass(frozen=True)

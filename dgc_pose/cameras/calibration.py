@@ -84,7 +84,7 @@ def image_camera(
         calibration = read_calibration(str(value), name, NO_DETAILS if is_auto_of_pair else details)
     else:
         camera = value if isinstance(value, Camera) else matrix_camera(value, name)
-        camera = replace(camera, identity=camera.identity or name, belief=None)
+        camera = replace(camera, identity=camera.identity or name, focal_prior=None)
         calibration = Calibration(name, common=camera, details=details)
     return calibration.camera(Path(), image.name, image, part)
 

@@ -50,7 +50,7 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class FocalBelief:
+class FocalPrior:
     """The prior of ln f, for a camera without a given K: a mixture of two parts, and the lines."""
 
     usual: Part  # from EXIF data, or for most photographs
@@ -92,7 +92,7 @@ class Camera:
             factor. None: the camera took no other image.
         projection: Projection of a panorama as its file states it; "" for any other image.
         aspect_std: Standard deviation of the logarithm of fy / fx; 0: exact.
-        belief: Prior of a focal length that no K states, see `FocalBelief`; K and `focal_std` are
+        focal_prior: For a focal length that no K states, see `FocalPrior`; K and `focal_std` are
             its likeliest part.
     """
 
@@ -107,7 +107,7 @@ class Camera:
     identity: str | None = None
     projection: str = ""
     aspect_std: float = 0.0
-    belief: FocalBelief | None = None
+    focal_prior: FocalPrior | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))

@@ -19,7 +19,7 @@ import PIL.Image
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.cameras.camera import LOG_FOCALS, Camera, FocalBelief, FocalSource, Part
+from dgc_pose.cameras.camera import LOG_FOCALS, Camera, FocalPrior, FocalSource, Part
 from dgc_pose.images.decoding import Exif
 from dgc_pose.system.files import scratch_folder
 from dgc_pose.system.parallel import in_threads, one_blas_thread
@@ -36,7 +36,7 @@ SIZE_FOCAL, SIZE_STD = 0.9, 0.35
 _LONG_SHARE, _LONG_FOCAL, _LONG_STD = 0.15, 2.0, 0.7
 OTHER_STD = 0.55  # of all photographs together, around `SIZE_FOCAL`
 _OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
-_BY_LINES = 0.8  # the lines determine f if they reduce its deviation below this share
+_LINES_STD_RATIO = 0.8  # the lines determine f if they reduce its deviation below this share
 # Standard deviations of the first radial coefficient: photographs as cameras wrote them, action
 # cameras, and images without EXIF data, most of which have been corrected.
 LENS_STD, _ACTION_LENS_STD, _SIZE_LENS_STD = 0.1, 0.3, 0.05
@@ -131,7 +131,7 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         focal_source=source,
         identity={"files": identity, "shared": SHARED, "two": None}[sharing],
         projection=image.projection,
-        belief=FocalBelief(usual, tail, np.zeros(len(LOG_FOCALS))),
+        focal_prior=FocalPrior(usual, tail, np.zeros(len(LOG_FOCALS))),
     )
 
 
@@ -140,15 +140,17 @@ def with_lines(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camer
     """Update cameras with the lines of their images, see `by_lines`; a given K stays."""
     from dgc_pose.cameras.lines import log_likelihoods
 
-    open_ = [image for c, image in zip(cameras, images, strict=True) if c.belief is not None]
+    open_ = [image for c, image in zip(cameras, images, strict=True) if c.focal_prior is not None]
     found = iter(in_threads(log_likelihoods, open_))
-    return by_lines(cameras, [None if camera.belief is None else next(found) for camera in cameras])
+    return by_lines(
+        cameras, [None if camera.focal_prior is None else next(found) for camera in cameras]
+    )
 
 
 def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> list[Camera]:
     """Update cameras with the lines of their images; images of one `identity` share their lines.
 
-    Each camera takes the likelier part of its belief; a camera without a belief stays. A camera
+    Each camera takes the likelier part of its prior; a camera without one stays. A camera
     whose EXIF data contradict the lines gets a warning.
 
     lines: log-likelihoods (G,) of each image, see `log_likelihoods`; None if unknown.
@@ -159,23 +161,23 @@ def by_lines(cameras: Sequence[Camera], lines: Sequence[np.ndarray | None]) -> l
         if own is not None and own.any():
             together[key].append(own)
     return [
-        _by_lines(camera, camera.belief, own, together[key])
-        if camera.belief and together[key]
+        _by_lines(camera, camera.focal_prior, own, together[key])
+        if camera.focal_prior and together[key]
         else camera
         for key, camera, own in zip(keys, cameras, lines, strict=True)
     ]
 
 
 def _by_lines(
-    camera: Camera, belief: FocalBelief, own: np.ndarray | None, lines: Sequence[np.ndarray]
+    camera: Camera, focal_prior: FocalPrior, own: np.ndarray | None, lines: Sequence[np.ndarray]
 ) -> Camera:
     """own: log-likelihoods (G,) of the camera's image; lines: of all images of the camera."""
-    part, _ = belief.parts(lines)
-    found, before = of_part(camera, part), belief.usual
+    part, _ = focal_prior.parts(lines)
+    found, before = of_part(camera, part), focal_prior.usual
     if own is not None:
-        found = replace(found, belief=replace(belief, lines=own))
+        found = replace(found, focal_prior=replace(focal_prior, lines=own))
     if camera.focal_source != "exif":
-        by_lines = part.std < _BY_LINES * before.std
+        by_lines = part.std < _LINES_STD_RATIO * before.std
         return replace(found, focal_source="lines") if by_lines else found
     if abs(part.log_focal - before.log_focal) <= 3 * math.hypot(before.std, part.std):
         return found
@@ -187,7 +189,7 @@ def _by_lines(
 
 
 def of_part(camera: Camera, part: Part) -> Camera:
-    """The camera with the focal length and deviation of `part`, a part of its belief."""
+    """The camera with the focal length and deviation of `part`, a part of its prior."""
     assert camera.size is not None
     (width, height), (fx, fy) = camera.size, camera.K.diagonal()[:2].tolist()
     along_y = math.exp(part.log_focal) * max(width * fy / fx, height)
@@ -229,8 +231,8 @@ def _with_focal(camera: Camera, other: Camera) -> Camera:
         return camera
     K, focals = camera.K.copy(), other.K.diagonal()[:2]
     K[[0, 1], [0, 1]] = focals if camera.size == other.size else focals[::-1]
-    std, source, belief = other.focal_std, other.focal_source, other.belief
-    return replace(camera, K=K, focal_std=std, focal_source=source, belief=belief)
+    std, source, focal_prior = other.focal_std, other.focal_source, other.focal_prior
+    return replace(camera, K=K, focal_std=std, focal_source=source, focal_prior=focal_prior)
 
 
 def _whole(exif: Exif, size: tuple[float, float]) -> _Whole | None:

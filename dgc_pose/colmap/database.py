@@ -16,7 +16,7 @@ from dgc_pose.batch.workers import KNOWN_FOCAL_STD
 from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.colmap.tracking import PairGeometry, SharedMatches, track_corners
 from dgc_pose.errors import DgcPoseError, InputError, reason
-from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.estimation.intrinsics_prior import may_be_crop
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
 from dgc_pose.images.cache import ImageCache
@@ -43,7 +43,7 @@ def share(
     """
     pairs = pair_geometries(batch)
     if not pairs:
-        down = sum(row.turned_down for row in batch.rows)
+        down = sum(row.rejected for row in batch.rows)
         first = "".join(f"; the first: {row.reason}" for row in batch.rows[:1])
         first = f"; {down} are rejected as look-alikes" if down else first
         raise NoPairError(f"{batch.folder}: no pair of this batch has an accepted pose{first}")
@@ -66,7 +66,7 @@ def pair_geometries(batch: Batch) -> list[PairGeometry]:
     geometries, final = [], batch.plan.final_cameras
     for pair in batch.pairs():
         row, pose = pair.row, pair.row.pose
-        if pose is not None and pose.status in CONFIGURATIONS and not row.turned_down:
+        if pose is not None and pose.status in CONFIGURATIONS and not row.rejected:
             cameras = row.fitted_cameras or (final[row.name1], final[row.name2])
             geometries.append(PairGeometry(row, cameras, pair.matches.subset(pose.inliers)))
     return geometries
@@ -166,9 +166,9 @@ def _write_images(
         camera = colmap_camera(cameras[name], name)
         ours = cameras[name]
         camera.has_prior_focal_length = ours.focal_std < KNOWN_FOCAL_STD
-        alone = name if not ours.exact and (ours.identity is None or is_of_part(ours)) else None
+        own_name = name if not ours.exact and (ours.identity is None or may_be_crop(ours)) else None
         size = (camera.width, camera.height)
-        key = (alone, camera.model.name, *size, *camera.params.tolist())
+        key = (own_name, camera.model.name, *size, *camera.params.tolist())
         if key not in camera_ids:
             camera_ids[key] = camera.camera_id = database.write_camera(camera)
             rig = pycolmap.Rig(rig_id=camera_ids[key])

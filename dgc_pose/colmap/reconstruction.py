@@ -14,7 +14,7 @@ from dgc_pose.colmap.database import share, write_shared
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError, reason
-from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.estimation.intrinsics_prior import may_be_crop
 from dgc_pose.estimation.scale import marker_side
 from dgc_pose.images.decoding import image_header, read_pixels
 from dgc_pose.images.markers import find_markers
@@ -29,7 +29,7 @@ OUTPUTS = (DATABASE, MODEL, POINTS, SUMMARY)  # in the order in which they are w
 MIN_IMAGES = 3  # of a model
 _SEED = 0
 _MAX_ERROR_M = 15.0  # inlier threshold of RANSAC for GPS positions
-_AS_WELL = 1.5  # ratio of median residuals up to which another similarity fits as well
+_MAX_RESIDUAL_RATIO = 1.5  # ratio of median residuals up to which another similarity fits as well
 _OWN_FRAME = "the model's own"
 _MIN_WIDTH = 0.02  # positions whose width is a smaller share of their length lie on a line
 
@@ -65,7 +65,7 @@ def reconstruct(
         write_shared(batch, shared, out / DATABASE)
         found = map_database(out / DATABASE, plan.root, mapping)
         cameras, whole = plan.final_cameras.items(), options.refine_centres
-        cut = [n for n, c in cameras if is_of_part(c) or (whole and not c.exact)]
+        cut = [n for n, c in cameras if may_be_crop(c) or (whole and not c.exact)]
         for model in found:
             if cut:
                 adjust(model, cut, centres=True)
@@ -123,28 +123,28 @@ def write_summary(
     for image in colmap.images.values():
         if image.has_pose:
             taken.setdefault(image.camera_id, []).append(image.name)
-    left_out = {}
+    missing = {}
     for name in names:
         if not any(name in model.poses for model in models):
             rows = [row for row in batch.rows if name in row.names]
             posed = sum(row.success for row in rows)
-            left_out[name] = f"a pose in {posed} of its {len(rows)} pairs"
+            missing[name] = f"a pose in {posed} of its {len(rows)} pairs"
             if flipped := sum(row.status == "mirrored" for row in rows):
-                left_out[name] += f", mirrored in {flipped}"
-            if down := sum(row.turned_down for row in rows):
-                left_out[name] += f", rejected in {down}"
+                missing[name] += f", mirrored in {flipped}"
+            if down := sum(row.rejected for row in rows):
+                missing[name] += f", rejected in {down}"
     data = {
         "images": len(names),
         "registered": len(largest.poses),
-        "not_registered": [*left_out],
-        "not_registered_pairs": left_out,
+        "not_registered": [*missing],
+        "not_registered_pairs": missing,
         "models": [{"images": sorted(m.poses), "points": len(m.points)} for m in models],
         "points": len(largest.points),
         "mean_track_length": round(colmap.compute_mean_track_length(), 3),
         "reprojection_error_px": round(colmap.compute_mean_reprojection_error(), 4),
         "pairs": batch.summary["pairs"],
         "poses": batch.summary["poses"],
-        "turned_down": batch.summary["turned_down"],
+        "rejected": batch.summary["rejected"],
         "key_points": sum(map(len, shared.key_points.values())),
         "matches": sum(map(len, shared.pairs.values())),
         "bad_images": batch.summary["bad_images"],
@@ -324,5 +324,5 @@ def _upright(
     by_half = pycolmap.Sim3d(1.0, pycolmap.Rotation3d(half), at.mean(0) - half @ at.mean(0))
     off, off_turned = (np.median(np.linalg.norm(p - places, axis=1)) for p in (at, by_half * at))
     is_down = (lower @ normal) * normal[2] <= 0
-    is_kept = is_down or width <= _MIN_WIDTH * length or off_turned > _AS_WELL * off
+    is_kept = is_down or width <= _MIN_WIDTH * length or off_turned > _MAX_RESIDUAL_RATIO * off
     return aligned if is_kept else by_half * aligned

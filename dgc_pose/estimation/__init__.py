@@ -8,7 +8,7 @@ poses that explain the matches), `covariance`, `evidence`, `probability`, `verdi
 
 from dgc_pose.estimation.options import EstimationOptions
 from dgc_pose.estimation.problem import Hypothesis
-from dgc_pose.estimation.relative_pose import estimate_pose, of_stated
+from dgc_pose.estimation.relative_pose import estimate_pose, reject_contradicted_K
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.scale import ScaleSource
 from dgc_pose.estimation.status import Status
@@ -20,5 +20,5 @@ __all__ = [
     "ScaleSource",
     "Status",
     "estimate_pose",
-    "of_stated",
+    "reject_contradicted_K",
 ]

@@ -17,7 +17,7 @@ from dgc_pose.cameras.camera import Camera, Part
 from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
 from dgc_pose.cameras.prior import CENTRE_STD, OTHER_STD, of_part
 from dgc_pose.estimation.camera_fit import JointPose
-from dgc_pose.estimation.intrinsics_prior import is_of_part
+from dgc_pose.estimation.intrinsics_prior import may_be_crop
 from dgc_pose.estimation.problem import image_size
 
 # The cameras that the matches agree with. Without K, others than assumed have an unusual focal
@@ -66,7 +66,7 @@ _CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
 _STATED_STD, _STATED_CENTRE_STD, _STATED_LENS_STD = 0.5, 0.05, 0.15
 # Distances of K's principal point from the middle, over the longer side: off it, and far off it.
 _OFF, _FAR_OFF = 0.01, 0.04
-OF_STATED = tuple(_STATED)
+STATED_K_MODELS = tuple(_STATED)
 _OTHER_FOCAL = 0.02  # least difference of ln f of two K that may be swapped
 _MIN_FOCAL_ERROR = 0.08  # least error of ln f that is worth a warning
 _UNCERTAIN_STD = 0.1  # deviation of ln f beyond which there is a warning
@@ -103,30 +103,32 @@ def other_models(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
             yield CameraModel(name, (with_model(first, name), with_model(second, name)), odds)
         yield from _other_focals(stated)
     elif all(camera.focal_source == "given" for camera in stated):
-        yield from _others_than_stated(stated)
+        yield from _alternatives_to_K(stated)
 
 
 def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """Models with the less likely part of a focal length's prior; and with one for each image."""
     first, second = stated
-    beliefs = [camera.belief for camera in stated if camera.belief is not None]
+    focal_priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
     if first.identity is None or first.identity != second.identity:
         for number, camera in enumerate(stated):
-            if camera.belief is not None:
-                usual, tail = _parts(camera, [camera.belief.lines])
+            if camera.focal_prior is not None:
+                usual, tail = _parts(camera, [camera.focal_prior.lines])
                 other = of_part(camera, tail)
                 cameras = (first, other) if number else (other, second)
                 yield CameraModel("tail", cameras, tail.log_weight - usual.log_weight)
         return
-    if len(beliefs) < 2:
+    if len(focal_priors) < 2:
         return
-    usual, tail = _parts(first, [belief.lines for belief in beliefs])
+    usual, tail = _parts(first, [focal_prior.lines for focal_prior in focal_priors])
     odds = tail.log_weight - usual.log_weight
     yield CameraModel("tail", (of_part(first, tail), of_part(second, tail)), odds)
     exif = first.focal_source == "exif"
     own = [
-        belief.tail.given(belief.lines) if exif else belief.parts([belief.lines])[0]
-        for belief in beliefs
+        focal_prior.tail.given(focal_prior.lines)
+        if exif
+        else focal_prior.parts([focal_prior.lines])[0]
+        for focal_prior in focal_priors
     ]
     odds = (_TWO_OF_EXIF if exif else _TWO) - usual.log_weight
     odds += sum(part.log_weight for part in own)
@@ -139,16 +141,16 @@ def _other_focals(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
 
 def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
     """The part of the prior that the camera's focal length is from, and the other part."""
-    assert camera.belief is not None
+    assert camera.focal_prior is not None
 
     def distance(part: Part) -> float:
         return abs(math.log(of_part(camera, part).focal / camera.focal))
 
-    one, other = sorted(camera.belief.parts(lines), key=distance)
+    one, other = sorted(camera.focal_prior.parts(lines), key=distance)
     return one, other
 
 
-def _others_than_stated(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
+def _alternatives_to_K(stated: tuple[Camera, Camera]) -> Iterator[CameraModel]:
     """Models with other cameras than K states."""
     first, second = stated
     same_size, ratio = first.size == second.size, abs(math.log(first.focal / second.focal))
@@ -238,7 +240,7 @@ def _is_open(camera: Camera) -> bool:
 def is_edited(camera: Camera) -> bool:
     """Whether the picture may be squeezed or cropped: no EXIF data show that a camera wrote it."""
     by_picture = camera.focal_source in ("size", "lines")
-    return _is_open(camera) and (by_picture or is_of_part(camera))
+    return _is_open(camera) and (by_picture or may_be_crop(camera))
 
 
 def with_model(camera: Camera, name: ModelName) -> Camera:
@@ -269,8 +271,8 @@ def with_model(camera: Camera, name: ModelName) -> Camera:
         return replace(camera, aspect_std=_ASPECT_STD)
     if name == "off_centre":  # a crop has its own principal point
         return replace(camera, centre_std=max(camera.centre_std, _CENTRE_STD * longer))
-    if name == "tail" and camera.belief is not None:
-        return of_part(camera, _parts(camera, [camera.belief.lines])[1])
+    if name == "tail" and camera.focal_prior is not None:
+        return of_part(camera, _parts(camera, [camera.focal_prior.lines])[1])
     if name == "two":  # another zoom, or a crop of one image that EXIF data do not show
         return replace(camera, focal_std=OTHER_STD, identity=None)
     if name not in WIDE:

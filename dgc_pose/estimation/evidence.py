@@ -25,7 +25,7 @@ _MIN_ERROR = 0.05  # of the threshold: matches count as no more accurate than th
 _PAIRS = 20_000  # wrong pairs that measure the chance level, if there are enough
 _AT_A_TIME = 4000  # wrong pairs
 _MIN_ROUNDS = 8  # in each, a point has another wrong partner
-# `Matches.surroundings` of right pairs falls with the logarithm of the rotation: method.md
+# `Matches.context_ratio` of right pairs falls with the logarithm of the rotation: method.md
 _LESS_ALIKE, _LESS_ALIKE_DEG = 0.14, 3.0
 
 
@@ -62,7 +62,8 @@ class Evidence:
         map_agreement: Share of the map's cells, weighted by squared matchability, that agree with
             the pose; None without a map.
         map_chance: The same share if the cells are paired wrongly; None without a map.
-        surroundings: Similarity of the images around the matches, see `alikeness`; None if unknown.
+        context_ratio: Similarity of the images around the matches over that at them, see
+            `rotation_corrected`; None if unknown.
         still_ratio: Share of inliers that a camera without a translation explains (`still_camera`),
             if the cameras were fitted; else 0.
         num_second_inliers: Inliers of another motion among the outliers, more than chance explains;
@@ -99,7 +100,7 @@ class Evidence:
     map_matchability: float | None = None
     map_agreement: float | None = None
     map_chance: float | None = None
-    surroundings: float | None = None
+    context_ratio: float | None = None
     still_ratio: float = 0.0
     num_second_inliers: int = 0
     second_rotation_deg: float = 0.0
@@ -123,7 +124,7 @@ def measured(
 ) -> Evidence:
     """The evidence for and against a hypothesis, except the part that depends on other hypotheses
     or cameras. map_problem: an even sample of the dense map."""
-    threshold, is_inlier, around = problem.threshold, pose.inliers, problem.matches.surroundings
+    threshold, is_inlier, around = problem.threshold, pose.inliers, problem.matches.context_ratio
     inliers = problem.subset(is_inlier)
     count = max(len(inliers), 1)
     chance = chance_ratio(problem, pose.E)
@@ -157,7 +158,7 @@ def measured(
         residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
         confidence=_median(inliers.confidence),
-        surroundings=None if around is None else alikeness(around, pose.R),
+        context_ratio=None if around is None else rotation_corrected(around, pose.R),
     )
     if not map_problem:
         return evidence
@@ -171,10 +172,10 @@ def measured(
     )
 
 
-def alikeness(surroundings: float, R: np.ndarray) -> float:
-    """`Matches.surroundings`, plus the amount by which the rotation R (3, 3) lowers it between
+def rotation_corrected(context_ratio: float, R: np.ndarray) -> float:
+    """`Matches.context_ratio`, plus the amount by which the rotation R (3, 3) lowers it between
     images of one place."""
-    return surroundings + _LESS_ALIKE * math.log1p(rotation_angle_deg(R) / _LESS_ALIKE_DEG)
+    return context_ratio + _LESS_ALIKE * math.log1p(rotation_angle_deg(R) / _LESS_ALIKE_DEG)
 
 
 def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:

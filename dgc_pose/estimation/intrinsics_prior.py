@@ -34,7 +34,7 @@ class IntrinsicsPrior:
         by its `identity`, has one focal length and one lens. It has one principal point unless the
         image sizes differ or an image may be a crop."""
         same = camera1.identity is not None and camera1.identity == camera2.identity
-        one_centre = camera1.size == camera2.size and not any(map(is_of_part, (camera1, camera2)))
+        one_centre = camera1.size == camera2.size and not any(map(may_be_crop, (camera1, camera2)))
         columns = []
         for axis, sides in enumerate(zip(*map(parameter_stds, (camera1, camera2)), strict=True)):
             column = np.zeros((2 * SIZE, 2))
@@ -72,7 +72,7 @@ def of_pose(covariance: np.ndarray, tangent: np.ndarray) -> np.ndarray:
     return expand @ covariance @ expand.T
 
 
-def is_of_part(camera: Camera) -> bool:
+def may_be_crop(camera: Camera) -> bool:
     """Whether the image may be a crop, with a principal point of its own."""
     most = _OF_PART * max(camera.size or (0,))
     return camera.focal_source != "given" and camera.centre_std > most

@@ -23,7 +23,7 @@ from dgc_pose.estimation.camera_fit import (
     solved_start,
     start_at,
 )
-from dgc_pose.estimation.camera_model import OF_STATED, WIDE, CameraModel, other_models
+from dgc_pose.estimation.camera_model import STATED_K_MODELS, WIDE, CameraModel, other_models
 from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior, of_pose
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
@@ -46,7 +46,7 @@ _MIN_SHOWN = 0.02  # least probability of a model that the expected errors inclu
 _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
 # has this many times as many inliers.
-_AS_WELL, _MORE = 1.0, 1.2
+_MAX_RESIDUAL_RATIO, _MORE = 1.0, 1.2
 _EXPLAINED = 0.8  # share of inliers in the sample above which no distant cameras are searched
 _HOPELESS = 6.0  # log-odds against another model, by the slopes, above which it is not fitted
 _DOUBTFUL = -1.0  # log-odds of another model, from the matches only, above which it is searched
@@ -93,8 +93,8 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
     models = [assumed, *fits]
     shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
     best = models[int(np.argmax(shares))]
-    least = _MIN_STATED_SHARE if best.name in OF_STATED else _MIN_SHARE
-    if shares[0] > least or (best.name in OF_STATED and best.stds < _LEAST_STDS):
+    least = _MIN_STATED_SHARE if best.name in STATED_K_MODELS else _MIN_SHARE
+    if shares[0] > least or (best.name in STATED_K_MODELS and best.stds < _LEAST_STDS):
         best = assumed
     assert best.pose is not None  # because the evidence is finite
     covariance, agreement = np.zeros((6, 6)), 0.0
@@ -193,7 +193,7 @@ class _Sample:
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
-        if losses[near].sum() > before[near].sum() + _AS_WELL and not has_more:
+        if losses[near].sum() > before[near].sum() + _MAX_RESIDUAL_RATIO and not has_more:
             return model
         width = self.width * joint.problem.threshold
         hessian, _, tangent = joint.slopes(pose, width, joint.prior)

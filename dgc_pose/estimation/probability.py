@@ -27,7 +27,7 @@ _FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))
 DOUBTFUL = 0.8  # probability of one place below which it is a reason against the pose
 # A wrong prior of the focal length is wrong for all pairs of a camera, so the fit is too certain.
 # Log-odds to subtract, growing from 0 to all between these errors of ln f (nine cases of ten, %).
-_OPEN_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
+_PRIOR_FOCAL_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
@@ -106,8 +106,8 @@ FEATURES: Mapping[str, Feature] = {
         "raw_focal_90_percent", -1, "the matches hardly determine the focal length", (0.3, 100)
     ),
 }
-OF_AUTO = ("camera_agreement", "focal_error")  # features of fitted focal lengths
-OF_MAPS = ("matchability", "map_agreement", "map_over_chance")
+FITTED_FOCAL_FEATURES = ("camera_agreement", "focal_error")  # features of fitted focal lengths
+MAP_FEATURES = ("matchability", "map_agreement", "map_over_chance")
 
 
 CHOICE_FEATURES = ("likelihood", "map_agreement")
@@ -147,9 +147,9 @@ class SamePlace:
     def probability(self, evidence: Evidence) -> float:
         """The probability; 1 if the similarity is unknown. Pairs in use show two places less often
         than the pairs of the fit."""
-        if evidence.surroundings is None:
+        if evidence.context_ratio is None:
             return 1.0
-        log_odds = self.intercept + self.slope * evidence.surroundings + _FEWER_TWO_PLACES
+        log_odds = self.intercept + self.slope * evidence.context_ratio + _FEWER_TWO_PLACES
         return 1 / (1 + math.exp(-log_odds))
 
 
@@ -180,7 +180,7 @@ class ProbabilityModel:
         # How far the prior, not the matches, determines the focal length: 0 to 1.
         low, high = _OPEN_FOCAL_PERCENT
         error = _log(evidence.raw_focal_90_percent or low, low, high)
-        total -= _OPEN_LOG_ODDS * ((error - math.log(low)) / math.log(high / low))
+        total -= _PRIOR_FOCAL_LOG_ODDS * ((error - math.log(low)) / math.log(high / low))
         fitted = 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
         within = map(_within, self.errors_90_deg(evidence))
         return min(fitted, evidence.camera_agreement, *within)
@@ -206,7 +206,7 @@ class ProbabilityModel:
         ten if the pose is right: off by at most 10 degrees."""
         raw = evidence.raw_rotation_90_deg, evidence.raw_translation_90_deg
         factors = [
-            of_right(error) / before if before else 1.0
+            bound_if_right(error) / before if before else 1.0
             for error, before in zip(self.errors_90_deg(evidence), raw, strict=True)
         ]
         scale = np.repeat(factors, 3)
@@ -272,7 +272,7 @@ def calibrated_focal_std(std: float) -> float:
     return std * shipped_models().focal_error.factor(max(100 * NORMAL_90 * std, 1.0))
 
 
-def of_right(error_90_deg: float) -> float:
+def bound_if_right(error_90_deg: float) -> float:
     """The bound of a normal error in nine cases of ten if it is at most `RIGHT_DEG`, from the bound
     without this condition."""
     share = 0.9 * _within(error_90_deg)

@@ -71,17 +71,17 @@ def estimate_pose(
     pose = None
     if stay.any():
         of_map = map_matches and map_matches.subset(~staying(map_matches, *cameras))
-        moving = replace(matches.subset(~stay), surroundings=None)  # measured with the others
+        moving = replace(matches.subset(~stay), context_ratio=None)  # measured with the others
         problem = TwoViewProblem.of(moving, *cameras, options)
         pose = _estimated(problem, of_map, fit_cameras)
-        pose = None if _are_far(pose, camera1) else _of_the_moving(pose, stay)
+        pose = None if _are_far(pose, camera1) else _with_static_matches(pose, stay)
     if pose is None:
         problem = TwoViewProblem.of(matches, *cameras, options)
         pose = _estimated(problem, map_matches, fit_cameras)
     return replace(pose, warnings=tuple(dict.fromkeys((*pose.warnings, *odd))))
 
 
-def of_stated(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose:
+def reject_contradicted_K(pose: RelativePose, stated: tuple[Camera, Camera]) -> RelativePose:
     """The pose, rejected if the matches agree with other cameras than K states: further pairs would
     not use these cameras. stated: the cameras before the estimation."""
     evidence, cameras = pose.evidence, pose.cameras
@@ -117,7 +117,7 @@ def _are_far(pose: RelativePose, camera: Camera) -> bool:
     return rotation_angle_deg(pose.hypotheses[0].R) < allowed + min(error, _MOST_ERROR_DEG)
 
 
-def _of_the_moving(pose: RelativePose, stay: np.ndarray) -> RelativePose:
+def _with_static_matches(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     """The pose of the matches that move, as a pose of all matches. stay: (N,) bool, the others. If
     most matches stay, the camera may have stood still instead."""
     count = int(stay.sum()) + pose.num_matches  # without those that are not finite
@@ -199,7 +199,8 @@ def uncertainty(found: Candidates) -> Uncertainty:
     covariances = pose_covariance(problem, best, prior, fitted=found.fitted)
     if found.fitted:
         first, second = (
-            replace(c, focal_source="matches", belief=None) if c.focal_std else c for c in cameras
+            replace(c, focal_source="matches", focal_prior=None) if c.focal_std else c
+            for c in cameras
         )
         cameras = first, second
     if covariances is None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_model import OF_STATED
+from dgc_pose.estimation.camera_model import STATED_K_MODELS
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.problem import Hypothesis
@@ -129,7 +129,7 @@ class RelativePose:
     @property
     def contradicts_K(self) -> bool:
         """Whether the matches agree with other cameras than those of K."""
-        return self.evidence is not None and self.evidence.camera_model in OF_STATED
+        return self.evidence is not None and self.evidence.camera_model in STATED_K_MODELS
 
     @property
     def one_place_probability(self) -> float | None:

@@ -24,7 +24,7 @@ class FolderImages:
     """The images of a folder, and the skipped files."""
 
     names: tuple[str, ...]  # of the images, relative to the folder, sorted
-    left_out: tuple[str, ...]  # skipped files, one line for each reason, see `left_out_line`
+    skipped: tuple[str, ...]  # skipped files, one line for each reason, see `skipped_line`
 
 
 def search_images(folder: str | Path) -> FolderImages:
@@ -35,7 +35,7 @@ def search_images(folder: str | Path) -> FolderImages:
     """
     root = Path(folder)
     names: list[str] = []
-    left_out = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
+    skipped = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
     searched: set[str] = set()
     # Links to folders come last, so that a file is named by the folder that contains it.
     folders, links = [root], list[Path]()
@@ -51,22 +51,22 @@ def search_images(folder: str | Path) -> FolderImages:
             if parent == root:
                 raise
             name = parent.relative_to(root).as_posix()
-            left_out["folder", failure.strerror or str(failure)].append(name)
+            skipped["folder", failure.strerror or str(failure)].append(name)
             continue
         for path in (parent / entry for entry in entries if not entry.startswith(".")):
             name = path.relative_to(root).as_posix()
             if not os.path.isdir(path):
-                why = _why_not(path, name)
-                (names if why is None else left_out["file", why]).append(name)
+                why = _skip_reason(path, name)
+                (names if why is None else skipped["file", why]).append(name)
             elif path.name.lower() in _PREVIEWS:
-                left_out["folder", "previews that a device made"].append(name)
+                skipped["folder", "previews that a device made"].append(name)
             else:
                 (links if path.is_symlink() else folders).append(path)
-    lines = (left_out_line(kind, paths, why) for (kind, why), paths in left_out.items())
+    lines = (skipped_line(kind, paths, why) for (kind, why), paths in skipped.items())
     return FolderImages(tuple(sorted(names)), tuple(lines))
 
 
-def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
+def identical_copies(root: Path, names: Collection[str]) -> set[str]:
     """The images with the same bytes as another one. In each group of equal files, the file with
     the shortest name, then the first, is not a copy: "x.jpg" beside "x (1).jpg"."""
     by_size = defaultdict[int, list[str]](list)
@@ -82,12 +82,12 @@ def copies_of_others(root: Path, names: Collection[str]) -> set[str]:
     return copies
 
 
-def left_out_line(kind: str, names: Collection[str], why: str) -> str:
+def skipped_line(kind: str, names: Collection[str], why: str) -> str:
     """State how many files or folders are skipped, the first of them, and the reason."""
     return f"{len(names)} {kind}{'s' * (len(names) > 1)} skipped (first: {min(names)}): {why}"
 
 
-def _why_not(path: Path, name: str) -> str | None:
+def _skip_reason(path: Path, name: str) -> str | None:
     try:
         name.encode()
         with open_file(path, ImageError) as stream:

@@ -17,7 +17,7 @@ from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.cameras.prior import with_lines
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose, of_stated
+from dgc_pose.estimation import EstimationOptions, RelativePose, reject_contradicted_K
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, load_image, mask_file, masked
 from dgc_pose.localization.location import Location
@@ -89,21 +89,21 @@ class Locator:
         K: CameraSource = None,
         details: KDetails | None = None,
         *,
-        left_out: Sequence[str] = (),
+        excluded: Sequence[str] = (),
         whole: bool = False,
     ) -> Location:
-        """Estimate the pose of a query, as `locate`. details: of K. left_out: names of model images
+        """Estimate the pose of a query, as `locate`. details: of K. excluded: names of model images
         not to match, besides the query itself. whole: whether the query is certainly neither
         cropped nor squeezed."""
         start, seconds = time.perf_counter(), dict[str, float]()
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
         same = [n for n in self.model.poses if _same_file(self.model.root / n, Path(image.name))]
-        names = [n for n in self.model.poses if n not in {*left_out, *same}]
+        names = [n for n in self.model.poses if n not in {*excluded, *same}]
         if not names:
             raise InputError("the model has no other image than the query")
         warnings, contradictions = list[str](), list[str]()
-        if same and same[0] not in left_out:
+        if same and same[0] not in excluded:
             warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
         stated = image_camera(K, image, "K", details or KDetails())
         (camera,) = with_lines([stated], [image])
@@ -125,7 +125,7 @@ class Locator:
             options = replace(self.options, effort=effort)
             pair = solve_pair(self.image(name), image, cameras, self.matcher, options)
             matched = time.perf_counter()
-            pose = of_stated(pair.pose, cameras)
+            pose = reject_contradicted_K(pair.pose, cameras)
             if pose is not pair.pose:
                 contradictions.append(f"{name}: {pose.reason}")
             search.add(name, pose, pair.matches, *self._points(name, image, pose, pair.matches))

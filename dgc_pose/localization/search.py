@@ -136,7 +136,7 @@ class LocationSearch:
                 lens_std=lens,
                 aspect_std=aspect,
                 focal_source="matches",
-                belief=None,
+                focal_prior=None,
             )
 
     @property

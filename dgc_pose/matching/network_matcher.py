@@ -22,7 +22,7 @@ from dgc_pose.matching.correspondence_map import (
 from dgc_pose.matching.dense import dense_map, map_features
 from dgc_pose.matching.features import LONG_SIDE, feature_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
-from dgc_pose.matching.texture import surroundings
+from dgc_pose.matching.texture import context_ratio
 from dgc_pose.matching.view import View
 from dgc_pose.runtime.engine import Engine
 from dgc_pose.system.parallel import in_threads, one_blas_thread
@@ -142,6 +142,6 @@ class NetworkMatcher(Matcher):
         if len(chosen) < MIN_MATCHES:
             return None
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
-        share = surroundings(views, self._textures(image1, image2), chosen, scale)
-        chosen = replace(chosen, surroundings=share)
+        share = context_ratio(views, self._textures(image1, image2), chosen, scale)
+        chosen = replace(chosen, context_ratio=share)
         return MatchResult(chosen, dense, chosen if enough else aligned)

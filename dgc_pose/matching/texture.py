@@ -156,7 +156,7 @@ def _varied(row: np.ndarray) -> bool:
     return bool(high - low > _BAR_RANGE)
 
 
-def surroundings(
+def context_ratio(
     views: Sequence[tuple[View, NativeFeatures]],
     textures: Sequence[Texture],
     matches: Matches,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.images.folder import copies_of_others, frames_folder, left_out_line, search_images
+from dgc_pose.images.folder import frames_folder, identical_copies, search_images, skipped_line
 from dgc_pose.images.image import load_image
 from dgc_pose.system.files import naming_path
 
@@ -33,7 +33,7 @@ def camera_frames(
     if not folder.is_dir():
         raise InputError(_FRAMES, f"{folder}: no such folder")
     cameras: dict[str, list[Path]] = {}
-    left_out = []
+    skipped = []
     images = [name for name in search_images(folder).names if "/" not in name]
     not_cameras = {path.resolve() for path in others}
     for entry in sorted(path for path in folder.iterdir() if path.name[0] != "."):
@@ -44,17 +44,17 @@ def camera_frames(
         found = [entry] if entry.name in images else found
         name = camera_name(entry)
         if not found:
-            left_out.append(entry.name)
+            skipped.append(entry.name)
         elif name in cameras:
             raise InputError(_FRAMES, f"{folder}: two cameras have the name {name}")
         else:
             cameras[name] = found[:: -(-len(found) // _MOST_FRAMES)]
     if len(cameras) < 2:
         raise InputError(_FRAMES, f"{folder}: {len(cameras)} cameras found, and a rig has two")
-    if copies := copies_of_others(folder, images):
+    if copies := identical_copies(folder, images):
         raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
     why = "neither a picture, nor a video, nor a folder of pictures"
-    lines = [left_out_line("file", left_out, why)] if left_out else []
+    lines = [skipped_line("file", skipped, why)] if skipped else []
     return cameras, tuple(lines)
 
 

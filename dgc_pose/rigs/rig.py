@@ -120,15 +120,15 @@ def estimate_rig(
         if outer in inner.parents or inner in (outer, *outer.parents):
             neither = f"{path} overlaps the results in {out}"
             raise InputError(ArgumentName(argument), neither)
-    found, left_out = camera_frames(frames, out / _CAMERAS, [*given.values()])
+    found, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
     exact = _exact_cameras(K or {}, found)
     walked = dict[str, Path]()
     if isinstance(walk, Model):
-        left_out = (*left_out, *walk.warnings)
+        skipped = (*skipped, *walk.warnings)
         walked = {name: walk.root / name for name in walk.poses}
     elif walk is not None:
         source = open_source(frames_folder(walk, _WALK_FRAMES, out / f"{_WALK_OF}{walk.name}"))
-        left_out += source.left_out
+        skipped += source.skipped
         walked = {name: source.root / name for name in source.names}
         calibration = read_calibration(walk_K, "walk_K")
     if options.scale or options.gps:  # raise before the matching
@@ -175,18 +175,18 @@ def estimate_rig(
                 raise
             reason = "the cameras' own pictures make no model; photographs between them would"
             none = {name: Location("nowhere", reason, ()) for name in pictures}
-            return Rig(none, warnings=left_out)
+            return Rig(none, warnings=skipped)
 
     loaded = matcher.load(ImageCache())
     locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
     model, cameras = _located(locators, pictures, exact, progress, own=walk is None)
     if (count := len(model.poses)) < len(walked):
-        left_out += (f"{count} of {len(walked)} photographs of the walk are in its model",)
+        skipped += (f"{count} of {len(walked)} photographs of the walk are in its model",)
     if walk is None:
         cameras = in_model_of_batch(cameras, files, model, batch)
     placed = {name: of for name, of in cameras.items() if of.success}
     if not placed:
-        return Rig(cameras, warnings=left_out)
+        return Rig(cameras, warnings=skipped)
 
     if walk is None:
         assert model.colmap is not None  # of `reconstruct`
@@ -204,7 +204,7 @@ def estimate_rig(
     scale = _spread(whole) / before
     poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
     placed = {name: in_metres(of, poses[name], scale) for name, of in placed.items()}
-    model, warnings = _written(whole, paths, out), (*left_out, *_same_poses(placed))
+    model, warnings = _written(whole, paths, out), (*skipped, *_same_poses(placed))
     return Rig({**cameras, **placed}, model, metric, warnings)
 
 
@@ -237,7 +237,7 @@ def _located(
         each.append({})
         for name, picture in pictures.items():
             itself = [picture.name] if own else []
-            location = locator.locate(picture, exact.get(name), left_out=itself, whole=True)
+            location = locator.locate(picture, exact.get(name), excluded=itself, whole=True)
             each[-1][name] = _checked(location, name, picture, locator)
             progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
     best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))

@@ -28,11 +28,11 @@ _NEAR = 0.97  # quantile of the points' distances; farther points would shrink a
 _DEPTHS = 0.1, 0.18  # range of the depth of a camera's pyramid over the points' median distance
 
 
-def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, str]] = ()) -> str:
+def model_page(model: Model, unit: str = "", rejected: Collection[tuple[str, str]] = ()) -> str:
     """Make a self-contained HTML page of a model: its cameras as pyramids with their photographs,
     and at most 20,000 of its points, in the axes of the mean camera.
 
-    unit: of length, or "" if unknown. turned_down: names of pairs rejected as look-alikes, shown as
+    unit: of length, or "" if unknown. rejected: names of pairs rejected as look-alikes, shown as
     dashed lines between their cameras. Raises ImageError if a photograph cannot be read.
     """
     names, axes = sorted(model.poses), mean_axes([*model.poses.values()])
@@ -47,8 +47,8 @@ def model_page(model: Model, unit: str = "", turned_down: Collection[tuple[str, 
     labels = [Path(name).stem for name in names]
     scene = scene_of(labels, np.stack(frusta), model.points @ axes.T, model.colours, _MOST)
     place = {name: number for number, name in enumerate(names)}
-    pairs = [(place[a], place[b]) for a, b in turned_down if a in place and b in place]
-    scene["turned_down"] = pairs
+    pairs = [(place[a], place[b]) for a, b in rejected if a in place and b in place]
+    scene["rejected"] = pairs
     facts = f"{len(model.poses)} cameras, {len(model.points)} points"
     if pairs:
         facts += f"; dashed: {len(pairs)} pair{'s' * (len(pairs) > 1)} rejected as look-alikes"

@@ -12,10 +12,10 @@ from worlds import SIZE, K
 
 from dgc_pose.batch.look_alikes import (
     PlacedPair,
-    by_itself,
     folder_probabilities,
+    has_repeats,
     log_unshared_cells,
-    shows_repeats,
+    own_log_odds,
     solutions,
     triples,
 )
@@ -118,15 +118,15 @@ def _agree(right: np.ndarray) -> np.ndarray:
 def _rights(probability, around, right=EVERY, *, known=True):
     """Whether each pair is right in its folder, and its log-odds by itself.
 
-    around: of surroundings and unshared cells alike; known: whether surroundings are. right: with
+    around: of context_ratio and unshared cells alike; known: whether context_ratio are. right: with
     which the triples agree.
     """
     probability = np.broadcast_to(probability, len(PAIRS))
     around = np.broadcast_to(around, len(PAIRS))
     log_odds = np.log(probability / (1 - probability))
     values = np.column_stack([log_odds, around if known else np.nan * around, around])
-    solved = solutions(values[:, 0], by_itself(values), TRIPLES, _agree(right))
-    return solved[shows_repeats(solved, values)] > 0, by_itself(values)
+    solved = solutions(values[:, 0], own_log_odds(values), TRIPLES, _agree(right))
+    return solved[has_repeats(solved, values)] > 0, own_log_odds(values)
 
 
 def test_two_rooms_that_look_alike_are_parted():
@@ -140,7 +140,7 @@ def test_two_rooms_that_look_alike_are_parted():
 
 
 def test_an_ordinary_folder_keeps_its_pairs():
-    """Of which a third has surroundings that are less alike, and nothing contradicts them."""
+    """Of which a third has context_ratio that are less alike, and nothing contradicts them."""
     around = np.random.default_rng(1).normal(-0.1, 0.2, len(PAIRS))
     found, alone = _rights(0.97, around)
     assert 5 < (alone < 0).sum() < 20 and found.all()
@@ -165,5 +165,5 @@ def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():
     plan = SimpleNamespace(names="abcd", final_cameras=dict.fromkeys("abcd", camera()))
     rows = folder_probabilities(pairs, plan)
     assert [row.folder_probability for row in rows] == [0.8, 0.6, 0.6]
-    assert not any(row.turned_down for row in rows)
+    assert not any(row.rejected for row in rows)
     assert [row.folder_triples for row in rows] == 3 * [(0, 0)]

@@ -22,7 +22,7 @@ def test_a_row_comes_back(row):
     text = row.to_json()
     again = parse_row(text, row.index, "rows")
     assert again.to_json() == text and (again.index, again.names) == (row.index, row.names)
-    assert not again.success and again.turned_down == (row is JUDGED)
+    assert not again.success and again.rejected == (row is JUDGED)
     for name in ("status", "reason", "bad_images", "folder_probability", "folder_triples"):
         assert getattr(again, name) == getattr(row, name)
 

@@ -15,7 +15,7 @@ from worlds import K, K_text
 
 from dgc_pose.batch.pairs import MatchedPair, PairRow
 from dgc_pose.batch.result import Batch, group_name, read_batch, summary_of, write_cameras
-from dgc_pose.batch.run import _compared
+from dgc_pose.batch.run import _with_folder_checks
 from dgc_pose.cameras.calibration import read_calibration
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
@@ -105,8 +105,8 @@ def test_the_folder_judges_each_pair_that_has_a_pose(whole):
     for row in batch.rows:
         assert (row.folder_probability is None) == (not row.success)
         assert row.folder_triples == ((1, 0) if row.success else (0, 0))
-    assert not any(row.turned_down for row in batch.rows)
-    assert batch.summary["judged_together"] == 3 and batch.summary["turned_down"] == []
+    assert not any(row.rejected for row in batch.rows)
+    assert batch.summary["judged_together"] == 3 and batch.summary["rejected"] == []
     assert len(pair_geometries(batch)) == 3
 
 
@@ -118,14 +118,14 @@ def test_pairs_that_are_turned_down_are_told_by_their_groups_and_left_out(whole)
         for row in batch.rows
         if row.success
     ]
-    told = summary_of(batch.plan, rows, [])["turned_down"]
+    told = summary_of(batch.plan, rows, [])["rejected"]
     assert told == [{"pairs": 2, "groups": [["view0.png"], ["view1.png", "view2.png"]]}]
     among = [replace(row, folder_probability=0.1 + 0.8 * (k < 2)) for k, row in enumerate(rows)]
-    told = summary_of(batch.plan, among, [])["turned_down"]
+    told = summary_of(batch.plan, among, [])["rejected"]
     assert told == [{"pairs": 1, "groups": [["view0.png", "view1.png", "view2.png"]]}]
-    beliefs = {row.names: row.folder_probability for row in rows}
+    probabilities = {row.names: row.folder_probability for row in rows}
     pairs = [
-        replace(pair, row=replace(pair.row, folder_probability=beliefs.get(pair.row.names)))
+        replace(pair, row=replace(pair.row, folder_probability=probabilities.get(pair.row.names)))
         for pair in batch.pairs()
     ]
     with pytest.MonkeyPatch.context() as patch:
@@ -186,7 +186,7 @@ def _row(first, second, status="ok", inliers=9):
 
 
 def _judged(alone, rows):
-    return [pair.row for pair in _compared(map(MatchedPair, rows), alone)]
+    return [pair.row for pair in _with_folder_checks(map(MatchedPair, rows), alone)]
 
 
 def test_a_photograph_that_most_pairs_show_as_mirrored_has_no_pose_with_others():

@@ -45,7 +45,7 @@ def test_results_are_no_photographs(tmp_path, plan, result, *, kept):
     (tmp_path / plan).write_text("{}")
     source = open_source(tmp_path)
     assert source.names == ("1.png", "2.jfif") + (result,) * kept
-    assert kept or "results, beside batch.db" in "; ".join(source.left_out)
+    assert kept or "results, beside batch.db" in "; ".join(source.skipped)
 
 
 @pytest.mark.parametrize("root", ["photos/other", None])
@@ -120,7 +120,7 @@ def test_the_lines_of_photographs_tell_their_camera(tmp_path, K, focals, sources
     assert not bad and [camera.focal_source for camera in cameras.values()] == sources
     for camera, focal in zip(cameras.values(), focals, strict=True):
         if camera.focal_source == "lines":  # which are of each image for itself
-            assert camera.belief.lines.any() == (focal is not None)
+            assert camera.focal_prior.lines.any() == (focal is not None)
             error = abs(np.log(camera.focal / ((focal or 1.2) * 480)))
             assert error < min(0.1, 3 * camera.focal_std)
             if K == "auto":

@@ -1,5 +1,5 @@
 """Focal lengths by the lines of pictures that are drawn with a known one, and of pictures that tell
-none; a belief of a focal length after the lines, against a numerical integration."""
+none; a prior of a focal length after the lines, against a numerical integration."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ import pytest
 from boxes import box_picture, grey
 from scipy.stats import norm
 
-from dgc_pose.cameras.camera import LOG_FOCALS, FocalBelief, Part
+from dgc_pose.cameras.camera import LOG_FOCALS, FocalPrior, Part
 from dgc_pose.cameras.lines import CHANCE, SHARPNESS, calibrated, focal_scores, log_likelihoods
 from dgc_pose.images.image import Image
 
@@ -197,7 +197,7 @@ def test_a_part_after_the_lines(part: Part, lines: np.ndarray) -> None:
 @pytest.mark.parametrize(("focal", "usual_first"), [(0.8, True), (1.2, True), (4.0, False)])
 def test_the_likelier_part_comes_first(focal: float, usual_first: bool) -> None:
     lines = _lines(focal)
-    first, second = FocalBelief(USUAL, TAIL, FLAT).parts([lines])
+    first, second = FocalPrior(USUAL, TAIL, FLAT).parts([lines])
     assert first.log_weight > second.log_weight
     assert (first == USUAL.given(lines)) is usual_first
     assert {first, second} == {USUAL.given(lines), TAIL.given(lines)}
@@ -206,12 +206,12 @@ def test_the_likelier_part_comes_first(focal: float, usual_first: bool) -> None:
 
 def test_lines_of_many_images_count_by_the_root_of_their_number() -> None:
     """Of one or two images all of them, of 8 half."""
-    belief, lines = FocalBelief(USUAL, TAIL, FLAT), _lines(1.1, 0.2, 1.0)
+    focal_prior, lines = FocalPrior(USUAL, TAIL, FLAT), _lines(1.1, 0.2, 1.0)
     for many, few in (
         ([lines, lines], [2 * lines]),
         (8 * [lines], [4 * lines]),
         ([lines, -lines], [FLAT]),
     ):
-        np.testing.assert_allclose(belief.parts(many), belief.parts(few), atol=1e-9)
-    stds = [belief.parts(count * [lines])[0].std for count in (1, 2, 8, 32)]
+        np.testing.assert_allclose(focal_prior.parts(many), focal_prior.parts(few), atol=1e-9)
+    stds = [focal_prior.parts(count * [lines])[0].std for count in (1, 2, 8, 32)]
     assert stds == sorted(stds, reverse=True)

@@ -219,13 +219,13 @@ BLANK = Image(np.full((720, 960, 3), 90, np.uint8))
 def test_a_camera_is_the_usual_part_of_its_belief(image: Header) -> None:
     """Beside which there are long lenses, or EXIF data of another image."""
     camera = auto_camera(image)
-    usual, tail = camera.belief.usual, camera.belief.tail
+    usual, tail = camera.focal_prior.usual, camera.focal_prior.tail
     of_usual = of_part(camera, usual)
     np.testing.assert_allclose(of_usual.K, camera.K, rtol=1e-9)
     assert of_usual.focal_std == camera.focal_std == usual.std
     assert np.exp([usual.log_weight, tail.log_weight]).sum() == pytest.approx(1)
     assert tail.std > usual.std and usual.log_weight > tail.log_weight
-    assert not camera.belief.lines.any()
+    assert not camera.focal_prior.lines.any()
     if camera.focal_source == "size":
         assert np.exp(usual.log_focal) == pytest.approx(SIZE_FOCAL)
         assert abs(np.log(5.2) - tail.log_focal) < 1.5 * tail.std
@@ -237,7 +237,7 @@ def test_the_lines_of_an_image_are_its_focal_length() -> None:
     assert (camera.focal_source, camera.warnings) == ("lines", ())
     assert abs(np.log(camera.focal / 1152)) < min(0.1, 3 * camera.focal_std)
     assert camera.focal_std < 0.5 * SIZE_STD
-    np.testing.assert_array_equal(camera.belief.lines, log_likelihoods(BOX))
+    np.testing.assert_array_equal(camera.focal_prior.lines, log_likelihoods(BOX))
     np.testing.assert_array_equal(camera.K[:2, 2], before.K[:2, 2])
     assert (camera.identity, camera.centre_std) == (before.identity, before.centre_std)
 
@@ -273,7 +273,7 @@ def test_images_of_one_camera_count_together() -> None:
     assert first.focal_std == second.focal_std < 0.5 * SIZE_STD
     assert (first.focal_source, second.focal_source) == ("lines", "lines")
     # Each has the lines of its own image, for two focal lengths.
-    assert first.belief.lines.any() and not second.belief.lines.any()
+    assert first.focal_prior.lines.any() and not second.focal_prior.lines.any()
     other = Image(box_picture(0.6))
     alone = with_lines(auto_cameras(BOX, other, "two"), [BOX, other])
     assert [camera.focal for camera in alone] == pytest.approx([1152, 576], rel=0.1)
@@ -285,7 +285,7 @@ def test_a_stated_camera_has_no_lines() -> None:
     K = "1700,1700,480,360"
     stated, alone = pair_cameras(K, K, BOX, BOX), pair_cameras(K, None, BOX, BOX)
     for camera in (*stated, alone[0]):
-        assert (camera.focal, camera.focal_source, camera.belief) == (1700, "given", None)
+        assert (camera.focal, camera.focal_source, camera.focal_prior) == (1700, "given", None)
         assert (camera.exact, camera.warnings) == (True, ())
     assert alone[1].focal_source == "lines"
     assert alone[1].focal == pytest.approx(1152, rel=0.1)

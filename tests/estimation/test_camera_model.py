@@ -11,7 +11,7 @@ from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.cameras.prior import by_lines
 from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_model import (
-    OF_STATED,
+    STATED_K_MODELS,
     CameraModel,
     is_contradicted,
     other_models,
@@ -142,7 +142,7 @@ def test_a_camera_that_is_stated_is_of_no_other_kind(name: str, stated: dict[str
     cameras = [Camera(camera.K, camera.size, **stated) for camera in scene.auto()]
     pose = scene.estimate(*cameras)
     named = pose.evidence.camera_model
-    assert named == "assumed" or (named in OF_STATED and "focal_source" not in stated)
+    assert named == "assumed" or (named in STATED_K_MODELS and "focal_source" not in stated)
     for camera, before in zip((pose.camera1, pose.camera2), cameras, strict=True):
         if pose.success:
             ratio = camera.K[1, 1] / camera.K[0, 0]

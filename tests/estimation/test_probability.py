@@ -17,8 +17,8 @@ from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     CHOICE_FEATURES,
     FEATURES,
+    bound_if_right,
     match_kind,
-    of_right,
     parse_models,
     shipped_models,
 )
@@ -106,7 +106,7 @@ def test_worse_evidence_lowers_the_probability_and_is_named_first(changes) -> No
 def test_what_surrounds_the_matches_has_a_probability_of_its_own() -> None:
     model = _model()
     assert model.same_place.probability(GOOD_EVIDENCE) == 1  # not known
-    alike, unlike = _worse(surroundings=0.9), _worse(surroundings=0.1)
+    alike, unlike = _worse(context_ratio=0.9), _worse(context_ratio=0.1)
     # Fitted on pairs of which 8 % are of two places, for pairs of which 2 % are.
     odds = math.exp(7.0 * 0.9 - 2.0) * (0.98 / 0.02) / (0.92 / 0.08)
     assert model.same_place.probability(alike) == pytest.approx(odds / (1 + odds))
@@ -156,7 +156,7 @@ def test_the_covariance_is_scaled_by_the_calibrated_error() -> None:
 def test_the_error_of_a_right_pose_is_that_of_normal_errors_up_to_10_degrees(error_deg) -> None:
     errors = np.abs(np.random.default_rng(0).normal(0, error_deg / 1.6449, 200_000))
     expected = np.quantile(errors[errors <= 10], 0.9)
-    assert of_right(error_deg) == pytest.approx(expected, rel=0.01)
+    assert bound_if_right(error_deg) == pytest.approx(expected, rel=0.01)
 
 
 def test_the_kind_of_matches_chooses_the_model() -> None:

@@ -13,7 +13,7 @@ from command_line import assert_refused, run
 from worlds import K_text, render_views
 
 from dgc_pose.errors import InputError
-from dgc_pose.images.folder import copies_of_others, frames_folder, search_images
+from dgc_pose.images.folder import frames_folder, identical_copies, search_images
 from dgc_pose.images.image import load_image
 
 _HEIC = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic"
@@ -33,7 +33,7 @@ def test_images_have_the_format_of_their_content(tmp_path: Path) -> None:
     for name in (".hidden.jpg", ".thumbnails/b.jpg", "f/.c.jpg"):
         _save(tmp_path / name)
     images = search_images(tmp_path)
-    assert (images.names, images.left_out) == (tuple(sorted(formats)), ())
+    assert (images.names, images.skipped) == (tuple(sorted(formats)), ())
 
 
 def test_what_is_left_out_is_counted_by_its_reason(
@@ -54,7 +54,7 @@ def test_what_is_left_out_is_counted_by_its_reason(
         _save(tmp_path / name)
     images = search_images(tmp_path)
     assert images.names == ("a.jpg",)
-    assert sorted(images.left_out) == [
+    assert sorted(images.skipped) == [
         "1 file skipped (first: b.jpg): empty",
         "1 file skipped (first: gone.jpg): No such file or directory",
         "1 file skipped (first: h\udcfctte.png): a name that is not UTF-8",
@@ -74,7 +74,7 @@ def test_equal_bytes_are_copies_under_any_name(tmp_path: Path) -> None:
     data = (tmp_path / "a/y.bmp").read_bytes()
     (tmp_path / "a/y.bmp").write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
     names = search_images(tmp_path).names
-    assert copies_of_others(tmp_path, names) == {"a/Copy of x.jpg", "images/x.jpg"}
+    assert identical_copies(tmp_path, names) == {"a/Copy of x.jpg", "images/x.jpg"}
 
 
 def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_linked_folders_are_searched_once(tmp_path: Path) -> None:
     (folder / "file").symlink_to(folder / "z" / "a.jpg")
     images = search_images(folder)
     assert images.names == ("file", "other/deep/b.jpg", "z/a.jpg")
-    assert images.left_out == ()
+    assert images.skipped == ()
     link = tmp_path / "link"
     link.symlink_to(folder)
     assert search_images(link).names == images.names

@@ -56,7 +56,7 @@ def _features(monkeypatch: pytest.MonkeyPatch, first: Matches, *more: Matches) -
         return matches, [(View.whole(image), None) for image in (image1, image2)], 1.0
 
     monkeypatch.setattr(network_matcher, "feature_matches", found)
-    monkeypatch.setattr(network_matcher, "surroundings", lambda *arguments: None)
+    monkeypatch.setattr(network_matcher, "context_ratio", lambda *arguments: None)
 
 
 def _rows(matches: Matches) -> set[tuple[float, ...]]:

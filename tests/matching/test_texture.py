@@ -18,9 +18,9 @@ from dgc_pose.matching.key_points import SiftMatcher
 from dgc_pose.matching.texture import (
     LONG_SIDE,
     Texture,
+    context_ratio,
     noise_level,
     structured,
-    surroundings,
     texture,
 )
 from dgc_pose.matching.view import View
@@ -133,26 +133,26 @@ INSIDE[12:28, 20:40] = True
 
 
 def test_what_surrounds_matches_is_as_alike_as_they_are_unless_only_a_part_is():
-    share = surroundings(_views(0), [WITH_TEXTURE] * 2, _matches(INSIDE))
+    share = context_ratio(_views(0), [WITH_TEXTURE] * 2, _matches(INSIDE))
     assert share is not None and 0.95 < share < 1.05
     views = _views(0, np.pad(INSIDE[1:-1, 1:-1], 1))
-    share = surroundings(views, [WITH_TEXTURE] * 2, _matches(INSIDE))
+    share = context_ratio(views, [WITH_TEXTURE] * 2, _matches(INSIDE))
     assert share is not None and share < 0.25
-    swapped = surroundings(views[::-1], [WITH_TEXTURE] * 2, _matches(INSIDE).swapped())
+    swapped = context_ratio(views[::-1], [WITH_TEXTURE] * 2, _matches(INSIDE).swapped())
     assert swapped == pytest.approx(share, abs=0.1)
     for inside in (np.ones_like(INSIDE), np.zeros_like(INSIDE)):  # nothing is around
-        assert surroundings(_views(0), [WITH_TEXTURE] * 2, _matches(inside)) is None
+        assert context_ratio(_views(0), [WITH_TEXTURE] * 2, _matches(inside)) is None
 
 
 def test_what_has_no_texture_or_is_masked_does_not_count():
     """The same two places, of which all but the part is smooth in image 2, or masked."""
     shown = [np.kron(np.roll(INSIDE, n, 1), np.ones((CELL, CELL), bool)) for n in (SHIFT, 0)]
     smooth, masked = [Texture(of, EXTENT) for of in shown], Image(BLACK.pixels, mask=shown[1])
-    assert surroundings(_views(0, INSIDE), smooth, _matches(INSIDE)) is None
-    share = surroundings(_views(0, INSIDE), [WITH_TEXTURE, smooth[1]], _matches(INSIDE))
+    assert context_ratio(_views(0, INSIDE), smooth, _matches(INSIDE)) is None
+    share = context_ratio(_views(0, INSIDE), [WITH_TEXTURE, smooth[1]], _matches(INSIDE))
     assert share is not None and share < 0.25
     views = _views(0, INSIDE, (BLACK, masked))
-    assert surroundings(views, [WITH_TEXTURE] * 2, _matches(INSIDE)) is None
+    assert context_ratio(views, [WITH_TEXTURE] * 2, _matches(INSIDE)) is None
 
 
 def test_what_a_turned_view_pads_an_image_with_does_not_count():
@@ -164,7 +164,7 @@ def test_what_a_turned_view_pads_an_image_with_does_not_count():
     points = pixel_grid((SIDES[0] - 16, SIDES[1] - 16)).reshape(-1, 2) * CELL + (CELL - 1) / 2
     matches = Matches(points, points, np.ones(len(points)), error_px=1.0)
     texture = Texture(np.ones(inner[::-1], bool), inner)
-    assert surroundings([(view, _features(middle))] * 2, [texture] * 2, matches) is None
+    assert context_ratio([(view, _features(middle))] * 2, [texture] * 2, matches) is None
 
 
 def test_the_noise_level_is_that_of_the_noise() -> None:

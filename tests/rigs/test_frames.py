@@ -32,8 +32,8 @@ def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
     many = [save(rig / "west" / f"{number:02d}.png") for number in range(40)]
     (rig / "notes.txt").write_text("of the cameras")
     (rig / "empty").mkdir()
-    found, left_out = camera_frames(rig, tmp_path / "videos")
-    assert left_out[0].startswith("2 files skipped (first: empty): neither a picture")
+    found, skipped = camera_frames(rig, tmp_path / "videos")
+    assert skipped[0].startswith("2 files skipped (first: empty): neither a picture")
     expected = {"north": [rig / "north.jpg"], "south": [rig / "south.data"], "west": many[::3]}
     assert found == expected and not (tmp_path / "videos").exists()
 

@@ -50,10 +50,10 @@ def model(tmp_path_factory) -> Model:
     return replace(world_scene().model(), root=root)
 
 
-def page_of(model: Model, unit: str = "", turned_down=()) -> str:
+def page_of(model: Model, unit: str = "", rejected=()) -> str:
     points = world_scene().points
     colours = np.full(points.shape, 128, np.uint8)
-    return model_page(replace(model, points=points, colours=colours), unit, turned_down)
+    return model_page(replace(model, points=points, colours=colours), unit, rejected)
 
 
 def content_of(page: str) -> dict:
@@ -61,7 +61,7 @@ def content_of(page: str) -> dict:
 
 
 def test_the_page_is_one_file_with_all_cameras(model):
-    page = page_of(model, "m", turned_down=[("r1.jpg", "r3.jpg"), ("r0.jpg", "elsewhere.jpg")])
+    page = page_of(model, "m", rejected=[("r1.jpg", "r3.jpg"), ("r0.jpg", "elsewhere.jpg")])
     assert not re.search(
         r"https?:|@import|url\(|^import |^export | (src|href)=", page, re.MULTILINE
     )
@@ -69,7 +69,7 @@ def test_the_page_is_one_file_with_all_cameras(model):
     facts = "5 cameras, 300 points; dashed: 1 pair rejected as look-alikes"
     assert f"{facts}; cameras up to {model.extent:.3g} m apart</p>" in page
     content = content_of(page)
-    assert content["turned_down"] == [[1, 3]]
+    assert content["rejected"] == [[1, 3]]
     assert [camera["label"] for camera in content["cameras"]] == ["r0", "r1", "r2", "r3", "r4"]
     for camera in content["cameras"]:
         photograph = base64.b64decode(camera["photograph"].removeprefix("data:image/jpeg;base64,"))

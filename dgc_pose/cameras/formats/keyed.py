@@ -45,14 +45,14 @@ _MODELS = {  # of OpenCV and NeRF, ROS, Kalibr; 0 and 1 are values of a flag
 }
 _LIST = re.compile(r"d|dist(ortions?)?|(dist(ortion)?_?)?coeff?(icient)?s?", re.IGNORECASE)
 _SINGLE = {"OPENCV": ("k1", "k2", "p1", "p2", "k3"), "OPENCV_FISHEYE": ("k1", "k2", "k3", "k4")}
-_OF_LENS = re.compile(
+_LENS_KEYS = re.compile(
     r"""[kps]_?\d+ | s | d([_\d].*)? | (xi|alpha|beta)(_.*)? | lens(_?(k|model|param).*)?
     | ((camera|projection)_?)?model
     | .*(dist(?!anc)|coef|skew|radial|tangential|fisheye(?!_crop)|latlong|equirect|ftheta).*
     | orthogr.*""",
     re.IGNORECASE | re.VERBOSE,
 )
-_OF_OTHERS = re.compile(
+_OTHER_CAMERA_KEYS = re.compile(
     r"""m\d | (new_?|.*_)?k(new.*|[_\d].*)? | .*mtx.* | .*camera_?mat.*
     | binning_[xy] | [xy]_(offset|fov)
     | (?!std|fps_).*intrinsic(?!_wait).*""",
@@ -77,10 +77,10 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
         raise InputError(f"no K and no camera of OpenCV's, ROS's, Kalibr's or NeRF's among {keys}")
     present = [key for key in _CAMERAS_OF_A_PAIR if data.get(key)]
     if present:
-        parts, told = {}, _told(unread(data, *present))
+        parts, warnings = {}, _unread_warning(unread(data, *present))
         for key in present:
             camera = keyed_camera(data[key])
-            camera = replace(camera, warnings=(*camera.warnings, *told))
+            camera = replace(camera, warnings=(*camera.warnings, *warnings))
             parts[_CAMERAS_OF_A_PAIR[key]] = camera
         return Calibration(parts=parts)
     if {*_MATRICES, "fx"}.isdisjoint(data):  # the cameras of a pair are null
@@ -105,14 +105,14 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
         return numbers_camera(data)
     key = key or next((key for key in _MATRICES if data.get(key) not in (None, "")), None)
     lens, keys = _lens(data)
-    told = _told(unread(data, key, *keys))
+    warnings = _unread_warning(unread(data, key, *keys))
     values = [float(data[k]) for k in _FOUR] if key is None else numbers(data[key])
     identity = data.get("identity")
     return Camera(
         numbers_camera(values or (), key or "K").K,
         _size(data),
         lens,
-        told,
+        warnings,
         focal_std=float(data.get("focal_std") or 0),
         centre_std=float(data.get("centre_std_px") or 0),
         lens_std=float(data.get("lens_std") or 0),
@@ -121,7 +121,7 @@ def keyed_camera(data: Any, key: str | None = None) -> Camera:
     )
 
 
-def _told(others: Sequence[str]) -> tuple[str, ...]:
+def _unread_warning(others: Sequence[str]) -> tuple[str, ...]:
     """A warning that names the unread keys; empty if there are none."""
     return (f"keys that may change K are not read: {shortened(', '.join(others))}",) * bool(others)
 
@@ -167,7 +167,7 @@ def read_table(text: str, path: Path) -> Calibration:
 
 def of_camera(data: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose keys may describe a lens or another camera."""
-    names = [key for key in data if _OF_LENS.fullmatch(key) or _OF_OTHERS.fullmatch(key)]
+    names = [key for key in data if _LENS_KEYS.fullmatch(key) or _OTHER_CAMERA_KEYS.fullmatch(key)]
     return {name: data[name] for name in names}
 
 
@@ -182,8 +182,8 @@ def unread(data: Mapping[str, Any], *read: str | None) -> list[str]:
         if key in read:
             continue
         held, name = numbers(value), str(key).strip()
-        is_of_lens = _OF_LENS.fullmatch(name)
-        if is_of_lens or _OF_OTHERS.fullmatch(name):
+        is_of_lens = _LENS_KEYS.fullmatch(name)
+        if is_of_lens or _OTHER_CAMERA_KEYS.fullmatch(name):
             nothing = (0, 1) if name.startswith("binning") else (0,)
             if held is None or any(value not in nothing for value in held):
                 others.append(name)

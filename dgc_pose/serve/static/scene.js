@@ -13,9 +13,9 @@ const QUICK = 5000; // points drawn while the view moves
 const REST = 200; // milliseconds of rest after which all points are drawn
 
 export class Scene {
-  /** alone: whether the scene fills the page and shows photographs. */
-  constructor(canvas, alone = false) {
-    Object.assign(this, { canvas, alone, points: null, names: true, photographs: alone });
+  /** fullPage: whether the scene fills the page and shows photographs. */
+  constructor(canvas, fullPage = false) {
+    Object.assign(this, { canvas, fullPage, points: null, names: true, photographs: fullPage });
     this.fingers = new Map(); // positions of pressed pointers, by identifier
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -26,7 +26,7 @@ export class Scene {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     canvas.addEventListener("wheel", (event) => {
-      if (!(alone && window === top) && document.activeElement !== canvas) return; // let the wheel scroll
+      if (!(fullPage && window === top) && document.activeElement !== canvas) return; // let the wheel scroll
       event.preventDefault();
       this.zoomBy(Math.exp(-event.deltaY / 500));
     }, { passive: false });
@@ -48,7 +48,7 @@ export class Scene {
     this.points = content?.points ?? null;
     if (!content) return;
     this.cameras = content.cameras;
-    this.turnedDown = content.turned_down ?? []; // rejected pairs of cameras, joined by dashes
+    this.rejected = content.rejected ?? []; // rejected pairs of cameras, joined by dashes
     this.styles = this.points.rgb.map((rgb) => `rgb(${rgb})`);
     this.all = [...this.points.xyz, ...this.cameras.flatMap((camera) => camera.corners)];
     const ranges = [0, 1, 2].map((axis) => range(this.all, axis));
@@ -106,7 +106,7 @@ export class Scene {
   draw(most = Infinity) {
     if (!this.points) return;
     const { clientWidth: wide, clientHeight: tall } = this.canvas;
-    const room = this.alone ? tall : Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight)));
+    const room = this.fullPage ? tall : Math.round(Math.min(0.8 * wide, Math.max(280, 0.7 * innerHeight)));
     const [paint, width, height] = prepared(this.canvas, room);
     this.scale = this.zoom * Math.min((width - ROOM) / this.extent[0], (height - ROOM) / this.extent[1]);
     const seen = this.projection(width / 2 - this.scale * this.focus[0], height / 2 - this.scale * this.focus[1], this.scale);
@@ -121,7 +121,7 @@ export class Scene {
     const style = (n) => (pair && n ? "camera2" : "camera1");
     if (pair) stroke(paint, colour("soft"), 1, places.map(([centre]) => centre));
     paint.setLineDash([4, 4]);
-    for (const ends of this.turnedDown) stroke(paint, colour("bad"), 1, ends.map((n) => places[n][0]));
+    for (const ends of this.rejected) stroke(paint, colour("bad"), 1, ends.map((n) => places[n][0]));
     paint.setLineDash([]);
     for (const [x, y, depth, thing, corners] of things) {
       if (corners) {
