@@ -33,5 +33,5 @@ def test_a_row_comes_back(row):
 def test_what_is_no_row_is_refused(changed):
     data = json.loads(AMBIGUOUS.to_json()) | changed
     data = {key: value for key, value in data.items() if value is not None}
-    with pytest.raises(InputError, match="^rows is not a row of a batch"):
+    with pytest.raises(InputError, match="^rows cannot be read as a row of a batch"):
         parse_row(json.dumps(data), 0, "rows")

@@ -85,7 +85,7 @@ def test_killed_and_resumed_gives_the_same(views, tmp_path, monkeypatch):
     for after in (2, PAIRS - 2 + 1, PAIRS + 2):
         with pytest.raises(Killed):
             run_sift(views, out, K="auto", start_workers=killed_after(after), resume=out.exists())
-        with pytest.raises(InputError, match="not finished"):
+        with pytest.raises(InputError, match="unfinished"):
             read_batch(out)
     run_sift(views, out, K="auto", resume=True)
     assert_same_result(out, whole)
@@ -159,7 +159,7 @@ def test_a_failure_is_no_bad_input_and_is_matched_again(photos, whole, tmp_path,
         patch.setattr(SiftMatcher, "_match", _raising(MemoryError("60 GiB")))
         with pytest.raises(MemoryError, match="60 GiB"):
             run_sift(photos, out)
-        with pytest.raises(InputError, match="not finished"):
+        with pytest.raises(InputError, match="unfinished"):
             read_batch(out)
         patch.undo()
         patch.setattr(SiftMatcher, "_match", _raising(np.linalg.LinAlgError("singular")))

@@ -166,10 +166,10 @@ def test_unusable_input(photos, whole, tmp_path):
     (tmp_path / "view1.png").write_bytes((photos[0] / "view1.png").read_bytes())
     for source, out, reason in (
         (tmp_path / "none", "out", "is not a folder, video"),
-        (database, "out", "not a COLMAP database"),
+        (database, "out", "cannot be read as a COLMAP database"),
         (alike, "out", "^a-view.png view1.png and a/view.png view1.png have one name in matches"),
         (photos[0], str(whole), "has a batch already"),
-        (photos[0], str(tmp_path), "no folder of `dgc-pose batch`"),
+        (photos[0], str(tmp_path), "not a batch folder of this version"),
     ):
         with pytest.raises(InputError, match=reason):
             run_sift(source, tmp_path / out)

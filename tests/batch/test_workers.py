@@ -137,7 +137,9 @@ def _killing(job, workers):
 
 def test_a_worker_that_is_killed_is_told_by_its_signal(views, tmp_path):
     out = tmp_path / "out"
-    with pytest.raises(DgcPoseError, match=r"^a worker process ended \(SIGKILL\): resume goes on"):
+    with pytest.raises(
+        DgcPoseError, match=r"^a worker process ended \(SIGKILL\): resume continues"
+    ):
         run_sift(views, out, workers=2, start_workers=_killing)
     assert (out / STORE).exists()
 
@@ -172,7 +174,7 @@ def test_on_ray_the_result_is_the_same_and_an_actor_that_ends_ends_the_batch(
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         out = tmp_path / "ray"
-        with monkeypatch.context() as patch, pytest.raises(DgcPoseError, match="worker of Ray end"):
+        with monkeypatch.context() as patch, pytest.raises(DgcPoseError, match="Ray worker end"):
             patch.setattr("dgc_pose.batch.workers.CoreWorker", Ending)
             run_sift(views, out, workers=2, start_workers=ray_workers)
         batch = run_sift(views, out, workers=2, start_workers=ray_workers, resume=True)

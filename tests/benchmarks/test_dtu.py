@@ -116,4 +116,4 @@ def test_a_bad_file_is_an_error_with_its_path(tmp_path, content, message):
     path.write_text(content)
     with pytest.raises(InputError, match=message) as caught:
         read_projection(path)
-    assert str(caught.value).startswith(f"{path} is not a calibration")
+    assert str(caught.value).startswith(f"{path} cannot be read as a calibration")

@@ -99,7 +99,7 @@ def test_pairs_of_every_layout_are_found_if_their_files_are_there(tmp_path) -> N
 def test_a_matrix_that_is_none_is_named(tmp_path, text: str) -> None:
     scene.write_annotated(tmp_path, "wall")
     (tmp_path / "wall_H.txt").write_text(text)
-    with pytest.raises(InputError, match=r"wall_H\.txt is not a homography"):
+    with pytest.raises(InputError, match=r"wall_H\.txt cannot be read as a homography"):
         find_homography_pairs(tmp_path)
 
 

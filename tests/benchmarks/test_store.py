@@ -51,5 +51,5 @@ def test_other_settings_and_other_files_are_refused(path) -> None:
     assert path.read_bytes() == whole
     for other in (whole.replace(b"{", b"", 1), b"[1]\n", b"\xff\n"):
         path.write_bytes(other)
-        with pytest.raises(InputError, match=r"run\.jsonl is not a run"):
+        with pytest.raises(InputError, match=r"run\.jsonl cannot be read as a run"):
             open_run(path, SETTINGS, resume=True).__enter__()

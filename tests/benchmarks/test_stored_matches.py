@@ -114,7 +114,11 @@ def _bad_archive(**arrays: np.ndarray):
     ("suffix", "write", "reason"),
     [
         (".flo", lambda path: path.write_bytes(b"FLOW" + b"\0" * 8), "202021.25"),
-        (".flo", lambda path: _write_flo(path, _flow()) or _cut(path), "is not a map, a flow"),
+        (
+            ".flo",
+            lambda path: _write_flo(path, _flow()) or _cut(path),
+            "cannot be read as a map, a flow",
+        ),
         (".npy", lambda path: np.save(path, np.zeros((4, 5, 3))), r"\(H, W, 2\)"),
         (".npz", _bad_archive(other=np.zeros(3)), "found other"),
         (

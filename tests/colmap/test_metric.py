@@ -107,7 +107,7 @@ def test_positions_that_do_not_agree_are_told(tmp_path: Path) -> None:
     for name, place in zip(NAMES, 1000 * places(), strict=True):
         tag(tmp_path / name, place)
     rng = np.random.default_rng(3)
-    with pytest.raises(MappingError, match="no similarity that brings 6 cameras to 15 m from"):
+    with pytest.raises(MappingError, match="no similarity brings 6 cameras to 15 m from"):
         to_metres(model_of(rng.standard_normal((6, 3))), paths(tmp_path), GPS)
 
 

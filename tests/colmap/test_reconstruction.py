@@ -170,7 +170,7 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
     still; COLMAP's log is not shown, and no file of it is left."""
     view_folder(tmp_path / "two", 2)
     pair = run_sift(tmp_path / "two", tmp_path / "pair")
-    with pytest.raises(MappingError, match="incremental mapper made no model"):
+    with pytest.raises(MappingError, match="incremental mapper found no model"):
         reconstruct(pair, tmp_path / "model")
     assert capfd.readouterr() == ("", "")
     assert not list(Path(tempfile.gettempdir()).glob(f".*.log.*.{os.getpid()}"))

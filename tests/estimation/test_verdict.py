@@ -150,7 +150,7 @@ def test_the_probability_decides_and_not_the_gates() -> None:
         plane = _changed(homography_ratio=ratio, raw_focal_90_percent=percent)
         assert judge(plane, LEAST, 0.95).status == "planar"
     plane = _changed(homography_ratio=0.97, raw_focal_90_percent=31.0)
-    assert "plane does not determine the unknown focal length" in judge(plane, LEAST, 0.95).reason
+    assert "plane does not determine the focal length" in judge(plane, LEAST, 0.95).reason
 
 
 def test_a_failed_gate_gives_the_status_and_the_evidence_the_reason() -> None:

@@ -83,7 +83,7 @@ def test_the_first_differing_keys_are_named(tmp_path):
     ours = {k: v.half() for k, v in _random_net("dgcm-lite0").state_dict().items()}
     for metadata, words in (
         ({"preset": "dgcm"}, "does not contain the weights of dgcm: it has pyramid"),
-        ({}, "no preset"),
+        ({}, "without a known preset"),
     ):
         save_file(ours, tmp_path / "x.safetensors", metadata=metadata)
         with pytest.raises(WeightsError, match=rf"x\.safetensors .*{words}"):

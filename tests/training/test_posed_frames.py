@@ -91,7 +91,7 @@ def test_a_wrong_line_of_cameras_is_named(pair, tmp_path):
     frames = read_scene(tmp_path / "walk")
     assert [(frame.reach, frame.depth) for frame in frames] == [((0.5, 9.0), None)] * 2
     for changed, message in (
-        (text + "x.png 1 2\n", r"cameras.txt:3 is not a name and 18 numbers"),
+        (text + "x.png 1 2\n", r"cameras.txt:3 cannot be read as a name and 18 numbers"),
         (text.replace("0.5 9.0", "9.0 0.5", 1), "cameras.txt:1: .* the depths must"),
         (text.replace("png ", "png -", 1), "cameras.txt:1: fx, fy and the depths must"),
         ("\n" + text.splitlines()[0], "walk: 1 frames of known pose and depth"),

@@ -55,7 +55,7 @@ def test_a_plan_names_its_sources_and_has_their_lists(tmp_path):
     packed.write_bytes(gzip.compress((tmp_path / "a.txt").read_bytes()))
     assert [one.scene for one in planned(found[0], tmp_path, tmp_path)] == ["x", "y"]
     packed.write_bytes(packed.read_bytes()[:-20])
-    with pytest.raises(InputError, match=r"a\.txt\.gz is not a packed list of pairs"):
+    with pytest.raises(InputError, match=r"a\.txt\.gz cannot be read as a packed list of pairs"):
         planned(found[0], tmp_path, tmp_path)
 
 
