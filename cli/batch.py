@@ -15,7 +15,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options
-from dgc_pose.cli.process import progress_bars, say
+from dgc_pose.cli.process import progress_bars, to_stderr
 from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -73,7 +73,7 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
 
     images = choice.open(source, out)
     for line in images.skipped:
-        say(f"warning: {line}")
+        to_stderr(f"warning: {line}")
     if len(images.names) < min_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
     pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
@@ -98,27 +98,27 @@ def report(batch: Batch) -> None:
 
     summary = batch.summary
     for name, reason in summary["bad_images"].items():
-        say(f"bad image {name}: {reason}")
+        to_stderr(f"bad image {name}: {reason}")
     if failed := [row for row in batch.rows if row.status == FAILED]:
         pairs, first = counted(len(failed), "pair"), failed[0]
         which = f"{first.name1} {first.name2}: {first.reason}"
-        say(f"{pairs} failed (first: {which}): --resume matches them again")
+        to_stderr(f"{pairs} failed (first: {which}): --resume matches them again")
     if warnings := [text for camera in batch.plan.cameras.values() for text in camera.warnings]:
         more = f" (and {len(warnings) - 1} more images)" if len(warnings) > 1 else ""
-        say(f"warning: {warnings[0]}{more}")
+        to_stderr(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
-        say(f"more than {MOST_PAIRS} pairs have a pose: the look-alike check is skipped")
+        to_stderr(f"more than {MOST_PAIRS} pairs have a pose: the look-alike check is skipped")
     if summary["rejected"]:
         number = sum(entry["pairs"] for entry in summary["rejected"])
         judged = counted(summary["judged_together"], "pair")
-        say(f"{number} of {judged} rejected as look-alike places:")
+        to_stderr(f"{number} of {judged} rejected as look-alike places:")
     for entry in summary["rejected"][:CAMERAS_SHOWN]:
         groups = [
             f"{counted(len(g), 'image')} ({printable(g[0])}{', ...' * (len(g) > 1)})"
             for g in entry["groups"]
         ]
         places = "between " + " and ".join(groups) if len(groups) > 1 else f"among {groups[0]}"
-        say(f"  {entry['pairs']} {places}")
+        to_stderr(f"  {entry['pairs']} {places}")
     lines = []
     for camera in summary["cameras"]:
         focal, std = camera["focal_px"], camera["focal_std"]

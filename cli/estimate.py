@@ -13,7 +13,7 @@ from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MaskChoice, dataclass_options, output_file
 from dgc_pose.cli.output import pose_text, row_lines, write_npz
-from dgc_pose.cli.process import say
+from dgc_pose.cli.process import to_stderr
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
@@ -109,7 +109,7 @@ def estimate(
             write_points(stage(outputs.ply), points[known], result.colours[known])
     if cameras.k is None and cameras.k1 is None and cameras.fov is None:
         name = "K" if cameras.k2 is None else "K1"
-        say(f"{name} is not stated: the focal length is estimated (--{name} auto)")
+        to_stderr(f"{name} is not stated: the focal length is estimated (--{name} auto)")
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (result.prior1, result.prior2)))
         for number, image in enumerate((result.image1, result.image2), start=1):

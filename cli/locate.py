@@ -14,7 +14,7 @@ from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import STDOUT, OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
 from dgc_pose.cli.output import closing_lines, row_lines
-from dgc_pose.cli.process import progress_bars, say
+from dgc_pose.cli.process import progress_bars, to_stderr
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
@@ -94,7 +94,7 @@ def locate(
             raise InputError(ArgumentName("add"), f"{place.add} is the model itself, an input")
         model.require_addable(place.add, dict.fromkeys(queries))
     for warning in model.warnings:
-        say(f"warning: {warning}")
+        to_stderr(f"warning: {warning}")
     locator = Locator(model, matcher.load(ImageCache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import click
 
 from dgc_pose.cli.guard import DEBUG, guarded
-from dgc_pose.cli.process import Stopped, command_process, say
+from dgc_pose.cli.process import Stopped, command_process, to_stderr
 from dgc_pose.errors import DgcPoseError, missing_package, reason, shortened
 
 UNEXPECTED = 1
@@ -107,7 +107,7 @@ class LazyGroup(click.Group):
                 click.echo(traceback.format_exc(), err=True, nl=False)
             message, status = _message_and_status(error, words)
             if message is not None:
-                say("error: " + shortened(" ".join(message.split()), LONGEST))
+                to_stderr("error: " + shortened(" ".join(message.split()), LONGEST))
         sys.exit(status)
 
 

@@ -11,7 +11,7 @@ import click
 
 from dgc_pose.cli.guard import STDOUT
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
-from dgc_pose.cli.process import progress_bars, say
+from dgc_pose.cli.process import progress_bars, to_stderr
 from dgc_pose.errors import ImageError, InputError, printable
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.files import save_text, scratch_folder, staged
@@ -80,7 +80,7 @@ def moved(
         if json_file is not None:
             save_text(stage(json_file), data)
     for warning in camera.warnings:
-        say(f"warning: {warning}")
+        to_stderr(f"warning: {warning}")
     click.echo(data if watch.json == STDOUT else motions_text(motions), nl=watch.json != STDOUT)
     verdicts = {motion.verdict for motion in motions.values()}
     return MOVED if "moved" in verdicts else CANNOT_SAY if "cannot say" in verdicts else 0
@@ -97,7 +97,7 @@ def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
         return {source: path}
     found = search_images(path)
     for line in found.skipped:
-        say(f"warning: {line}")
+        to_stderr(f"warning: {line}")
     if not found.names:
         raise InputError(f"{source}: no image is in this folder")
     return {(Path(source) / name).as_posix(): path / name for name in found.names}

@@ -95,13 +95,13 @@ def _camera_text(camera: Camera, prior: Camera) -> str:
     """The numbers and deviations of a camera, and the f of its prior; empty if it is exact."""
     if camera.exact:
         return ""
-    told = [camera]
-    if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
-        told.append(prior)
-    text = "f = " + ", ".join(
+    used, before = (
         f"{one.focal:.1f} +- {one.focal * one.focal_std:.1f} px {SOURCES[one.focal_source]}"
-        for one in told
+        for one in (camera, prior)
     )
+    text = f"f = {used}"
+    if camera.focal_source == "matches" and prior.focal_source in ("given", "exif"):
+        text += f" ({before})"
     if camera.aspect_std:
         text += f"; fy / fx {camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
     x, y = camera.K[:2, 2].tolist()

@@ -53,7 +53,7 @@ def command_process(*, debug: bool) -> Iterator[None]:
                 signal.signal(number, signal.SIG_DFL)
 
 
-def say(text: str) -> None:
+def to_stderr(text: str) -> None:
     """Print one line on stderr, without control characters."""
     click.echo(printable(text), err=True)
 
@@ -67,7 +67,7 @@ class _Lines(logging.Handler):
     """Prints `warning: MESSAGE` on stderr."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        say(f"warning: {record.getMessage()}")
+        to_stderr(f"warning: {record.getMessage()}")
 
 
 _LINES = _Lines()
@@ -90,7 +90,7 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
         start, first, last = lines.setdefault(stage, (now, done, now))
         if bars[stage].disable and (now - last >= INTERVAL_S or (done == of and last > start)):
             minutes = (now - start) / max(1, done - first) * (of - done) / 60
-            say(f"{stage} {done} of {of}, {100 * done / of:.0f} %, {minutes:.0f} min left")
+            to_stderr(f"{stage} {done} of {of}, {100 * done / of:.0f} %, {minutes:.0f} min left")
             lines[stage] = start, first, now
 
     with ExitStack() as stack:

@@ -10,7 +10,7 @@ import click
 from dgc_pose.cli.batch import OUT, BatchChoice, echo_each_camera, report, work_through
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.cli.output import shared_text
-from dgc_pose.cli.process import progress_bars, say
+from dgc_pose.cli.process import progress_bars, to_stderr
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.system.files import write_text
@@ -74,6 +74,6 @@ def reconstruct(
     ]
     echo_each_camera(cameras, out / reconstruction.SUMMARY)
     for name, pairs in data["not_registered_pairs"].items():
-        say(f"not registered: {name}: {pairs}")
+        to_stderr(f"not registered: {name}: {pairs}")
     if view:
         webbrowser.open((out / PAGE).resolve().as_uri())

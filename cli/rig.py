@@ -14,7 +14,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.options import dataclass_options
-from dgc_pose.cli.process import progress_bars, say
+from dgc_pose.cli.process import progress_bars, to_stderr
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
@@ -122,7 +122,7 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
             for change in compared(before.poses, found.placed, before.by_name):
                 click.echo(change.text(unit))
         except InputError as error:  # the rig itself is written
-            say(f"warning: {error}")
+            to_stderr(f"warning: {error}")
     return 0
 
 

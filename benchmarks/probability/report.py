@@ -104,7 +104,7 @@ def report_text(poses: Sequence[Judged]) -> str:
 
 def claims_table(poses: Sequence[Judged]) -> str:
     """A table with a row for each data set, and one for all."""
-    headings = ("pairs", "number", "right", "claimed", "wrong", "right refused", "ambiguous")
+    headings = ("pairs", "number", "right", "claimed", "wrong", "missed", "ambiguous")
     rows: list[tuple[str, ...]] = [(*headings, "mean of claims")]
     groups: dict[str, list[Judged]] = {}
     for pose in poses:

@@ -159,19 +159,19 @@ def _estimated(
     warnings = tuple(dict.fromkeys(said))
     inliers = np.zeros(len(problem.matches), dtype=bool)
 
-    def refused(status: Status, reason: str) -> RelativePose:
+    def failure(status: Status, reason: str) -> RelativePose:
         return RelativePose(status, reason, inliers, len(problem), warnings=warnings)
 
     for number, camera in enumerate(problem.cameras, start=1):
         if camera.projection:
             reason = f"image {number} is {camera.projection}, as its XMP data state"
-            return refused("panorama", reason)
+            return failure("panorama", reason)
     if len(problem) < MIN_MATCHES:
         reason = f"only {len(problem)} matches; a verdict needs {MIN_MATCHES}"
-        return refused("too_few_matches", reason)
+        return failure("too_few_matches", reason)
     found = candidates(problem, map_matches, fit_cameras=fit_cameras)
     if found is None:
-        return refused("no_model", f"no essential matrix was found for {len(problem)} matches")
+        return failure("no_model", f"no essential matrix was found for {len(problem)} matches")
     known = uncertainty(found)
     pose = _judged(found, known, gathered(found, known), problem.cameras)
     inliers[found.problem.index] = pose.inliers

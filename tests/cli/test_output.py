@@ -45,7 +45,7 @@ def test_focal_lengths_are_told_with_their_deviations() -> None:
     for first, second, priors, lines in (
         (
             *(FITTED, FITTED, (EXIF, EXIF)),
-            [f"camera of both images: {TEXT}, 1089.0 +- 54.5 px by EXIF data{CENTRE}"],
+            [f"camera of both images: {TEXT} (1089.0 +- 54.5 px by EXIF data){CENTRE}"],
         ),
         (
             *(replace(FITTED, identity=None), OFF_CENTRE, None),

@@ -10,7 +10,7 @@ import { View } from "./view.js";
 
 const at = (id) => document.getElementById(id);
 const images = [null, null]; // the server's answers for both images
-const refused = ["", ""]; // for each place, why its latest photograph was rejected
+const rejections = ["", ""]; // for each place, why its latest photograph was rejected
 let result = null;
 let resultInputs = ""; // the `inputs` of the result
 let pairsKnown = ""; // the `known` camera of the table
@@ -23,7 +23,7 @@ const scene = new Scene(at("scene"));
 
 /** Show the progress, and the errors: first those of rejected photographs. */
 function begin(text, error = "") {
-  at("error").textContent = [...refused, error].filter(Boolean).join("; ");
+  at("error").textContent = [...rejections, error].filter(Boolean).join("; ");
   at("error").hidden = !at("error").textContent;
   at("progress").textContent = text;
 }
@@ -54,7 +54,7 @@ function compare() {
 }
 
 function show(index, image) {
-  [images[index], refused[index]] = [{ ...image, number: ++shownImages }, ""];
+  [images[index], rejections[index]] = [{ ...image, number: ++shownImages }, ""];
   at(`picture${index + 1}`).src = image.picture;
   at(`picture${index + 1}`).alt = image.name;
   at(`picture${index + 1}`).hidden = false;
@@ -73,7 +73,7 @@ async function sendAll(index, files) {
   }
   if (photographs.length > 2 && number !== newestPairs) return; // newer photographs were dropped
   sent.slice(0, 2).forEach((image, n) => show(photographs.length > 1 ? n : index, image));
-  refused[index] = failures.join("; ");
+  rejections[index] = failures.join("; ");
   begin("");
   if (photographs.length > 2) {
     listPairs(sent, (pair) => { pair.forEach((image, n) => show(n, image)); estimate(); });

@@ -5,7 +5,7 @@ const GONE = 410; // the status of an image that the server has dropped
 const SILENT = "the server does not answer: is dgc-pose serve still running?";
 
 /** The server's answer. Raises an Error with its text, and the status if there is one. */
-async function ask(path, body, type) {
+async function send(path, body, type) {
   const headers = { "x-dgc-pose-token": token, "content-type": type };
   const answer = await fetch(path, { method: "POST", headers, body }).catch(() => null);
   if (answer === null) throw new Error(SILENT);
@@ -17,7 +17,7 @@ async function ask(path, body, type) {
 export async function sendFile(file) {
   try {
     const content = await file.arrayBuffer().catch(() => { throw new Error("the file cannot be read"); });
-    const answer = await ask(`/images?name=${encodeURIComponent(file.name)}`, content, "application/octet-stream");
+    const answer = await send(`/images?name=${encodeURIComponent(file.name)}`, content, "application/octet-stream");
     return { ...await answer.json(), again: () => sendFile(file) };
   } catch (error) {
     throw new Error(`${file.name}: ${error.message}`);
@@ -35,7 +35,7 @@ export function bundledPair() {
 /** Yield the progress, and then the result; raises an Error from the server. Images that the server
     has dropped are sent again. */
 export async function* estimated(images, camera) {
-  const request = () => ask(
+  const request = () => send(
     "/poses", JSON.stringify({ image1: images[0].id, image2: images[1].id, camera }), "application/json",
   );
   let answer;
