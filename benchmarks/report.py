@@ -38,7 +38,7 @@ COLUMNS: Columns = {
 CAMERA_HEADING = (
     "poses claimed, and wrong ones among them (over 10 degrees in R or t); doubted: a warning that "
     "a K may be wrong;\n"
-    "told: doubted, or no pose; p off: calibration error of the probability, points; in 90 %: "
+    "told: doubted or no pose; p off: calibration error of the probability, points; in 90 %: "
     "share of right poses whose\n"
     "error is within the expected one; f: focal lengths of claimed poses, median error and share "
     "within two deviations,\n"

@@ -67,7 +67,7 @@ class OutputFolder(NamedPath):
         there = next(filter(os.path.lexists, files), None)
         if there is not None and not (any(resume) or overwrites()):
             hint = "--resume continues that run, " if resume else ""
-            raise InputError(f"{there} is there already: {hint}--overwrite replaces it")
+            raise InputError(f"{there} exists already: {hint}--overwrite replaces it")
 
 
 class SectionedOption(click.Option):

@@ -107,7 +107,7 @@ def test_what_is_no_model_is_refused_and_missing_images_are_told(
     for source, words in (
         (tmp_path / "two", "model .*two has the models 0, 1"),
         (cameras, "model .* has no poses of images"),
-        (odd, "is not rigid"),
+        (odd, "the pose of .* is not rigid"),
         (images, "contains no COLMAP model"),
         (single, "model .*single.csv has one posed image, and two are needed"),
     ):

@@ -138,7 +138,7 @@ def load_photos(
         if len(place) < 2 or len({image.shape for image in place}) > 1:
             raise ImageError(f"{folder}: needs at least two photographs, all of one size")
     if light is not None and not places:
-        raise ImageError(f"{light}: has no folders of photographs, one for each place")
+        raise ImageError(f"{light}: needs a folder of photographs for each place, and has none")
     validating = Photos.of(_decoded(held_back, SIDE), device=device)
     return Photos.of(_decoded(training, SIDE), places, device), validating
 

@@ -186,7 +186,7 @@ class Trainer:
                 setattr(self, name, state[name])
         if self.stage == "decoders" and self._place()[0] == "encoder":
             length = ArgumentName("seconds" if self.options.steps is None else "steps")
-            raise InputError(length, f"returns to the encoder, and {path} trains the decoders")
+            raise InputError(length, f"returns to the encoder, but {path} is at the decoders")
 
     def _fixed_options(self) -> dict[str, str]:
         """The options that a resumed run must share with its checkpoint: all but the length."""

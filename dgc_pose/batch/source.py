@@ -137,7 +137,7 @@ def survey(
     stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
     if calibration.common is not None and len(stored) > 1 and len(upright) > 1:
         first, second, *_ = map(times, stored)
-        sizes = f"is one, for images of several sizes ({first} and {second})"
+        sizes = f"is a single K, and the images have several sizes ({first} and {second})"
         raise InputError(ArgumentName("K"), f"{sizes}: give a file with a K for each image")
     for name, header in headers.items():
         of_image = calibration

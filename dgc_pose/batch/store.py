@@ -21,12 +21,12 @@ from dgc_pose.batch.pairs import MatchedPair, PairRow, parse_row
 from dgc_pose.batch.source import STORE, FileState
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, InputError, shortened
 from dgc_pose.matches import Matches
 from dgc_pose.system.arrays import unpacked
 from dgc_pose.system.files import read_as
 
-_VERSION = 8
+_VERSION = 9
 _FITTED_CAMERA_FIELDS = ("K", "focal_std", "focal_source")
 _RESUME = ArgumentName("resume")
 _TABLES = (
@@ -133,9 +133,9 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     unchanged = [n for n in now.names if now.states.get(n) == before.states.get(n)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     if old != new:
-        other = "has another folder, other options, pairs or cameras, by"
-        command = before.settings.get("command", "another version")
-        raise InputError(f"{out / STORE} {other} `{command}`:", _RESUME, "needs the same")
+        command = shortened(before.settings.get("command", "another version"))
+        other = f"has another folder, options, pairs or cameras (`{command}`):"
+        raise InputError(f"{out / STORE} {other}", _RESUME, "needs the same")
     bad = {name: before.bad[name] for name in unchanged if name in before.bad}
     command = before.settings.get("command", now.settings.get("command"))
     settings = {**now.settings, "command": command}

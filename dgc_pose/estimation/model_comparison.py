@@ -46,7 +46,7 @@ _MIN_SHOWN = 0.02  # least probability of a model that the expected errors inclu
 _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
 # has this many times as many inliers.
-_MAX_RESIDUAL_RATIO, _MORE = 1.0, 1.2
+_MAX_EXTRA_COST, _MORE = 1.0, 1.2
 _EXPLAINED = 0.8  # share of inliers in the sample above which no distant cameras are searched
 _HOPELESS = 6.0  # log-odds against another model, by the slopes, above which it is not fitted
 _DOUBTFUL = -1.0  # log-odds of another model, from the matches only, above which it is searched
@@ -193,7 +193,7 @@ class _Sample:
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
-        if losses[near].sum() > before[near].sum() + _MAX_RESIDUAL_RATIO and not has_more:
+        if losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more:
             return model
         width = self.width * joint.problem.threshold
         hessian, _, tangent = joint.slopes(pose, width, joint.prior)

@@ -23,7 +23,8 @@ class EstimationOptions:
 
     effort: Effort = option(
         "auto",
-        "fast: one coarse pass; auto: more steps while the pose is uncertain; thorough: all steps.",
+        "fast: ends after a coarse pass if it has an answer; auto: more steps while the pose is "
+        "uncertain; thorough: all steps.",
         metavar="HOW",
     )
     runs: int = option(

@@ -21,7 +21,7 @@ from dgc_pose.estimation.evidence import Evidence
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 5  # of the file
 MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
-_MAX_REASONS = 3
+_MAX_REASONS = 2
 # 8 % of the pairs of the fit show two places, and 2 % of the pairs in use.
 _FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))
 DOUBTFUL = 0.8  # probability of one place below which it is a reason against the pose

@@ -239,5 +239,5 @@ def odd_extent(points: np.ndarray, camera: Camera, number: int) -> tuple[str, ..
             raise InputError(text)
         return (text,)
     if max((right, bottom) / size) < _LEAST_REACH:
-        return (f"{reach}: less than half of {pixels}",)
+        return (f"{reach}: less than half of both sides of {pixels}",)
     return ()

@@ -127,8 +127,8 @@ def _with_static_matches(pose: RelativePose, stay: np.ndarray) -> RelativePose:
     inliers[~stay] = pose.inliers
     if part <= _MOST:
         warning = (
-            f"{share} stay at the same pixels and are dropped: an overlay or still background, "
-            "which mask1 and mask2 exclude"
+            f"{share} stay at the same pixels and are dropped: an overlay or still background; "
+            "exclude it by mask1 and mask2"
         )
         return replace(pose, inliers=inliers, warnings=(*pose.warnings, warning))
     reason = f"{share} stay at the same pixels"

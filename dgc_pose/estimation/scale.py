@@ -149,7 +149,7 @@ def with_length(
     stds = own, *moved, *(length * camera.focal_std for camera in cameras)
     warnings = pose.warnings
     if scatter > _CONTRADICTS:
-        off = f"lengths scatter by {scatter:.1f} times their deviations; check unit and photograph"
+        off = f"lengths scatter by {scatter:.1f} times their deviations"
         warnings += (f"the matches contradict the depth map: {off}",)
     sure = pose.covariance is not None and scatter <= _CONTRADICTS
     std = math.hypot(*stds) if sure else None
@@ -276,7 +276,7 @@ def marker_side(
         both = f"a marker in two of the {len(corners)} images"
         seen_twice = any(len(seen) > 1 for seen in views.values())
         words = f"{both} that is a square under the poses" if seen_twice else both
-        raise InputError(ArgumentName("marker"), f"needs {words}, and there is none")
+        raise InputError(ArgumentName("marker"), f"needs {words}")
     names, (sides, stds, counts) = [*fits], np.array([*fits.values()]).T
     low, high = sides.argmin(), sides.argmax()
     ratio = sides[high] / sides[low]

@@ -144,7 +144,7 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
         return None
     if evidence.num_second_inliers and evidence.second_rotation_deg >= _SAME_ROTATION_DEG:
         reason = (
-            f"{why}; {evidence.num_second_inliers} others fit a rotation "
+            f"{why}; {evidence.num_second_inliers} other matches fit a motion with a rotation "
             f"{evidence.second_rotation_deg:.1f} deg away: either may be the camera's"
         )
         return Verdict("ambiguous", reason)
@@ -211,7 +211,7 @@ def _pose(evidence: Evidence) -> Verdict:
     share = f"one homography explains {100 * evidence.homography_ratio:.0f} % of the inliers"
     focal = evidence.raw_focal_90_percent or 0.0
     if focal > _MAX_FOCAL_PERCENT and evidence.homography_ratio >= _NOTHING_BUT_PLANE:
-        reason = f"{share}: a plane does not determine the focal length, so give K"
+        reason = f"{share}: a plane does not determine the focal length"
         return Verdict("undetermined", reason)
     warnings += (f"{share}: the scene is nearly a plane",)
     return Verdict("planar", STATUSES["planar"].meaning, warnings)

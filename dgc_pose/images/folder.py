@@ -97,7 +97,7 @@ def _skip_reason(path: Path, name: str) -> str | None:
     except OSError as failure:
         return failure.strerror or str(failure)
     except ImageError:
-        return "no regular file"
+        return "not a regular file"
     except UnreadableFormatError as error:
         return str(error)
     return None

@@ -136,8 +136,8 @@ class OnnxMatcher(KeyPointMatcher):
         self._roles = _find_roles([shape for _, shape in outputs])
         if len(shape) != 4 or shape[1] not in (1, 3) or not self._roles:
             raise InputError(
-                f"{self.path}: inputs {_described(inputs)} and outputs {_described(outputs)} are "
-                "not an image, and descriptors with logits or key points"
+                f"{self.path} has inputs {_described(inputs)} and outputs {_described(outputs)}; "
+                "expected an image; descriptors with key points or a grid of logits"
             )
         _, self._channels, *self._sides = shape
 

@@ -66,8 +66,8 @@ def test_what_differs_is_refused_with_the_command_and_nothing_changes(
         run_sift(photos, out, start_workers=killed_after(1))
     before = {path: path.read_bytes() for path in out.iterdir()}
     apply, options, *words = CHANGES[change]
-    made = "has another folder, other options, pairs or cameras, by"
-    (words,) = words or [f"batch.db {made} `dgc-pose batch 'my photos'`: "]
+    made = "has another folder, options, pairs or cameras"
+    (words,) = words or [f"batch.db {made} (`dgc-pose batch 'my photos'`): "]
     source = photos if apply is None else apply(photos)
     options = {k: tmp_path / "masks" if k == "masks" else v for k, v in options.items()}
     with pytest.raises(InputError, match=": resume needs the same") as raised:

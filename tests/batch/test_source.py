@@ -97,7 +97,7 @@ def test_one_K_serves_photographs_of_one_size_as_stored_or_upright(
 def test_one_K_does_not_serve_several_sizes(tmp_path, size):
     """Nor photographs that are turned without an EXIF orientation."""
     source = _two(tmp_path, (64, 48), size)
-    words = f"K is one, for images of several sizes .48x{size[1]} and 64x48.: give a file"
+    words = f"K, and the images have several sizes .48x{size[1]} and 64x48.: give a file"
     with pytest.raises(InputError, match=words):
         survey(source, read_calibration("50,52,33,23"))
 

@@ -115,6 +115,6 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(folder / "b.png"), whole[:150])
     options = ["--out", out, "--pairs", "exhaustive", *SIFT]
     assert_refused(run("batch", folder, *options), "no camera for a.png", "--K")
-    reason = "--K is one, for images of several sizes (240x150 and 240x180)"
+    reason = "--K is a single K, and the images have several sizes (240x150 and 240x180)"
     assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()

@@ -130,7 +130,7 @@ def test_each_scene_of_a_folder_has_a_model(tmp_path: Path) -> None:
             written = pycolmap.Reconstruction(out / folder)
             assert sorted(i.name for i in written.images.values() if i.has_pose) == names
     require_model_folder(out / "sparse" / "1")
-    with pytest.raises(InputError, match="contains files"):
+    with pytest.raises(InputError, match="contains files that are not part of a model"):
         require_model_folder(out / "sparse")
 
 

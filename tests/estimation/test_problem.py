@@ -74,7 +74,10 @@ def test_a_cell_is_a_24th_of_the_longer_side():
 
 
 POINTS = two_view_scene(count=300).points1  # of 1600x1200 pixels
-FEW = ["less than half of the 1600x1200", "less than half of the 1621x1181"]
+FEW = [
+    "less than half of both sides of the 1600x1200",
+    "less than half of both sides of the 1621x1181",
+]
 MANY = ["refused", "lie outside the 1621x1181"]
 
 

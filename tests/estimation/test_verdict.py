@@ -180,6 +180,6 @@ def test_no_probability_makes_a_pose_of_chance_a_rotation_a_line_or_points_behin
 def test_a_rotation_that_another_motion_contradicts_is_ambiguous(rotates, probability) -> None:
     status, reason, _ = judge(_changed(**rotates, **SECOND), LEAST, probability)
     assert status == "ambiguous"
-    assert "30 others fit a rotation" in reason and "17.2 deg" in reason
+    assert "30 other matches fit a motion with a rotation" in reason and "17.2 deg" in reason
     alike = _changed(**rotates, **SECOND | {"second_rotation_deg": 2.9})
     assert judge(alike, LEAST, probability).status == "rotation_only"

@@ -94,12 +94,15 @@ def test_each_bad_value_is_refused_in_one_line_and_changes_nothing(folder, begin
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), "choose another"),
-        ((*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"), "choose another"),
+        ((*ESTIMATE, *K, "--overwrite", "--json", "./link"), ": choose another"),
+        (
+            (*ESTIMATE, "--overwrite", "--K", "K.txt", "--json", "K.txt"),
+            "this output is an input: choose another",
+        ),
         ((*EXPORT, "--database", "views/one.png"), ""),
         ((*EXPORT, "--hloc", "batch"), ""),
         (RECONSTRUCT, "exists already"),
-        ((*RECONSTRUCT, "--resume"), "sparse contains files"),
+        ((*RECONSTRUCT, "--resume"), "sparse contains files that are not part of a model"),
         ((*ESTIMATE, *K, "--json", "junk"), "junk exists already: --overwr"),
     ],
     ids=str,

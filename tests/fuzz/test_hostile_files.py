@@ -88,7 +88,7 @@ def test_a_database_that_computes_is_refused(tmp_path):
         with closing(sqlite3.connect(tmp_path / name)) as database:
             database.executescript(f"DROP TABLE {table}; CREATE VIEW {table} AS {ENDLESS}")
     with pytest.raises(
-        InputError, match=r"a\.db cannot be read as a COLMAP database .*view or trigger"
+        InputError, match=r"a\.db cannot be read as a COLMAP database .*computes matches"
     ):
         read_database(tmp_path / "a.db")
     with pytest.raises(InputError, match=r"batch\.db cannot be read as the store of a batch"):

@@ -58,7 +58,7 @@ def test_what_is_left_out_is_counted_by_its_reason(
         "1 file skipped (first: b.jpg): empty",
         "1 file skipped (first: gone.jpg): No such file or directory",
         "1 file skipped (first: h\udcfctte.png): a name that is not UTF-8",
-        "1 file skipped (first: pipe): no regular file",
+        "1 file skipped (first: pipe): not a regular file",
         "2 files skipped (first: cameras.bin): not an image of a known format",
         "3 files skipped (first: 1.heic): HEIC, which needs pillow-heif: pip install '.[heic]'",
         "3 folders skipped (first: @eaDir): previews that a device made",

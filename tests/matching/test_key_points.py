@@ -117,7 +117,7 @@ def test_other_layouts_are_refused_with_what_they_are(tmp_path) -> None:
     image, features = {"image": (1, 1, *SIDES)}, {"features": (1, 64, *SIDES)}
     path = tiny_onnx.write_model(tmp_path / "m.onnx", nodes, {"cut": CUT}, image, features)
     with pytest.raises(
-        InputError, match=r"inputs image .* and outputs features \(1, 64, h, w\) are not"
+        InputError, match=r"inputs image .* and outputs features \(1, 64, h, w\); expected an image"
     ):
         load_matcher(path)
     flat = {"image": (1, 1, "h")}

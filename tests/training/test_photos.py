@@ -85,5 +85,7 @@ def test_places_give_two_of_their_photographs(folder, tmp_path):
     assert torch.equal(*places) and 60 < int(places[0].sum()) < 140
     assert len({*first.tolist()}) == len({*second.tolist()}) == 5 and (first != second).any()
     cv2.imwrite(str(tmp_path / "light/0/other.png"), np.zeros((8, 8, 3), np.uint8))
-    with pytest.raises(ImageError, match="light/0: needs at least two photographs"):
+    with pytest.raises(
+        ImageError, match="light/0: needs at least two photographs, all of one size"
+    ):
         load_photos(folder, tmp_path / "light")

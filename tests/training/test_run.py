@@ -212,9 +212,7 @@ def test_an_encoder_of_torchvision_has_its_features_and_other_weights_are_refuse
         for end, features in zip(ends, net.pyramid(image), strict=True):
             torch.testing.assert_close(features, layers[:end](image))
     torch.save({**state, "features.2.weight": torch.zeros(64, 32, 3, 3)}, path)
-    other = (
-        "contain the weights of VGG-16 in torchvision's layout: it has features.2.weight .64, 32"
-    )
+    other = "the weights of VGG-16 in torchvision's layout: it has features.2.weight .64, 32, 3, 3."
     with pytest.raises(WeightsError, match=r"encoder\.pth .*" + other):
         initialise_encoder(path, net)
 

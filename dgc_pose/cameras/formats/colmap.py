@@ -210,7 +210,7 @@ def read_database(path: Path) -> PairList:
 
 def _database_content(database: sqlite3.Connection) -> PairList:
     for (program,) in database.execute(_PROGRAMS):
-        raise ValueError(f"the database defines a view or trigger: {program}")
+        raise ValueError(f"the database computes {program}, and only stored tables are read")
     names: dict[int, str] = {}
     cameras: dict[str, Camera] = {}
     for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):

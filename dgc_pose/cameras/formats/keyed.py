@@ -84,7 +84,7 @@ def keyed_cameras(data: Mapping[str, Any]) -> Calibration:
             parts[_CAMERAS_OF_A_PAIR[key]] = camera
         return Calibration(parts=parts)
     if {*_MATRICES, "fx"}.isdisjoint(data):  # the cameras of a pair are null
-        raise InputError("has no cameras, because its pair has no pose")
+        raise InputError("has no cameras; dgc-pose writes none if a pair has no pose")
     data = dict(data)
     frames = enumerate(data.pop("perFrameIntrinsicCoeffs", ()))  # Record3D: 0.jpg, 1.jpg, ...
     common, parts = keyed_camera(data), {}

@@ -177,7 +177,10 @@ def test_the_lens_of_a_frame_whose_model_is_another(tmp_path: Path) -> None:
         ({"K": K.tolist(), "model": "OPENCV", "coefficients": [1]}, "OPENCV takes 4 coefficients"),
         ({"K": K.tolist(), "focal_std": math.nan}, "focal_std must be finite and at least 0"),
         ({"intrinsics": [{"fx": 1}]}, "no K and no camera of OpenCV's, .* among intrinsics"),
-        ({"camera1": None, "camera2": None}, "has no cameras, because its pair has no pose"),
+        (
+            {"camera1": None, "camera2": None},
+            "has no cameras; dgc-pose writes none if a pair has no pose",
+        ),
         ({"frames": [{"file_path": "a.png"}]}, "has neither fl_x nor camera_angle_x with w"),
         ({"fl_x": 500, "frames": []}, "neither cx and cy nor w and h"),
         ({**ALL, "frames": [{}]}, "file_path"),
