@@ -21,7 +21,7 @@ from chromium import Page, chromium_page, find_chromium  # noqa: E402
 from worlds import K, draw_textures, look_at, render  # noqa: E402
 
 COMMAND = [sys.executable, "-m", "dgc_pose"]
-PALETTE = 256  # colours of a picture: a quarter of the bytes
+PALETTE = 256  # colours of a picture
 SIZE = (960, 720)  # of the room's views, pixels
 VIEWS = 7
 DONE = "document.querySelector('#progress').textContent.startsWith('done')"
@@ -68,7 +68,8 @@ def main() -> None:
         draw_page(page, pictures[0])
         draw_model(page, pictures[1], Path(name))
         for picture in pictures:
-            colours = Image.open(picture).convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
+            pixels = Image.open(picture).convert("RGB")
+            colours = pixels.quantize(PALETTE, Image.Quantize.FASTOCTREE)
             colours.save(ROOT / "docs" / picture.name, optimize=True)
 
 
