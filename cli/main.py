@@ -151,7 +151,8 @@ def _message_and_status(error: BaseException, words: Sequence[str]) -> tuple[str
 def main(ctx: click.Context, version: bool) -> None:
     """Relative camera pose from two photographs.
 
-    Exit codes: 0 success, 2 unusable input, 3 no pose (the reason is printed).
+    Exit codes: 0 success, 2 unusable input, 3 no pose (the reason is printed), 1 an
+    unexpected error, 130 interrupted.
     """
     # torch reads it when imported, which happens later in the sub-commands.
     if "OMP_WAIT_POLICY" not in os.environ:

@@ -115,5 +115,7 @@ def motions_text(motions: dict[str, CameraMotion]) -> str:
     reasons = ["", *(of.reason for of in motions.values())]
     lines = map("{}  {}".format, aligned(rows).splitlines(), reasons)
     first = next((name for name, of in motions.items() if of.verdict == "moved"), None)
-    last = "none has moved" if first is None else f"the first that has moved: {printable(first)}"
+    unsure = sum(of.verdict == "cannot say" for of in motions.values())
+    last = f"no verdict on {unsure} of {len(motions)}" if unsure else "none has moved"
+    last = last if first is None else f"the first that has moved: {printable(first)}"
     return "\n".join([*(line.rstrip() for line in lines), last])

@@ -53,7 +53,7 @@ def fit_probability(choice: FitChoice) -> None:
     First matches the pairs of the plan, and records the evidence for each pose and its error in
     records.jsonl in --out; after a kill, run the same command to continue. Then fits and calibrates
     the models on some scenes, and reports on others. Writes probability.json, which the package
-    reads, report.txt and reliability.png into --out. Needs scikit-learn (the extra "fit").
+    reads, report.txt and reliability.png into --out. Needs the extras "fit" and "torch".
     """
     plan = choice.plan or DEFAULT_PLAN
     entries = read_plan(plan)
@@ -118,7 +118,7 @@ def fit_folders(choice: FolderFitChoice) -> None:
     """Fit the weights of `batch/look_alikes.py`: match, label, fit.
 
     Renders folders with repeats. Matches their pairs and the pairs of at most as many posed scenes,
-    in --out; after a kill, run the same command to continue. Needs scikit-learn (the extra "fit").
+    in --out; after a kill, run the same command to continue. Needs the extras "fit" and "torch".
     """
     require({"fit-folders": "fit"})  # before the work
     from dgc_pose.benchmarks.folders import collected, fit, folder_names

@@ -245,7 +245,8 @@ def known_metres(
         with suppress(ValueError):
             if len({*paths} & {*pair}) == len(pair) == 2 and float(metres) > 0:
                 return dict.fromkeys(pair, float(metres)), _OWN_FRAME
-        needed = f"must be two of the {len(paths)} images and metres"
+        first = next(iter(sorted(paths)), "")
+        needed = f"must be two of the {len(paths)} images (such as {first}) and metres"
         raise InputError(ArgumentName("scale"), f"{needed}, not {options.scale!r}")
     if not options.gps:
         return {}, _OWN_FRAME

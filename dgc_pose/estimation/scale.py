@@ -81,7 +81,7 @@ class ScaleSource:
             value, values = getattr(self, name), numbers(getattr(self, name)) or [0.0]
             is_length = len(values) in counts and min(values[n:]) > 0 and np.isfinite(values).all()
             if value is not None and not is_length:
-                form = f"must be {_FORMS[name]}, METRES and STD above 0"
+                form = f"must be {_FORMS[name]}, lengths above 0"
                 raise InputError(ArgumentName(name), f"{form}, not {value!r}")
             if name == "distance" and value is not None and values[:2] == values[2:4]:
                 raise InputError(ArgumentName(name), "has the same point twice")

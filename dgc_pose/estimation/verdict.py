@@ -92,9 +92,7 @@ def judge(
     failed = None
     if share * probability < min_probability:  # else only `same_place` makes it improbable
         failed = by_chance(evidence) or _implausible(evidence)
-    reason = (
-        f"probability {percent_text(whole)}, below the required {percent_text(min_probability)}"
-    )
+    reason = f"probability {percent_text(whole)}, below the required {100 * min_probability:g} %"
     reason = ": ".join([reason, ", ".join(against)] if against else [reason])
     return Verdict("improbable" if failed is None else failed.status, reason)
 
@@ -119,8 +117,8 @@ def _random(evidence: Evidence, few: bool = False) -> Verdict | None:
     if not few and evidence.log10_false_alarms <= _MAX_LOG10_FALSE_ALARMS:
         return None
     reason = (
-        f"only {evidence.num_inliers} matches ({100 * evidence.inlier_ratio:.1f} %) fit an "
-        f"essential matrix, as {100 * evidence.chance_ratio:.1f} % of wrong matches do by chance"
+        f"{evidence.num_inliers} matches ({100 * evidence.inlier_ratio:.1f} %) fit an essential "
+        f"matrix, and {100 * evidence.chance_ratio:.1f} % of wrong matches do by chance"
     )
     return Verdict("chance_inliers", reason)
 

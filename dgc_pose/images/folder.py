@@ -118,7 +118,7 @@ def frames_folder(path: Path, number: int, folder: Path) -> Path:
     # The number of frames in the header may be wrong, and the frames do not fit into memory.
     sharpness = [cv2.Laplacian(pixels, cv2.CV_32F).std() for pixels in _frames(path)]
     if not sharpness:
-        raise InputError(path, "is a video, and no frame of it can be read")
+        raise InputError(path, "is not a video that can be read")
     bounds = [len(sharpness) * part // number for part in range(number + 1)]
     parts = (range(*part) for part in pairwise(bounds))
     chosen = [max(part, key=sharpness.__getitem__) for part in parts if part]

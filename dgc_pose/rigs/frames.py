@@ -49,12 +49,13 @@ def camera_frames(
             raise InputError(_FRAMES, f"{folder}: two cameras have the name {name}")
         else:
             cameras[name] = found[:: -(-len(found) // _MOST_FRAMES)]
-    if len(cameras) < 2:
-        raise InputError(_FRAMES, f"{folder}: {len(cameras)} cameras found, and a rig has two")
-    if copies := identical_copies(folder, images):
-        raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
     why = "neither a picture, nor a video, nor a folder of pictures"
     lines = [skipped_line("file", skipped, why)] if skipped else []
+    if len(cameras) < 2:
+        few = f"{folder}: {len(cameras)} cameras found, and a rig has two"
+        raise InputError(_FRAMES, "; ".join([few, *lines]))
+    if copies := identical_copies(folder, images):
+        raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
     return cameras, tuple(lines)
 
 

@@ -40,7 +40,7 @@ def open_file(path: str | Path, error: type[DgcPoseError] = InputError) -> Binar
     with suppress(ValueError):  # a zero byte
         if os.path.isfile(path) or not os.path.exists(path):
             return open(path, "rb")
-    raise error(Path(path), "is not a regular file")
+    raise error(Path(path), "is a folder" if os.path.isdir(path) else "is not a regular file")
 
 
 def read_bytes(

@@ -110,7 +110,7 @@ def test_unusable_input_is_one_line(folder: Path) -> None:
             (("frames", "--K", "list.toml"), "list.toml"),
             (("frames", "--K", "east=1,1,1,1"), "--K is of east, and the cameras are view0, v"),
             (("frames", "--K", "view0=1,2"), "K of view0"),
-            (("frames", "--scale", "view0,east,2"), "--scale must be two of the 3 images"),
+            (("frames", "--scale", "view0,east,2"), "--scale must be two of the 3 images (such as"),
             (("frames", "--gps", "--marker", 0.2), "--gps and --marker both set the scale"),
             (("frames", "--walk", "missing"), "--walk: missing is not a folder"),
             (("frames", "--walk", "walk", "--walk-K", "1,2"), "K: '1,2' is neither auto"),

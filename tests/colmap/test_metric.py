@@ -166,7 +166,7 @@ def test_the_command(tmp_path: Path) -> None:
     words = ("reconstruct", folder, "--out", tmp_path / "out", *fast)
     for scale in ("nosuch.png,2", "view1.png,0", "view0.png,2"):
         refused = run(*words, "--scale", f"view0.png,{scale}")
-        assert_refused(refused, "--scale must be two of the 4 images")
+        assert_refused(refused, "--scale must be two of the 4 images (such as")
         assert not (tmp_path / "out").exists()
     result = run(*words, "--scale", f"view0.png,view3.png,{metres}")
     assert result.exit_code == 0, result.output

@@ -181,7 +181,7 @@ def test_a_missing_file_a_folder_a_pipe_and_a_large_file(tmp_path: Path) -> None
     for source, words in (
         (tmp_path / "gone.png", r"gone\.png cannot be read: No such file"),
         ("x" * 5000, "cannot be read"),
-        (tmp_path, "is not a regular file"),
+        (tmp_path, "is a folder"),
         (tmp_path / "pipe", "is not a regular file"),
         (f"{tmp_path}/a\0b", "is not a regular file"),
         (tmp_path / "large.png", r"large\.png is too large"),

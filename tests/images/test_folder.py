@@ -140,7 +140,7 @@ def test_a_video_without_a_frame(tmp_path: Path) -> None:
     """Nothing is written. In a process of its own FFmpeg prints nothing beside our line."""
     name = "x1.mp4"
     (tmp_path / name).write_bytes(b"\0\0\0\x18ftypmp42" + bytes(100))
-    message = f"{tmp_path / name} is a video, and no frame of it can be read"
+    message = f"{tmp_path / name} is not a video that can be read"
     with pytest.raises(InputError) as caught:
         frames_folder(tmp_path / name, 40, tmp_path / "frames")
     assert str(caught.value) == message
