@@ -155,12 +155,12 @@ def test_what_is_no_pose_is_refused(change: Callable[[Any], Any]) -> None:
         RelativePose.from_dict(change(of_scene().to_dict()))
 
 
-GLOSSARY = Path(__file__).resolve().parents[2] / "docs" / "glossary.md"
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "quick-start.md"
 
 
-def test_every_status_has_its_facts_and_a_line_in_the_glossary() -> None:
+def test_every_status_has_its_facts_and_a_line_in_the_guide() -> None:
     assert list(STATUSES) == list(get_args(Status))
-    lines = GLOSSARY.read_text(encoding="utf-8").splitlines()
+    lines = GUIDE.read_text(encoding="utf-8").splitlines()
     assert [name for line in lines for name in STATUSES if line.startswith(f"| `{name}` |")] == [
         *STATUSES
     ]
