@@ -59,7 +59,7 @@ docs: $(VENV)/.installed-docs
 figures: $(VENV)/.installed
 	$(BIN)/python docs/figures.py
 
-# The pages in headless Chromium; $$CHROMIUM may name one.
+# The pages in headless Chromium; $CHROMIUM may name one.
 screenshots: $(VENV)/.installed-dev
 	$(BIN)/python docs/screenshots.py
 

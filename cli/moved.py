@@ -116,6 +116,8 @@ def motions_text(motions: dict[str, CameraMotion]) -> str:
     lines = map("{}  {}".format, aligned(rows).splitlines(), reasons)
     first = next((name for name, of in motions.items() if of.verdict == "moved"), None)
     unsure = sum(of.verdict == "cannot say" for of in motions.values())
-    last = f"no verdict on {unsure} of {len(motions)}" if unsure else "none has moved"
-    last = last if first is None else f"the first that has moved: {printable(first)}"
+    if first is not None:
+        last = f"the first that has moved: {printable(first)}"
+    else:
+        last = f"no verdict on {unsure} of {len(motions)}" if unsure else "none has moved"
     return "\n".join([*(line.rstrip() for line in lines), last])

@@ -44,6 +44,13 @@ def renewed(block: re.Match[str]) -> str:
     return start + (old if words(old) == words(new) else new)
 
 
+def save_picture(picture: Image.Image, name: str) -> None:
+    """Write a picture of docs/ with few colours."""
+    # FASTOCTREE keeps the colours of lines.
+    colours = picture.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
+    colours.save(ROOT / "docs" / name, optimize=True)
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         drawn = Path(folder, "demo.png")
@@ -51,9 +58,7 @@ def main() -> None:
         with Image.open(drawn) as picture:
             top = picture.crop((0, 0, picture.width, round(TOP * picture.height)))
             top.thumbnail((WIDTH, WIDTH))
-            # FASTOCTREE keeps the colours of lines.
-            colours = top.convert("RGB").quantize(PALETTE, Image.Quantize.FASTOCTREE)
-        colours.save(ROOT / "docs" / "demo.png", optimize=True)
+            save_picture(top, "demo.png")
     for page in PAGES:
         page.write_text(BLOCK.sub(renewed, page.read_text(encoding="utf-8")), encoding="utf-8")
 

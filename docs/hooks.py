@@ -14,23 +14,15 @@ import click
 
 from dgc_pose.cli.main import SECTIONS, main
 
-ROOT = Path(__file__).resolve().parents[1]
 WIDTH = 88  # characters of a line
 _COMMANDS = re.compile(r"<!-- commands: (.+) -->")
 _SECTIONS = "<!-- sections -->"
-_INCLUDED = re.compile(r'^--8<-- "(\w+\.md)"$', re.MULTILINE)  # a page of the repository's root
 _NONE = 'alt="No description has been provided for this image"'
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    markdown = _INCLUDED.sub(lambda mark: _of_root(mark[1]), markdown)
     markdown = _COMMANDS.sub(lambda mark: "\n".join(map(_reference, SECTIONS[mark[1]])), markdown)
     return markdown.replace(_SECTIONS, _table())
-
-
-def _of_root(name: str) -> str:
-    """A page of the root, with its links as seen from docs/."""
-    return (ROOT / name).read_text(encoding="utf-8").replace("](docs/", "](")
 
 
 def _table() -> str:

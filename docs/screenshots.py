@@ -10,25 +10,22 @@ import sys
 import tempfile
 from pathlib import Path
 
-import cv2
 import numpy as np
+from figures import ROOT, output, save_picture
 from PIL import Image
 
-ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from chromium import Page, chromium_page, find_chromium  # noqa: E402
-from worlds import K, draw_textures, look_at, render  # noqa: E402
+from worlds import K, K_text, draw_textures, render_views, write_views  # noqa: E402
 
-COMMAND = [sys.executable, "-m", "dgc_pose"]
-PALETTE = 256  # colours of a picture
 SIZE = (960, 720)  # of the room's views, pixels
 VIEWS = 7
 DONE = "document.querySelector('#progress').textContent.startsWith('done')"
 
 
 def draw_page(page: Page, picture: Path) -> None:
-    words = [*COMMAND, "serve", "--no-browser"]
+    words = [sys.executable, "-m", "dgc_pose", "serve", "--no-browser"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None
@@ -47,14 +44,8 @@ def draw_model(page: Page, picture: Path, folder: Path) -> None:
         pixels = Image.open(ROOT / "dgc_pose" / "data" / photograph).convert("RGB")
         textures[plane] = np.asarray(pixels.resize(textures[plane].shape[1::-1]), np.float32)
     scaled = np.diag([4.0, 4.0, 1.0]) @ K
-    (folder / "room").mkdir()
-    for number, x in enumerate(np.linspace(-1.2, 1.2, VIEWS)):
-        centre = np.array([x, 0.15 * np.sin(2 * number), 0.05 * x * x])
-        view, _ = render(look_at(centre, np.array([0, 0.2, 4.6])), centre, textures, scaled, SIZE)
-        cv2.imwrite(str(folder / "room" / f"view{number}.png"), view[..., ::-1])
-    camera = ",".join(map(str, (scaled[0, 0], scaled[1, 1], scaled[0, 2], scaled[1, 2])))
-    words = ["reconstruct", str(folder / "room"), "--K", camera, "--out", str(folder / "model")]
-    subprocess.run([*COMMAND, *words], check=True)
+    write_views(folder / "room", render_views(VIEWS, textures=textures, K=scaled, size=SIZE))
+    output(f"dgc-pose reconstruct {folder}/room --K {K_text(scaled)} --out {folder}/model")
     page.open_anew((folder / "model" / "model.html").as_uri())
     page.screenshot(picture, 1100, 640)
 
@@ -68,9 +59,7 @@ def main() -> None:
         draw_page(page, pictures[0])
         draw_model(page, pictures[1], Path(name))
         for picture in pictures:
-            pixels = Image.open(picture).convert("RGB")
-            colours = pixels.quantize(PALETTE, Image.Quantize.FASTOCTREE)
-            colours.save(ROOT / "docs" / picture.name, optimize=True)
+            save_picture(Image.open(picture), picture.name)
 
 
 if __name__ == "__main__":

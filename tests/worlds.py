@@ -43,14 +43,22 @@ class View:
         return -self.R.T @ self.t
 
 
-def render_views(count: int, *, seed: int = 0, step: float = 0.35) -> list[View]:
+def render_views(
+    count: int,
+    *,
+    seed: int = 0,
+    step: float = 0.35,
+    textures: list[np.ndarray] | None = None,
+    K: np.ndarray = K,
+    size: tuple[int, int] = SIZE,
+) -> list[View]:
     """Views of cameras on an arc of `step` units between neighbours, which look at the middle."""
-    textures, views = draw_textures(seed), []
+    textures, views = textures or draw_textures(seed), []
     for i in range(count):
         x = (i - (count - 1) / 2) * step
         centre = np.array([x, 0.15 * np.sin(2.0 * i), 0.05 * x * x + 0.1 * np.cos(1.5 * i)])
         R = look_at(centre, np.array([0.0, 0.2, 4.6]))
-        views.append(View(render(R, centre, textures)[0], R, -R @ centre))
+        views.append(View(render(R, centre, textures, K, size)[0], R, -R @ centre))
     return views
 
 
@@ -70,7 +78,7 @@ def known_model(folder: Path, views: list[View]) -> Model:
     return Model(folder, dict.fromkeys(names, Camera(K, SIZE)), poses)
 
 
-def K_text() -> str:
+def K_text(K: np.ndarray = K) -> str:
     """K as on the command line."""
     return f"{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}"
 

@@ -172,8 +172,8 @@ def fit_all(
     fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
     data = {"format": FORMAT, "engine": used, "focal_error": focal_error}
     certain = fit_same_place(np.zeros(0), np.zeros(0, bool))
-    models = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
-    claims = [judged(row, models["network"]) for row in by_kind.get("network", [])]
+    one_place = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
+    claims = [judged(row, one_place["network"]) for row in by_kind.get("network", [])]
     known = [
         (claim.record.evidence.context_ratio, claim.right)
         for claim in claims

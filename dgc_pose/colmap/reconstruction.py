@@ -245,7 +245,7 @@ def known_metres(
         with suppress(ValueError):
             if len({*paths} & {*pair}) == len(pair) == 2 and float(metres) > 0:
                 return dict.fromkeys(pair, float(metres)), _OWN_FRAME
-        first = next(iter(sorted(paths)), "")
+        first = min(paths, default="")
         needed = f"must be two of the {len(paths)} images (such as {first}) and metres"
         raise InputError(ArgumentName("scale"), f"{needed}, not {options.scale!r}")
     if not options.gps:
