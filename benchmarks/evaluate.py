@@ -12,7 +12,7 @@ from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose, estimate_pose
-from dgc_pose.estimation.camera_model import is_contradicted
+from dgc_pose.estimation.camera_texts import is_contradicted
 from dgc_pose.estimation.status import STATUSES
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.matches import Matches

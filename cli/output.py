@@ -42,10 +42,10 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
     angle = pose.median_triangulation_angle_deg
     if pose.t is not None and angle is not None:
         lines.append(f"median triangulation angle {angle:.2f} deg")
-    if pose.rotation_error_90_deg is not None and pose.translation_error_90_deg is not None:
+    if errors := pose.error_texts:
+        what = "pose" if pose.success else "rotation"
         lines.append(
-            f"expected error: R within {pose.rotation_error_90_deg:.3f} deg, t within "
-            f"{pose.translation_error_90_deg:.3f} deg in 90 % of cases, if the pose is right"
+            f"expected error: {', '.join(errors)} in 90 % of cases, if the {what} is right"
         )
     if pose.t is not None:
         lines.append(probability_text(pose.probability, "that R and t are within 10 deg"))

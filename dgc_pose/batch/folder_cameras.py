@@ -21,7 +21,7 @@ from dgc_pose.batch.pairs import MatchedPair, PairRow
 from dgc_pose.batch.workers import Cameras, PoseRunner
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import OTHER_STD, SHARED
-from dgc_pose.estimation.camera_model import STATED_K_MODELS, ModelName, with_model
+from dgc_pose.estimation.camera_model import ModelName, model_named, with_model
 from dgc_pose.estimation.intrinsics_prior import SIZE, may_be_crop, parameter_stds, with_parameters
 from dgc_pose.estimation.least_squares import EFFICIENT
 
@@ -116,7 +116,8 @@ def _by_models(cameras: Cameras, rows: Sequence[PairRow]) -> Cameras:
     for name, names in groups.items():
         of_group = weights[names[0]]
         for model, weight in of_group.items():
-            if weight > sum(of_group.values()) / 2 and model not in STATED_K_MODELS:
+            is_most = weight > sum(of_group.values()) / 2
+            if is_most and not model_named(model).contradicts_K:
                 changed[name] = with_model(cameras[name], model)
     return changed
 

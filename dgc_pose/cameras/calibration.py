@@ -20,7 +20,7 @@ from dgc_pose.cameras.camera import Camera, FocalSource, matrix_camera, view_cam
 from dgc_pose.cameras.formats import colmap
 from dgc_pose.cameras.formats.keyed import keyed_camera, numbers, numbers_camera
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_cameras, with_lines
+from dgc_pose.cameras.prior import LENS_STD, Sharing, auto_cameras, with_lines, with_pictures
 from dgc_pose.errors import ArgumentName, InputError, shortened
 from dgc_pose.images.image import Image
 from dgc_pose.system.options import check_type
@@ -65,7 +65,7 @@ def pair_cameras(
     else:
         first = image_camera(values[0], image1, names[0], details, "K1")
         second = image_camera(values[1], image2, names[1], details, "K2")
-    first, second = with_lines((first, second), images)
+    first, second = with_pictures(with_lines((first, second), images), images)
     return first, second
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 FocalSource = Literal["given", "exif", "size", "lines", "matches"]
 # Grid of ln(f over the longer side) at which the likelihood of the lines is evaluated.
 LOG_FOCALS = np.linspace(math.log(0.3), math.log(8.0), 42)
-_LOGS = np.arange(math.log(0.1), math.log(25.0), 0.01)  # ln(f over the longer side)
+LOGS = np.arange(math.log(0.1), math.log(25.0), 0.01)  # ln(f over the longer side)
 
 
 class Part(NamedTuple):
@@ -39,13 +39,13 @@ class Part(NamedTuple):
     def given(self, lines: np.ndarray) -> Part:
         """Update the part with the log-likelihoods (G,) of the lines on `LOG_FOCALS`; the weight
         includes the evidence."""
-        odds = np.interp(_LOGS, LOG_FOCALS, lines)
-        odds -= ((_LOGS - self.log_focal) / self.std) ** 2 / 2
+        odds = np.interp(LOGS, LOG_FOCALS, lines)
+        odds -= ((LOGS - self.log_focal) / self.std) ** 2 / 2
         density = np.exp(odds - odds.max())
         total = float(density.sum())
-        mean = float(density @ _LOGS) / total
-        std = math.sqrt(float(density @ (_LOGS - mean) ** 2) / total)
-        evidence = float(odds.max()) + math.log(total * (_LOGS[1] - _LOGS[0]) / self.std)
+        mean = float(density @ LOGS) / total
+        std = math.sqrt(float(density @ (LOGS - mean) ** 2) / total)
+        evidence = float(odds.max()) + math.log(total * (LOGS[1] - LOGS[0]) / self.std)
         return Part(self.log_weight + evidence - math.log(2 * math.pi) / 2, mean, std)
 
 
@@ -66,6 +66,18 @@ class FocalPrior:
             key=lambda part: -part.log_weight,
         )
         return first, second
+
+    def log_density(self, log_focals: np.ndarray) -> np.ndarray:
+        """The logarithms (N,) of the density at ln(f over the longer side), (N,), up to a constant,
+        with the lines of this image."""
+        usual, tail = (
+            part.log_weight
+            - math.log(part.std)
+            - ((log_focals - part.log_focal) / part.std) ** 2 / 2
+            for part in (self.usual, self.tail)
+        )
+        density: np.ndarray = np.logaddexp(usual, tail)
+        return density + np.interp(log_focals, LOG_FOCALS, self.lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +106,8 @@ class Camera:
         aspect_std: Standard deviation of the logarithm of fy / fx; 0: exact.
         focal_prior: For a focal length that no K states, see `FocalPrior`; K and `focal_std` are
             its likeliest part.
+        picture: The camera of the same image as without K; None if no image is known. For a K that
+            is stated.
     """
 
     K: np.ndarray
@@ -108,6 +122,7 @@ class Camera:
     projection: str = ""
     aspect_std: float = 0.0
     focal_prior: FocalPrior | None = None
+    picture: Camera | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "K", _checked_matrix(self.K, "K"))
@@ -212,6 +227,11 @@ class TwoViews:
     def E(self) -> np.ndarray:
         """Essential matrix [t]x R (3, 3) of normalised points."""
         return essential_from_pose(self.R, self.t)
+
+
+def image_size(camera: Camera) -> tuple[float, float]:
+    """(width, height) of the image; if unknown, with the principal point in the middle."""
+    return camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1)
 
 
 def matrix_camera(K: Any, name: str = "K") -> Camera:

@@ -19,13 +19,20 @@ import PIL.Image
 from PIL.ExifTags import IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
-from dgc_pose.cameras.camera import LOG_FOCALS, Camera, FocalPrior, FocalSource, Part
-from dgc_pose.images.decoding import Exif
+from dgc_pose.cameras.camera import (
+    LOG_FOCALS,
+    LOGS,
+    Camera,
+    FocalPrior,
+    FocalSource,
+    Part,
+    image_size,
+)
+from dgc_pose.images.decoding import Exif, Header
 from dgc_pose.system.files import scratch_folder
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 if TYPE_CHECKING:
-    from dgc_pose.images.decoding import Header
     from dgc_pose.images.image import Image
 
 Sharing = Literal["files", "shared", "two"]
@@ -36,6 +43,11 @@ SIZE_FOCAL, SIZE_STD = 0.9, 0.35
 _LONG_SHARE, _LONG_FOCAL, _LONG_STD = 0.15, 2.0, 0.7
 OTHER_STD = 0.55  # of all photographs together, around `SIZE_FOCAL`
 _OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
+# A K that hardly any photograph has: f over the longer side, fx / fy over that of the pixels, the
+# distance of the principal point from the middle over the side; and the log-odds against each.
+_USUAL_FOCALS, _USUAL_RATIO, _INNER, _EXTREME = (0.3, 4.0), 1.3, 0.25, 10.0
+FAR_OFF = 0.04  # distance of the principal point from the middle, over the longer side, of a part
+USUAL_K = 2.0  # improbability of a stated K up to which it is usual
 _LINES_STD_RATIO = 0.8  # the lines determine f if they reduce its deviation below this share
 # Standard deviations of the first radial coefficient: photographs as cameras wrote them, action
 # cameras, and images without EXIF data, most of which have been corrected.
@@ -133,6 +145,63 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
         projection=image.projection,
         focal_prior=FocalPrior(usual, tail, np.zeros(len(LOG_FOCALS))),
     )
+
+
+def camera_of_size(size: tuple[int, int]) -> Camera:
+    """The camera of an image of which only the size (width, height) is known."""
+    return auto_camera(Header("", size))
+
+
+def picture_camera(stated: Camera) -> Camera:
+    """The camera of an image as without the K that is stated for it."""
+    width, height = image_size(stated)
+    return stated.picture or camera_of_size((round(width), round(height)))
+
+
+def improbability(stated: Camera) -> float:
+    """By how much a stated K is less probable than the likeliest one, in log-odds: by the focal
+    length that its picture has, and by what no photograph has."""
+    picture = picture_camera(stated)
+    assert picture.focal_prior is not None
+    longer = max(image_size(stated))
+    density = picture.focal_prior.log_density(LOGS)
+    own = picture.focal_prior.log_density(np.log([stated.focal / longer]))
+    ratio = stated.K[0, 0] / stated.K[1, 1] / (picture.K[0, 0] / picture.K[1, 1])
+    by_size = picture.focal_source != "exif"
+    extreme = (
+        by_size and not _USUAL_FOCALS[0] <= stated.focal / longer <= _USUAL_FOCALS[1],
+        not is_inner(stated),
+        abs(math.log(ratio)) > math.log(_USUAL_RATIO),
+    )
+    is_off = from_middle(stated) > FAR_OFF
+    return float(density.max() - own[0]) + USUAL_K * is_off + _EXTREME * sum(extreme)
+
+
+def from_middle(camera: Camera) -> float:
+    """How far the principal point is from the middle of the image, over the longer side."""
+    size = np.array(image_size(camera))
+    return float(np.abs(camera.K[:2, 2] - (size - 1) / 2).max() / size.max())
+
+
+def is_inner(camera: Camera) -> bool:
+    """Whether the principal point is in the middle half of the image."""
+    size = np.array(image_size(camera))
+    offset = np.abs(camera.K[:2, 2] - (size - 1) / 2) / size
+    return bool((offset <= _INNER).all())
+
+
+@one_blas_thread()
+def with_pictures(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
+    """Update cameras whose K is stated with what their images say of it: by size and EXIF data, and
+    by lines if K is unusual."""
+    pictures = [auto_camera(image) for image in images]
+    told = [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
+    if any(c.focal_source == "given" and improbability(c) >= USUAL_K for c in told):
+        pictures = with_lines(pictures, images)
+    return [
+        replace(camera, picture=picture) if camera.focal_source == "given" else camera
+        for camera, picture in zip(cameras, pictures, strict=True)
+    ]
 
 
 @one_blas_thread()

@@ -24,11 +24,17 @@ from dgc_pose.estimation.intrinsics_prior import (
     FOCALS,
     SIZE,
     IntrinsicsPrior,
+    by_parameters,
     error_slopes,
     renormalised_pair,
-    renormalised_slopes,
 )
-from dgc_pose.estimation.least_squares import CORRELATED, EFFICIENT, cauchy_losses, loss_width
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    cauchy_losses,
+    levenberg_marquardt,
+    loss_width,
+)
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.estimation.robust_fit import (
     MINIMAL,
@@ -38,7 +44,13 @@ from dgc_pose.estimation.robust_fit import (
     run_seeds,
     sample,
 )
-from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
+from dgc_pose.geometry.epipolar import (
+    depths,
+    epipolar_lines,
+    essential_from_pose,
+    sampson_distance,
+    tangent_axes,
+)
 from dgc_pose.system.parallel import in_threads
 
 SEARCH_RUNS = 3  # RANSAC runs that take as long as the search of focal lengths
@@ -49,8 +61,9 @@ _MAX_STARTS = 3  # starts that are fitted
 _FITTED = 1000  # matches that they are fitted to
 LIMITS = (3.0, 1.0, 1.0)  # largest errors of the matches in each round of a fit, thresholds
 MOST_ERROR = 3.0  # thresholds; larger errors count as this one
+_TRIED_TOGETHER, _TRIED_APART = (-0.5, -0.25, 0.0, 0.25, 0.5), (-0.35, -0.18, 0.18, 0.35)  # ln f
+_ROUGH_ITERATIONS = 10  # of a fit that need not be the minimum
 _ITERATIONS = 30  # of a fit, which usually converges in 10
-_CONVERGED = 1e-5  # relative change of the cost
 _LARGEST_STEP = 0.5  # change of ln f in an iteration
 
 
@@ -61,6 +74,11 @@ class JointPose:
     R: np.ndarray  # (3, 3)
     t: np.ndarray  # (3,), unit length
     z: np.ndarray  # (M,) parameters in the basis of an `IntrinsicsPrior`, standard deviations
+
+    def moved(self, step: np.ndarray) -> JointPose:
+        """The pose after a step (5 + M,), see `error_slopes`."""
+        R, t = cv2.Rodrigues(step[:3])[0] @ self.R, self.t + tangent_axes(self.t) @ step[3:5]
+        return JointPose(R, t / np.linalg.norm(t), self.z + step[5:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,50 +127,38 @@ class JointFit:
         return pose
 
     def _minimised(self, pose: JointPose, width: float, iterations: int) -> JointPose:
-        """Levenberg-Marquardt with weights from the loss (iteratively reweighted least squares)."""
-        damping, cost = 1e-4, self._loss(pose, width)
-        for _ in range(iterations):
-            hessian, gradient, tangent = self._slopes(pose, width, self.prior)
-            hessian += self.prior.information
+        """The fit to all matches, with weights from the loss (iteratively reweighted)."""
+
+        def linearised(pose: JointPose) -> tuple[float, np.ndarray, np.ndarray]:
+            error, hessian, gradient = self._slopes(pose, width, self.prior)
             gradient[5:] += pose.z
-            before = cost
-            while damping < 1e6:
-                damped = hessian + damping * np.diag(np.diag(hessian))
-                step = np.linalg.lstsq(damped, -gradient, rcond=None)[0]
-                change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
-                step *= min(1.0, _LARGEST_STEP / max(change, 1e-12))
-                R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
-                candidate = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
-                if (cost := self._loss(candidate, width)) < before:
-                    pose, damping = candidate, max(damping / 10, 1e-9)
-                    break
-                damping, cost = damping * 10, before
-            if before - cost <= _CONVERGED * (1 + before):
-                break
-        return pose
+            cost = float(cauchy_losses(error, width).sum() + pose.z @ pose.z / 2)
+            return cost, hessian + self.prior.information, gradient
+
+        def moved(pose: JointPose, step: np.ndarray) -> JointPose:
+            change = np.abs((self.prior.basis @ step[5:])[FOCALS]).max(initial=0)
+            return pose.moved(step * min(1.0, _LARGEST_STEP / max(change, 1e-12)))
+
+        return levenberg_marquardt(pose, linearised, moved, iterations)
 
     def slopes(
         self, pose: JointPose, width: float, prior: IntrinsicsPrior
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The information (5 + M, 5 + M) and the gradient (5 + M,) of the losses by the pose and a
-        prior's parameters, without errors above `MOST_ERROR`; and the axes (3, 2) of t. width: of
-        the losses, in the problem's unit."""
+        prior's parameters, without errors above `MOST_ERROR`. width: of the losses, in the
+        problem's unit."""
         counted = self._errors(pose) < MOST_ERROR * self.problem.threshold
         part = JointFit(self.problem.subset(counted))
-        return part._slopes(pose, width, prior)
+        return part._slopes(pose, width, prior)[1:]
 
     def _slopes(
         self, pose: JointPose, width: float, prior: IntrinsicsPrior
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        error, slopes, tangent = error_slopes(
-            self.problem, pose.R, pose.t, prior, self.parameters(pose)
-        )
+        error, slopes, _ = error_slopes(self.problem, pose.R, pose.t, prior, self.parameters(pose))
         inverse_variance = (EFFICIENT / width) ** 2 / CORRELATED
         weighted = slopes * (inverse_variance / (1 + (error / width) ** 2))[:, None]
-        return weighted.T @ slopes, weighted.T @ error, tangent
-
-    def _loss(self, pose: JointPose, width: float) -> float:
-        return float(cauchy_losses(self._errors(pose), width).sum() + pose.z @ pose.z / 2)
+        known = np.where(np.isfinite(error), error, 0.0)  # the slopes of the others are 0
+        return error, weighted.T @ slopes, weighted.T @ known
 
     def _errors(self, pose: JointPose) -> np.ndarray:
         """Sampson errors (N,), in the problem's unit; infinite if a distortion is not undone."""
@@ -165,17 +171,15 @@ class JointFit:
         behind a camera count too: noise moves distant points to either side."""
         parameters, E = self.parameters(pose), essential_from_pose(pose.R, pose.t)
         points1, points2 = renormalised_pair(self.problem, parameters)
-        lines2, lines1 = homogeneous(points1) @ E.T, homogeneous(points2) @ E
+        algebraic, lines1, lines2 = epipolar_lines(points1, points2, E)
         squared = np.zeros(len(points1))
-        for number, (seen, lines) in enumerate(
-            ((self.problem.points1, lines1), (self.problem.points2, lines2))
-        ):
-            lens, own = self.problem.lenses[number], parameters[SIZE * number :][:SIZE]
-            by_shift = renormalised_slopes(seen, lens, own)[:, :, 1:3]
-            by_pixel = (lines[:, None, :2] @ by_shift)[:, 0] / self.problem.cameras[number].focal
-            squared += (by_pixel**2).sum(1)
+        sides = (self.problem.points1, points1, lines1), (self.problem.points2, points2, lines2)
+        for number, (seen, undone, lines) in enumerate(sides):
+            lens, own = self.problem.lenses[number], np.split(parameters, 2)[number]
+            by_shift = by_parameters(seen, lens, own, undone, lines)[1:3]
+            squared += ((by_shift / self.problem.cameras[number].focal) ** 2).sum(0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.abs((homogeneous(points2) * lines2).sum(1)) / np.sqrt(squared)
+            error = np.abs(algebraic) / np.sqrt(squared)
         return np.where(np.isfinite(error), error, np.inf)
 
     def _in_front(self, pose: JointPose) -> np.ndarray:
@@ -196,6 +200,21 @@ def joint_pose(joint: JointFit) -> JointPose | None:
     best = sorted(starts, key=joint.cost)[:_MAX_STARTS]
     fits = in_threads(lambda start: some.fitted(start, LIMITS[:-1]), best)
     return joint.fitted(min(fits, key=joint.cost), LIMITS[-1:])
+
+
+def rough_pose(joint: JointFit) -> JointPose | None:
+    """A pose and cameras near the most probable ones: the best start of a coarse grid of both focal
+    lengths, and not fitted to the end."""
+    tried = [(k, k) for k in _TRIED_TOGETHER] + [(-k, k) for k in _TRIED_APART]
+    seeds = run_seeds(joint.problem.options, len(tried) + 1)
+    runs = [
+        partial(start_at, joint, of_focals(np.array(at)), seed)
+        for at, seed in zip(tried, seeds[:-1], strict=True)
+    ]
+    runs.append(partial(solved_start, joint, seeds[-1]))
+    starts = [start for start in in_threads(lambda run: run(), runs[::-1]) if start is not None]
+    best = min(starts, key=joint.cost, default=None)
+    return None if best is None else joint.fitted(best, LIMITS[:-1], _ROUGH_ITERATIONS)
 
 
 def _starts(joint: JointFit) -> list[JointPose | None]:

@@ -19,10 +19,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dgc_pose.estimation.camera_changes import turning
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
-from dgc_pose.estimation.camera_model import CameraModel
-from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
-from dgc_pose.estimation.model_comparison import likeliest_model
+from dgc_pose.estimation.intrinsics_prior import (
+    EXACT,
+    IntrinsicsPrior,
+    pair_with_parameters,
+)
+from dgc_pose.estimation.model_comparison import ModelFit, assumed_fit, likeliest_model
 from dgc_pose.estimation.probability import ProbabilityModel, choice_shares, shipped_models, utility
 from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.estimation.robust_fit import (
@@ -33,8 +37,8 @@ from dgc_pose.estimation.robust_fit import (
     refine,
     refit,
     sample,
-    still_camera,
 )
+from dgc_pose.estimation.still_camera import StillCamera, turned_camera, zoomed_camera
 from dgc_pose.geometry.epipolar import depths, homogeneous, sampson_distance
 from dgc_pose.matches import Matches
 
@@ -45,6 +49,7 @@ LIKELY_SHARE = 0.75  # of the first one's inliers: another pose explains the mat
 _MIN_REFINED_SHARE = 0.3  # of the first one's inliers: another pose is refined
 _MAX_DEPTH = 1e6  # in baselines: beyond, there is no parallax to mirror
 _MAX_ERROR = 3.0  # thresholds; larger errors, and points behind a camera, count as this
+_MOST_STILL = 0.6  # share of the matches that a turn explains up to which cameras are compared
 _MIN_PLANAR_SHARE = 0.5  # of the inliers on a homography: its poses compete
 
 
@@ -55,13 +60,11 @@ class Candidates:
     problem: TwoViewProblem  # normalised by the cameras of the model
     map_problem: TwoViewProblem | None  # of an even sample of the dense map
     fitted: bool  # whether the cameras were fitted
-    model: CameraModel  # its cameras have the fitted focal lengths
+    model: ModelFit  # its cameras have the fitted focal lengths
     hypotheses: Sequence[Hypothesis]  # the likeliest first
     homography_ratio: float  # share of the best one's inliers that one homography explains
     second: Hypothesis | None  # another motion, among the outliers of the likeliest
-    # Share of inliers that a camera without a translation explains, and its rotation (3, 3); None
-    # if the cameras were not fitted.
-    still: tuple[float, np.ndarray] | None
+    still: StillCamera  # the motion without a translation
     logistic: ProbabilityModel | None  # None if none is fitted for such matches
 
 
@@ -74,9 +77,10 @@ def candidates(
     """
     options = stated.options
     if fit_cameras:
-        problem, model, runs = _runs_by_model(stated)
+        turned, problem, model, runs = _runs_by_model(stated)
     else:
-        problem, model, runs = stated, CameraModel("assumed", stated.cameras), sample(stated)
+        problem, model, runs = stated, assumed_fit(stated.cameras), sample(stated)
+        turned = turned_camera(stated, EXACT)
     if not runs:
         return None
     fitted = fit_cameras and not all(camera.exact for camera in model.cameras)
@@ -108,29 +112,44 @@ def candidates(
     hypotheses = compared(problem, first, others, map_problem)
     hypotheses = ranked(hypotheses, None if logistic is None else logistic.choice)
 
-    best, still = hypotheses[0], None
+    best = hypotheses[0]
     if best.inliers is not first.inliers:
         left = _left_over(problem, best, share)
     second = _second_motion(problem, best, left, share * best.num_inliers)
-    if fitted:
-        of_inliers = np.isin(stated.index, problem.index[best.inliers])
-        still = still_camera(stated.subset(of_inliers))
+    still = _still_camera(stated, turned, problem, best)
     return Candidates(
         *(problem, map_problem, fitted, model, hypotheses, homography_ratio, second, still),
         logistic,
     )
 
 
+def _still_camera(
+    stated: TwoViewProblem, turned: StillCamera, problem: TwoViewProblem, best: Hypothesis
+) -> StillCamera:
+    """The motion without a translation that explains most matches. turned: by a turn. problem:
+    normalised by the cameras of the pose `best`."""
+    if all(camera.exact for camera in stated.cameras):
+        return turned
+    of_inliers = np.isin(stated.index, problem.index[best.inliers])
+    zoomed = zoomed_camera(stated.subset(of_inliers))
+    return max(zoomed, turned, key=lambda still: still.count)
+
+
 def _refined(problem: TwoViewProblem, run: Hypothesis) -> Hypothesis:
     return refine(problem, run) if problem.options.refine else run
 
 
-def _runs_by_model(stated: TwoViewProblem) -> tuple[TwoViewProblem, CameraModel, list[Hypothesis]]:
-    """RANSAC with the likeliest camera model, fitted if the cameras are not exact.
+def _runs_by_model(
+    stated: TwoViewProblem,
+) -> tuple[StillCamera, TwoViewProblem, ModelFit, list[Hypothesis]]:
+    """RANSAC with the likeliest camera model, fitted if the cameras are not exact. A camera that
+    only turned shows no other cameras.
 
-    Returns the problem, normalised by the model's cameras; the model; and the hypotheses of the
-    runs, with most inliers first; no hypotheses if there is no essential matrix.
+    Returns the turn that explains most matches; the problem, normalised by the model's cameras; the
+    model; and the hypotheses of the runs, with most inliers first; no hypotheses if there is no
+    essential matrix.
     """
+    turned = turned_camera(stated, IntrinsicsPrior.of(*turning(stated.cameras)))
     joint, runs = JointFit(stated), list[Hypothesis]()
     if len(joint.prior):
         pose = joint_pose(joint)
@@ -140,18 +159,20 @@ def _runs_by_model(stated: TwoViewProblem) -> tuple[TwoViewProblem, CameraModel,
     else:
         pose = None
     if pose is None:
-        return stated, CameraModel("assumed", stated.cameras), []
-    model = likeliest_model(stated, pose)
-    if model.name == "assumed" and runs:
-        return stated, model, runs
-    if model.name != "assumed" and model.pose is not None:
+        return turned, stated, assumed_fit(stated.cameras), []
+    is_still = turned.count > _MOST_STILL * len(stated)
+    model = assumed_fit(stated.cameras, pose) if is_still else likeliest_model(stated, pose)
+    is_assumed = model.model.name == "assumed"
+    if is_assumed and runs:
+        return turned, stated, model, runs
+    if not is_assumed and model.pose is not None:
         joint = JointFit(stated.of_cameras(model.cameras))
         pose = joint.fitted(model.pose)
     cameras = pair_with_parameters(joint.problem.cameras, joint.parameters(pose))
     problem, model = stated.of_cameras(cameras), replace(model, cameras=cameras)
     runs = sample(problem, max(1, stated.options.runs - SEARCH_RUNS))
     runs = [Hypothesis.of_pose(problem, pose.R, pose.t), *runs]
-    return problem, model, sorted(runs, key=lambda run: -run.num_inliers)
+    return turned, problem, model, sorted(runs, key=lambda run: -run.num_inliers)
 
 
 def _left_over(problem: TwoViewProblem, pose: Hypothesis, share: float) -> list[Hypothesis]:

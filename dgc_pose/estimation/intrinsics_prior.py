@@ -8,6 +8,7 @@ are 0 for a pinhole; and the change a of ln(fy / fx).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +16,8 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import RADIAL, Distortion
 from dgc_pose.estimation.problem import TwoViewProblem
-from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, skew
-from dgc_pose.geometry.radial import undistorted, undistorted_slopes, unprojected
+from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, skew, tangent_axes
+from dgc_pose.geometry.radial import undistorted, undistorted_gradient, unprojected
 
 _SLOPE_STEP = 1e-5  # of distorted points, for derivatives through a lens
 
@@ -111,21 +112,49 @@ def renormalised_slopes(
     points: np.ndarray, lens: Distortion | None, parameters: np.ndarray
 ) -> np.ndarray:
     """The derivatives (N, 2, SIZE) of `renormalised` by the parameters."""
+    undone = renormalised(points, lens, parameters)
+    axes = [np.tile(axis[:, None], len(points)) for axis in np.eye(2)]
+    rows = [by_parameters(points, lens, parameters, undone, axis).T for axis in axes]
+    return np.stack(rows, axis=1)
+
+
+def by_parameters(
+    points: np.ndarray,
+    lens: Distortion | None,
+    parameters: np.ndarray,
+    undone: np.ndarray,
+    gradient: np.ndarray,
+) -> np.ndarray:
+    """The derivatives (SIZE, N) by the parameters of a function of the renormalised points.
+
+    points: normalised, (N, 2). undone: renormalised, (N, 2). gradient: of the function by these,
+    (2, N).
+    """
     lens = lens or _PINHOLE
     moved = _moved(points, lens, parameters)
     if lens.projection == "plane":
-        coefficients = lens.radial + parameters[3:5]
-        by_seen, by_lens = undistorted_slopes(undistorted(moved, coefficients), coefficients)
+        by_seen, by_lens = undistorted_gradient(undone, lens.radial + parameters[3:5], gradient)
     else:
-        ahead, behind = (
-            [_undone(moved + s * at[:2], lens, parameters + s * at[2:]) for at in _SEEN_AND_LENS]
-            for s in (_SLOPE_STEP, -_SLOPE_STEP)
-        )
-        slopes = (np.stack(ahead, axis=-1) - np.stack(behind, axis=-1)) / (2 * _SLOPE_STEP)
-        by_seen, by_lens = slopes[:, :, :2], slopes[:, :, 2:]
-    by_centre = -by_seen * _shrinks(parameters)
-    by_both = [by_seen @ (moved * of_axes)[:, :, None] for of_axes in ((-1, -1), (0.5, -0.5))]
-    return np.concatenate([by_both[0], by_centre, by_lens, by_both[1]], axis=2)
+        by_seen, by_lens = _gradient_by_differences(moved, lens, parameters, gradient)
+    by_logs = by_seen * moved.T
+    by_focal = -by_logs.sum(0)
+    by_centre = -by_seen * _shrinks(parameters)[:, None]
+    by_aspect = (by_logs[0] - by_logs[1]) / 2
+    return np.vstack([by_focal, by_centre, by_lens, by_aspect])
+
+
+def _gradient_by_differences(
+    moved: np.ndarray, lens: Distortion, parameters: np.ndarray, gradient: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """As `undistorted_gradient`, for any lens."""
+    # The coefficients of a lens that pycolmap computes are no parameters.
+    axes = _SEEN_AND_LENS[:2] if lens.projection is None else _SEEN_AND_LENS
+    slopes = np.zeros((4, len(moved)))
+    for row, axis in enumerate(_SLOPE_STEP * axes):
+        ahead = _undone(moved + axis[:2], lens, parameters + axis[2:])
+        behind = _undone(moved - axis[:2], lens, parameters - axis[2:])
+        slopes[row] = (gradient * (ahead - behind).T).sum(0) / (2 * _SLOPE_STEP)
+    return slopes[:2], slopes[2:]
 
 
 def _moved(points: np.ndarray, lens: Distortion, parameters: np.ndarray) -> np.ndarray:
@@ -156,6 +185,26 @@ def with_parameters(camera: Camera, parameters: np.ndarray) -> Camera:
     return replace(camera, K=K, distortion=lens)
 
 
+def between(camera: Camera, other: Camera) -> np.ndarray:
+    """The parameters (SIZE,) that change one camera into another with the same kind of lens; the
+    inverse of `with_parameters`."""
+    coefficients = [(c.distortion or _PINHOLE).radial for c in (camera, other)]
+    lens = np.subtract(coefficients[1], coefficients[0])
+    (fx, fy), (other_fx, other_fy) = (c.K.diagonal()[:2].tolist() for c in (camera, other))
+    shift = (other.K[:2, 2] - camera.K[:2, 2]) / [fx, fy]
+    focal = math.log(other_fx / fx * other_fy / fy) / 2
+    aspect = math.log(other_fy / fy / (other_fx / fx))
+    return np.array([focal, *shift, *lens, aspect])
+
+
+def have_same_lens(camera: Camera, other: Camera) -> bool:
+    """Whether the lenses of two cameras differ in radial coefficients at most."""
+    lens, others = camera.distortion or _PINHOLE, other.distortion or _PINHOLE
+    if lens.projection is None or others.projection is None:
+        return lens == others
+    return lens.projection == others.projection
+
+
 def pair_with_parameters(
     cameras: tuple[Camera, Camera], parameters: np.ndarray
 ) -> tuple[Camera, Camera]:
@@ -176,12 +225,13 @@ def error_slopes(
     The derivatives are by a rotation vector w, which changes R to exp([w]x) R; by two coordinates
     of t along the columns of the basis, which are perpendicular to t; and by the normal vector of
     `prior`. parameters: (12,), how far the cameras are from those that normalised the problem. The
-    errors are in the problem's unit, 0 where a distortion cannot be undone.
+    errors are in the problem's unit; infinite, with slopes of 0, where a distortion cannot be
+    undone.
     """
     points1, points2 = problem.points1, problem.points2
     if parameters.any():
         points1, points2 = renormalised_pair(problem, parameters)
-    tangent = np.linalg.svd(t[None])[2][1:].T
+    tangent = tangent_axes(t)
     E = essential_from_pose(R, t)
     changes = [skew(t) @ skew(axis) @ R for axis in np.eye(3)]
     changes += [essential_from_pose(R, axis) for axis in tangent.T]
@@ -202,16 +252,14 @@ def error_slopes(
     over = error / squared
     by_point1 = lines1[:2] / root - over * (E[:2, :2].T @ lines2[:2])
     by_point2 = lines2[:2] / root - over * (E[:2, :2] @ lines1[:2])
-    sides = (problem.points1, by_point1), (problem.points2, by_point2)
-    of_cameras = np.hstack(
+    lens1, lens2 = problem.lenses
+    of_cameras = np.vstack(
         [
-            (by_point.T[:, None] @ renormalised_slopes(points, lens, own))[:, 0]
-            for (points, by_point), lens, own in zip(
-                sides, problem.lenses, np.split(parameters, 2), strict=True
-            )
+            by_parameters(problem.points1, lens1, parameters[:SIZE], points1, by_point1),
+            by_parameters(problem.points2, lens2, parameters[SIZE:], points2, by_point2),
         ]
     )
-    of_cameras[:, FOCALS] += error[:, None] / 2  # derivative of the growth
-    slopes = np.hstack([slopes, of_cameras @ prior.basis])
+    of_cameras[FOCALS] += error / 2  # derivative of the growth
+    slopes = np.hstack([slopes, of_cameras.T @ prior.basis])
     growth = np.exp(parameters[FOCALS].mean())
-    return np.nan_to_num(error * growth), np.nan_to_num(slopes * growth), tangent
+    return np.nan_to_num(error * growth, nan=np.inf), np.nan_to_num(slopes * growth), tangent

@@ -1,4 +1,4 @@
-"""The Cauchy loss of robust least squares, and the covariance of its minimum by the jackknife.
+"""The Cauchy loss of robust least squares, its minimum, and the covariance by the jackknife.
 
 Errors of dense matches are correlated: neighbours lie on the same misplaced surface, so a thousand
 of them carry little more information than a few. The usual covariance assumes that all matches are
@@ -6,8 +6,12 @@ independent and is several times too small. The jackknife leaves out one block o
 other (delete-a-group, Kott 2001), so that correlated errors are left out together.
 """
 
+from collections.abc import Callable
+from typing import TypeVar
+
 import numpy as np
 
+Fit = TypeVar("Fit")
 DEVIATION = 1.4826  # standard deviation of Gaussian noise, over the median of its magnitude
 EFFICIENT = 2.385  # width of the Cauchy loss of 95 % efficiency on Gaussian noise, in deviations
 # Errors of neighbouring matches are correlated: this many count as one independent match against
@@ -18,6 +22,8 @@ _SHIFTS = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (0.5, 0.5))  # of the blocks, in 
 # Share of the whole information that stays when a block is left out: for a dense map, as a block
 # may have nearly all of it (docs/experiments.md); and otherwise, to keep the rest regular.
 KEPT, REGULAR = 0.1, 1e-9
+_CONVERGED = 1e-5  # relative change of the cost
+_LEAST_DAMPING, _MOST_DAMPING = 1e-9, 1e6
 _MIN_WIDTH = 0.02  # of the threshold: matches count as no more accurate than this
 
 
@@ -52,6 +58,35 @@ def loss_terms(error: np.ndarray, slopes: np.ndarray, width: float) -> np.ndarra
     weighted = slopes * cauchy_curvature(error, width)[:, None]
     information = weighted[:, :, None] * slopes[:, None]
     return np.column_stack([information.reshape(len(error), -1), gradients])
+
+
+def levenberg_marquardt(
+    start: Fit,
+    linearised: Callable[[Fit], tuple[float, np.ndarray, np.ndarray]],
+    moved: Callable[[Fit, np.ndarray], Fit],
+    iterations: int,
+) -> Fit:
+    """The fit of least cost (Marquardt 1963).
+
+    linearised: the cost of a fit, its Hessian (P, P) and its gradient (P,). moved: the fit after a
+    step (P,).
+    """
+    fit, damping = start, 1e-4
+    cost, hessian, gradient = linearised(fit)
+    for _ in range(iterations):
+        before = cost
+        while damping < _MOST_DAMPING:
+            step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), -gradient)
+            candidate = moved(fit, step)
+            found = linearised(candidate)
+            if found[0] < before:
+                fit, (cost, hessian, gradient) = candidate, found
+                damping = max(damping / 10, _LEAST_DAMPING)
+                break
+            damping *= 10
+        if before - cost <= _CONVERGED * (1 + before):
+            break
+    return fit
 
 
 def jackknife(total: np.ndarray, sums: np.ndarray, kept: float = REGULAR) -> np.ndarray:

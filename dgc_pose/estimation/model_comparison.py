@@ -2,119 +2,227 @@
 
 The evidence of a model is the likelihood of the errors in the images with all parameters integrated
 out, by a normal distribution around their fit (Laplace; MacKay 1992). It compares models of any
-number of parameters. A model is not fitted if the slopes at the fit of the assumed cameras show
-that it is far less likely.
+number of parameters.
+
+The quadratic approximation of the cost at one fit, by the pose and by all parameters of both
+cameras, estimates every model with the same lenses by one solve. A model is fitted only while its
+estimate is the likeliest of all. Where the assumed cameras are unusual, or leave matches
+unexplained, there is a second estimate, at the fit of cameras with everything open.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import image_size
+from dgc_pose.cameras.prior import USUAL_K, improbability
+from dgc_pose.estimation.camera_changes import Cameras, opened
 from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
     JointFit,
     JointPose,
     of_focals,
-    solved_start,
+    rough_pose,
     start_at,
 )
-from dgc_pose.estimation.camera_model import STATED_K_MODELS, WIDE, CameraModel, other_models
-from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior, of_pose
+from dgc_pose.estimation.camera_model import (
+    EXPLAINED_BY_K,
+    CameraModel,
+    model_named,
+    other_models,
+)
+from dgc_pose.estimation.intrinsics_prior import (
+    FOCALS,
+    SIZE,
+    IntrinsicsPrior,
+    between,
+    have_same_lens,
+    of_pose,
+)
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
-from dgc_pose.estimation.problem import TwoViewProblem, image_size
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import draw, run_seeds
-from dgc_pose.geometry.epipolar import unit_rays
+from dgc_pose.geometry.epipolar import tangent_axes, unit_rays
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
-from dgc_pose.system.parallel import in_threads
 
 _SAMPLED = 500  # matches
 # Most matches that a sampled match stands for, if K is stated. Further effects of lenses and
 # shutters are in all matches, and another camera would explain a part of these effects.
 _MOST_WEIGHT = 6.0
 _ITERATIONS = 120  # of a RANSAC run at most
-# Largest errors in each round of a fit, thresholds: from a start, and from a fit.
-_OF_START, _OF_FIT = (3.0, 3.0, 1.0, 1.0), (1.0, 1.0, 1.0)
-_FIT_ITERATIONS = 30  # of a round
-_MIN_SHOWN = 0.02  # least probability of a model that the expected errors include
+_LIMITS = (3.0, 3.0, 1.0, 1.0)  # largest errors in each round of a fit, thresholds
+_MIN_SHOWN = 0.02  # least probability of a model that counts against the pose of another
 # Probabilities above which the assumed cameras, and those that K states, are kept.
 _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
 # has this many times as many inliers.
 _MAX_EXTRA_COST, _MORE = 1.0, 1.2
-_EXPLAINED = 0.8  # share of inliers in the sample above which no distant cameras are searched
-_HOPELESS = 6.0  # log-odds against another model, by the slopes, above which it is not fitted
-_DOUBTFUL = -1.0  # log-odds of another model, from the matches only, above which it is searched
-_UNUSUAL = 0.5  # squares of the assumed cameras' parameters above which two cameras are searched
-_WORSE = 8.0  # cost by which a start may be worse than the fit of the assumed cameras
+_WORSE = 4.0  # loss by which a run may be worse than the fit of the assumed cameras
+_USUAL = 0.7  # standard deviations up to which fitted focal lengths are usual
+_MARGIN = 3.0  # by which an estimate may be too low
+_DETERMINED = 0.5  # share of the prior's deviation of ln f below which the matches determine f
 _LEAST_SPREAD_DEG = 1.0  # least standard deviation of the pose of a model
-# To replace a stated K, a parameter is off by this many standard deviations, and the matches reduce
-# its variance to this share of the prior's.
-_LEAST_STDS, _DETERMINED = 5.0, 0.25
-_MOST_STDS = 3.0  # largest deviation of a focal length from K, standard deviations of the prior
-_OPEN_STD = 0.1  # deviation of ln f below which the matches determine it, whatever the prior
-# The parameters of both cameras that differ from K, by model.
-_TESTED = {
-    "focal": FOCALS,
-    "focals": FOCALS,
-    "lens": [3, SIZE + 3],
-    "centre": [1, 2, SIZE + 1, SIZE + 2],
-}
-_STEPS = np.linspace(-1.5, 1.5, 6)  # standard deviations of ln f that are tried
-# Models with the lenses and middles of the assumed cameras: the slopes at that fit hold for them.
-_BY_SLOPES = ("two", "squeezed", "off_centre", "focal", "focals", "lens", "centre")
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
 
 
-def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> CameraModel:
+@dataclass(frozen=True, eq=False)
+class ModelFit:
+    """Two cameras by one model, and their pose: estimated or fitted."""
+
+    model: CameraModel
+    cameras: Cameras  # before the fit
+    log_odds: float = 0.0  # prior, against the assumed model
+    pose: JointPose | None = None  # None if there is none
+    log_evidence: float = -math.inf
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))  # of the pose, rad^2
+    focal_std: float = 0.0  # of ln f of the less certain camera, by the fit
+    is_fitted: bool = False
+    starts: tuple[JointPose, ...] = ()  # estimates to fit from
+    # Only of the likeliest model: the covariance (6, 6), rad^2, that the other models' poses within
+    # 10 degrees of its pose add; and the probability that the right pose is within 10 degrees.
+    pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    agreement: float = 1.0
+    # Log-odds of the likeliest other model if each match had the largest weight.
+    doubt: float = -math.inf
+
+    @property
+    def log_probability(self) -> float:
+        """Up to a constant of the pair."""
+        return self.log_evidence + self.log_odds
+
+    def with_evidence(self, pose: JointPose, loss: float, hessian: np.ndarray) -> ModelFit:
+        """The fit with a pose. loss, hessian (5 + M, 5 + M): of the matches, without the prior."""
+        prior = IntrinsicsPrior.of(*self.cameras)
+        total = hessian + prior.information
+        sign, log_determinant = np.linalg.slogdet(total)
+        if sign <= 0:
+            return self
+        inverse = np.linalg.inv(total)
+        of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
+        return replace(
+            self,
+            pose=pose,
+            log_evidence=-loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2,
+            covariance=of_pose(inverse[:5, :5], tangent_axes(pose.t)),
+            focal_std=float(np.sqrt(of_cameras.diagonal()[FOCALS].max())),
+        )
+
+
+def assumed_fit(cameras: Cameras, pose: JointPose | None = None) -> ModelFit:
+    """The stated or assumed cameras, not compared with others."""
+    return ModelFit(model_named("assumed"), cameras, pose=pose)
+
+
+def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
     """The most probable model. problem: normalised by the stated cameras. pose: fitted with
     them."""
     stated = problem.cameras
-    drawn = problem.matches.subset(np.sort(draw(problem, problem.options.seed, _SAMPLED).index))
-    pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
-    is_stated = all(camera.focal_source == "given" for camera in stated)
-    most = _MOST_WEIGHT if is_stated else 1.0
-    weight = min(max(len(problem) / max(len(drawn), 1), 1.0), most)
-    fast = replace(problem.options, iterations=_ITERATIONS)
-    joint = JointFit(TwoViewProblem.of(drawn, *stated, fast))
-    sample = _Sample.of(joint, pose, pixels, weight)
-    assumed = sample.valued(CameraModel("assumed", stated), pose, joint)
-    if not math.isfinite(assumed.log_evidence):
-        return replace(assumed, pose=pose)
-    far = {"tail"} if assumed.focal_std < _OPEN_STD else set[str]()  # not tried
-    far |= set(WIDE) if sample.is_explained else set()
-    others = [model for model in other_models(stated) if model.name not in far]
-    fits = in_threads(lambda model: sample.fitted(model, pose, assumed), others)
-    models = [assumed, *fits]
-    shares = choice_shares([model.log_evidence + model.log_odds for model in models]).tolist()
-    best = models[int(np.argmax(shares))]
-    least = _MIN_STATED_SHARE if best.name in STATED_K_MODELS else _MIN_SHARE
-    if shares[0] > least or (best.name in STATED_K_MODELS and best.stds < _LEAST_STDS):
+    sample = _Sample.of(problem, pose)
+    assumed = sample.valued(assumed_fit(stated), pose, sample.joint)
+    if assumed.pose is None:
+        return assumed_fit(stated, pose)
+    near = sample.quadratic(sample.joint, pose)
+    others = [near.estimate(ModelFit(model, *variant)) for model, variant in other_models(stated)]
+    fits = sample.searched(assumed, others)
+    while not (best := max(fits, key=_with_margin)).is_fitted:
+        fits[fits.index(best)] = sample.fitted(best)
+    best = max(fits, key=lambda fit: fit.log_probability)
+    shares = choice_shares([fit.log_probability for fit in fits]).tolist()
+    if shares[0] > (_MIN_STATED_SHARE if _are_stated(stated) else _MIN_SHARE):
         best = assumed
-    assert best.pose is not None  # because the evidence is finite
+    return _with_others(best, fits, shares, near.doubt(assumed, others, sample.weight))
+
+
+def _joined(fit: ModelFit, other: ModelFit) -> ModelFit:
+    """The likelier one of two estimates of a model, with the starts of both."""
+    likelier = max(fit, other, key=lambda each: each.log_probability)
+    return replace(likelier, starts=(*fit.starts, *other.starts))
+
+
+def _with_margin(fit: ModelFit) -> float:
+    return fit.log_probability + (0.0 if fit.is_fitted else _MARGIN)
+
+
+def _are_stated(cameras: Cameras) -> bool:
+    return all(camera.focal_source == "given" for camera in cameras)
+
+
+def _with_others(
+    best: ModelFit, fits: Sequence[ModelFit], shares: Sequence[float], doubt: float
+) -> ModelFit:
+    """The likeliest model with what the other models say of its pose."""
+    assert best.pose is not None  # because its evidence is finite
     covariance, agreement = np.zeros((6, 6)), 0.0
-    for share, model in zip(shares, models, strict=True):
-        if model is best or model.pose is None:
+    for share, fit in zip(shares, fits, strict=True):
+        if fit is best or fit.pose is None or share < _MIN_SHOWN:
             agreement += share
             continue
-        R, t = model.pose.R, model.pose.t
+        R, t = fit.pose.R, fit.pose.t
         angle = max(rotation_error_deg(R, best.pose.R), translation_error_deg(t, best.pose.t))
-        own = math.degrees(math.sqrt(max(np.linalg.eigvalsh(model.covariance)[-1], 0.0)))
+        own = math.degrees(math.sqrt(max(np.linalg.eigvalsh(fit.covariance)[-1], 0.0)))
         spread = min(max(own, _LEAST_SPREAD_DEG), RIGHT_DEG)
         right = 0.5 * math.erfc((angle - RIGHT_DEG) / spread / math.sqrt(2))
         agreement += share * right
         if share * right >= _MIN_SHOWN:
             rotation = cv2.Rodrigues(R @ best.pose.R.T)[0][:, 0]
             difference = np.concatenate([rotation, t - best.pose.t])
-            covariance += share * right * (np.outer(difference, difference) + model.covariance)
-    doubt = max((fit.log_evidence - assumed.log_evidence for fit in fits), default=-math.inf)
-    agreement = min(agreement, 1.0)
-    return replace(best, pose_covariance=covariance, agreement=agreement, doubt=doubt)
+            covariance += share * right * (np.outer(difference, difference) + fit.covariance)
+    return replace(best, pose_covariance=covariance, agreement=min(agreement, 1.0), doubt=doubt)
+
+
+@dataclass(frozen=True, eq=False)
+class _Quadratic:
+    """The cost of the matches near a fit, to the second order in the pose and in all parameters of
+    both cameras."""
+
+    cameras: Cameras  # whose parameters these are
+    pose: JointPose
+    parameters: np.ndarray  # (12,) at the fit
+    loss: float
+    hessian: np.ndarray  # (17, 17)
+    gradient: np.ndarray  # (17,)
+
+    def estimate(self, fit: ModelFit, times: float = 1.0) -> ModelFit:
+        """The model at the minimum of the approximation; unchanged if its lenses are others.
+        times: the weight of the matches."""
+        pairs = list(zip(self.cameras, fit.cameras, strict=True))
+        if not all(have_same_lens(ours, theirs) for ours, theirs in pairs):
+            return fit
+        prior = IntrinsicsPrior.of(*fit.cameras)
+        basis = np.zeros((17, 5 + len(prior)))
+        basis[:5, :5] = np.eye(5)
+        units = [theirs.focal / ours.focal for ours, theirs in pairs]
+        unit = np.concatenate([[1, u, u, 1, 1, 1] for u in units])
+        basis[5:, 5:] = unit[:, None] * prior.basis
+        offset = np.zeros(17)
+        offset[5:] = np.concatenate([between(*pair) for pair in pairs]) - self.parameters
+        hessian = times * basis.T @ self.hessian @ basis
+        gradient = times * basis.T @ (self.gradient + self.hessian @ offset)
+        step = -np.linalg.lstsq(hessian + prior.information, gradient, rcond=None)[0]
+        moved = replace(self.pose, z=np.zeros(len(prior))).moved(step)
+        change = basis @ step + offset
+        loss = self.loss + float(self.gradient @ change + change @ self.hessian @ change / 2)
+        estimated = fit.with_evidence(moved, times * loss, hessian)
+        return replace(estimated, starts=(moved,))
+
+    def doubt(self, assumed: ModelFit, others: Sequence[ModelFit], weight: float) -> float:
+        """The log-odds of the likeliest other model if each match had the largest weight."""
+        times = max(1.0, _most_weight(assumed.cameras) / weight)
+        before = self.estimate(assumed, times).log_probability
+        return max(
+            (self.estimate(fit, times).log_probability - before for fit in others),
+            default=-math.inf,
+        )
+
+
+def _most_weight(cameras: Cameras) -> float:
+    return _MOST_WEIGHT if _are_stated(cameras) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,99 +230,115 @@ class _Sample:
     """Some of the matches, and their errors with the assumed cameras."""
 
     joint: JointFit  # of the assumed cameras
+    pose: JointPose  # the fit of the assumed cameras
     pixels: float  # the threshold
     weight: float  # of each match, which stands for others
     error: np.ndarray  # (N,), see `_errors`
     width: float  # of the losses
-    # Hessian (17, 17) and gradient (17,) at the assumed fit by the pose and by all parameters of
-    # both cameras; the axes (3, 2) of t.
-    slopes: tuple[np.ndarray, np.ndarray, np.ndarray]
 
     @classmethod
-    def of(cls, joint: JointFit, pose: JointPose, pixels: float, weight: float) -> _Sample:
-        """The sample with the errors of the pose of the assumed cameras."""
+    def of(cls, problem: TwoViewProblem, pose: JointPose) -> _Sample:
+        """A sample of the matches of a problem. pose: of the assumed cameras."""
+        stated, options = problem.cameras, problem.options
+        drawn = problem.matches.subset(np.sort(draw(problem, options.seed, _SAMPLED).index))
+        weight = min(max(len(problem) / max(len(drawn), 1), 1.0), _most_weight(stated))
+        joint = JointFit(
+            TwoViewProblem.of(drawn, *stated, replace(options, iterations=_ITERATIONS))
+        )
+        pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
         error = _errors(joint, pose, pixels)
         near = error[error < 1]
         width = loss_width(near, 1.0) if len(near) else 1.0
-        hessian, gradient, tangent = joint.slopes(pose, width * joint.problem.threshold, _ALL)
-        slopes = weight * hessian, weight * gradient, tangent
-        return cls(joint, pixels, weight, error, width, slopes)
+        return cls(joint, pose, pixels, weight, error, width)
 
-    @property
-    def is_explained(self) -> bool:
-        """Whether the assumed cameras explain so many matches that the right ones are similar."""
-        return bool((self.error < 1).mean() > _EXPLAINED)
+    def quadratic(self, joint: JointFit, pose: JointPose) -> _Quadratic:
+        """The approximation at a fit."""
+        loss = self.weight * float(
+            cauchy_losses(_errors(joint, pose, self.pixels), self.width).sum()
+        )
+        hessian, gradient = joint.slopes(pose, self._width_of(joint), _ALL)
+        hessian, gradient = self.weight * hessian, self.weight * gradient
+        return _Quadratic(
+            joint.problem.cameras, pose, joint.parameters(pose), loss, hessian, gradient
+        )
 
-    def fitted(self, model: CameraModel, pose: JointPose, assumed: CameraModel) -> CameraModel:
-        """The model with the likeliest of its fits. If the slopes at the pose of the assumed
-        cameras show that it is hopeless, the estimate from the slopes instead."""
-        joint = JointFit(self.joint.problem.of_cameras(model.cameras))
-        own, others = [_to_middles(cameras) for cameras in (assumed.cameras, model.cameras)]
+    def _width_of(self, joint: JointFit) -> float:
+        """The width of the losses in the unit of a problem, whose threshold may be another."""
+        first, second = joint.problem.cameras
+        return self.width * self.pixels * (1 / first.focal + 1 / second.focal) / 2
+
+    def searched(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
+        """The assumed model and the others, those that may be far from it from other starts."""
+        found, explained = list(others), float((self.error < 1).mean())
+        usual = self._is_usual(assumed.cameras)
+        is_far = explained <= EXPLAINED_BY_K or (_are_stated(assumed.cameras) and not usual)
+        if is_far:
+            joint = JointFit(self.joint.problem.of_cameras(opened(assumed.cameras)))
+            wide = rough_pose(joint)
+            if wide is not None:
+                far = self.quadratic(joint, wide)
+                found = [_joined(fit, far.estimate(fit)) for fit in found]
+        is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
+        known = {"explained": explained, "usual": usual, "focal_is_open": is_open}
+        for number, fit in enumerate(found):
+            if fit.model.is_searched(fit.log_odds, **known):
+                found[number] = self.fitted(fit, search=True)
+        return [assumed, *found]
+
+    def _is_usual(self, assumed: Cameras) -> bool:
+        if _are_stated(assumed):
+            return max(map(improbability, assumed)) < USUAL_K
+        focals = self.joint.prior.basis[FOCALS] @ self.pose.z
+        stds = np.linalg.norm(self.joint.prior.basis[FOCALS], axis=1)
+        return bool((np.abs(focals) <= _USUAL * stds).all())
+
+    def fitted(self, fit: ModelFit, *, search: bool = False) -> ModelFit:
+        """The model with the likeliest of its fits, from its estimate or from the pose of the
+        assumed cameras. search: whether also from RANSAC."""
+        joint = JointFit(self.joint.problem.of_cameras(fit.cameras))
+        starts = [*fit.starts]
+        if search or not starts:
+            starts.append(self._turned(fit.cameras, joint))
+        run = self._best_run(fit, joint) if search else None
+        if run is not None:
+            starts.append(run)
+        fits = [joint.fitted(start, _LIMITS) for start in starts]
+        failed = replace(fit, pose=None, log_evidence=-math.inf, is_fitted=True)
+        valued = [self.valued(failed, pose, joint) for pose in fits]
+        return max([failed, *valued], key=lambda each: each.log_evidence)
+
+    def _turned(self, cameras: Cameras, joint: JointFit) -> JointPose:
+        """The pose of the assumed cameras, with the middles of the images where they were."""
+        own, others = _to_middles(self.joint.problem.cameras), _to_middles(cameras)
         turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
-        of_both = zip(assumed.cameras, model.cameras, strict=True)
-        longer = np.log([one.focal / other.focal for one, other in of_both])
-        at = self.joint.parameters(pose) + of_focals(longer)  # the middles stay where they are
-        z = np.linalg.lstsq(joint.prior.basis, at, rcond=None)[0]
-        start = JointPose(turn2 @ pose.R @ turn1.T, turn2 @ pose.t, z)
-        # If there are two cameras, the fit of one has an unusual focal length.
-        odd = model.name == "two" and float(pose.z @ pose.z) > _UNUSUAL
-        searches = odd or not self.is_explained or model.name not in _BY_SLOPES
-        if model.name in _BY_SLOPES:
-            by_slopes = self._along_slopes(model, joint.prior, start)
-            gain = by_slopes.log_evidence - assumed.log_evidence
-            searches = searches or gain > _DOUBTFUL
-            if gain + model.log_odds < -_HOPELESS and not searches:
-                return by_slopes
-        starts = _starts(model, self.joint.parameters(pose)) if searches else []
-        seeds = run_seeds(joint.problem.options, 1 + len(starts))
-        rough, best = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE, None
-        runs = [start_at(joint, at, seed) for at, seed in zip(starts, seeds[:-1], strict=True)]
-        if searches and model.name in ("two", "focal", "focals"):
-            runs.append(solved_start(joint, seeds[-1]))
-        for run in runs:
-            loss = math.inf
-            if run is not None:
-                loss = float(cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum())
-            if loss < rough:
-                rough, best = loss, run
-        fits = [] if best is None else [joint.fitted(best, _OF_START, _FIT_ITERATIONS)]
-        if model.name not in WIDE:
-            limits = _OF_FIT if model.name in _BY_SLOPES else _OF_START
-            fits.append(joint.fitted(start, limits, _FIT_ITERATIONS))
-        if model.name == "two" and searches:  # from the prior too
-            start = replace(start, z=np.zeros(len(z)))
-            fits.append(joint.fitted(start, _OF_START, _FIT_ITERATIONS))
-        valued = [self.valued(model, fit, joint) for fit in fits]
-        return max([model, *valued], key=lambda each: each.log_evidence)
+        R, t = turn2 @ self.pose.R @ turn1.T, turn2 @ self.pose.t
+        return JointPose(R, t, np.zeros(len(joint.prior)))
 
-    def valued(self, model: CameraModel, pose: JointPose, joint: JointFit) -> CameraModel:
-        """The model with a pose and its evidence. If it explains the inliers of the assumed cameras
-        worse than these do, and has not far more inliers, the model without a pose."""
+    def _best_run(self, fit: ModelFit, joint: JointFit) -> JointPose | None:
+        """The best of RANSAC runs at the focal lengths of the model; None if it has none, or none
+        that explains the matches nearly as well as the assumed cameras."""
+        seeds = run_seeds(joint.problem.options, max(len(fit.model.focals), 1))
+        runs = [
+            start_at(joint, of_focals(np.full(2, log_focal)), seed)
+            for log_focal, seed in zip(fit.model.focals, seeds, strict=False)
+        ]
+        runs = [run for run in runs if run is not None]
+        losses = [cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum() for run in runs]
+        most = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE
+        return runs[int(np.argmin(losses))] if runs and min(losses) < most else None
+
+    def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
+        """The model fitted with a pose, and its evidence. If it explains the inliers of the assumed
+        cameras worse than these do, and has not far more inliers, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
+        fit = replace(fit, is_fitted=True)
         if losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more:
-            return model
-        width = self.width * joint.problem.threshold
-        hessian, _, tangent = joint.slopes(pose, width, joint.prior)
+            return fit
+        hessian, _ = joint.slopes(pose, self._width_of(joint), joint.prior)
         loss = self.weight * float(losses.sum())
-        return _with_evidence(model, joint.prior, pose, loss, self.weight * hessian, tangent)
-
-    def _along_slopes(
-        self, model: CameraModel, prior: IntrinsicsPrior, pose: JointPose
-    ) -> CameraModel:
-        """The model at the minimum of the quadratic approximation by `slopes`."""
-        hessian, gradient, tangent = self.slopes
-        basis = np.zeros((len(gradient), 5 + len(prior)))
-        basis[:5, :5], basis[5:, 5:] = np.eye(5), prior.basis
-        hessian, gradient = basis.T @ hessian @ basis, basis.T @ gradient
-        gradient[5:] += pose.z
-        step = -np.linalg.lstsq(hessian + prior.information, gradient, rcond=None)[0]
-        R, t = cv2.Rodrigues(step[:3])[0] @ pose.R, pose.t + tangent @ step[3:5]
-        moved = JointPose(R, t / np.linalg.norm(t), pose.z + step[5:])
-        cost = self.weight * float(cauchy_losses(self.error, self.width).sum())
-        cost += float(pose.z @ pose.z + gradient @ step - moved.z @ moved.z) / 2
-        return _with_evidence(model, prior, moved, cost, hessian, tangent)
+        return fit.with_evidence(pose, loss, self.weight * hessian)
 
 
 def _errors(joint: JointFit, pose: JointPose, pixels: float) -> np.ndarray:
@@ -224,7 +348,7 @@ def _errors(joint: JointFit, pose: JointPose, pixels: float) -> np.ndarray:
     return np.minimum(error, MOST_ERROR)
 
 
-def _to_middles(cameras: tuple[Camera, Camera]) -> list[np.ndarray]:
+def _to_middles(cameras: Cameras) -> list[np.ndarray]:
     """For each camera, the rotation (3, 3) of the optical axis to the ray of the image's middle."""
     rotations = []
     for camera in cameras:
@@ -233,64 +357,3 @@ def _to_middles(cameras: tuple[Camera, Camera]) -> list[np.ndarray]:
         axis = np.array([-ray[1], ray[0], 0.0])  # the angle is small
         rotations.append(cv2.Rodrigues(axis)[0])
     return rotations
-
-
-def _with_evidence(
-    model: CameraModel,
-    prior: IntrinsicsPrior,
-    pose: JointPose,
-    loss: float,
-    hessian: np.ndarray,
-    tangent: np.ndarray,
-) -> CameraModel:
-    """The model with a fit; without one if the fit is no minimum, or if it replaces K's focal
-    lengths and the matches do not determine others. loss, hessian (5 + M, 5 + M): of the matches.
-    """
-    total = hessian + prior.information
-    sign, log_determinant = np.linalg.slogdet(total)
-    if sign <= 0:
-        return model
-    inverse = np.linalg.inv(total)
-    evidence = -loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2
-    of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
-    variances, before = of_cameras.diagonal(), (prior.basis**2).sum(1)
-    off, moved = math.inf, np.abs(prior.basis @ pose.z)
-    if rows := _TESTED.get(model.name):
-        stds = moved[rows] / np.sqrt(np.maximum(variances[rows], 1e-12))
-        determined = variances[rows] < _DETERMINED * before[rows]
-        off = float(stds[determined].max(initial=0.0))
-        # A less certain focal length does not contradict K; no photograph has an extreme one.
-        usual = moved[rows] <= _MOST_STDS * np.sqrt(before[rows])
-        if rows == FOCALS and not (determined & usual).all():
-            return model
-    return replace(
-        model,
-        pose=pose,
-        log_evidence=evidence,
-        covariance=of_pose(inverse[:5, :5], tangent),
-        stds=off,
-        focal_std=float(np.sqrt(variances[FOCALS].max())),
-    )
-
-
-def _starts(model: CameraModel, at: np.ndarray) -> list[np.ndarray]:
-    """Parameters (2 * SIZE,) of the model's cameras at which RANSAC runs. at: (2 * SIZE,) of the
-    assumed cameras."""
-    focals = at[FOCALS]
-    stds = np.array([camera.focal_std for camera in model.cameras])
-    if model.name in WIDE:
-        return [of_focals(k * stds) for k in _STEPS]
-    if model.name == "tail":
-        return [of_focals(k * stds) for k in (-1.0, 0.0, 1.0)]
-    if model.name == "squeezed":
-        aspects = np.array([camera.aspect_std for camera in model.cameras])
-        return [
-            of_focals(focals + fewer * np.abs(k * aspects), k * aspects)
-            for k in (-2.0, -1.0, 1.0, 2.0)
-            for fewer in (0.0, -0.5)
-        ]
-    if model.name == "focal":
-        return [of_focals(np.array([k, k])) for k in (-0.5, -0.25, 0.25, 0.5)]
-    if model.name in ("two", "focals"):
-        return [of_focals(np.array([-k, k])) for k in (-0.35, -0.18, 0.18, 0.35)]
-    return [np.zeros(2 * SIZE)] if model.name in ("unlensed", "middle", "swapped") else []

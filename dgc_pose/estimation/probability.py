@@ -150,7 +150,7 @@ class SamePlace:
         if evidence.context_ratio is None:
             return 1.0
         log_odds = self.intercept + self.slope * evidence.context_ratio + _FEWER_TWO_PLACES
-        return 1 / (1 + math.exp(-log_odds))
+        return _logistic(log_odds)
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ class ProbabilityModel:
         low, high = _OPEN_FOCAL_PERCENT
         error = _log(evidence.raw_focal_90_percent or low, low, high)
         total -= _PRIOR_FOCAL_LOG_ODDS * ((error - math.log(low)) / math.log(high / low))
-        fitted = 1 / (1 + math.exp(-min(max(total, -30.0), 30.0)))
+        fitted = _logistic(total)
         within = map(_within, self.errors_90_deg(evidence))
         return min(fitted, evidence.camera_agreement, *within)
 
@@ -277,6 +277,11 @@ def bound_if_right(error_90_deg: float) -> float:
     without this condition."""
     share = 0.9 * _within(error_90_deg)
     return error_90_deg / NORMAL_90 * NormalDist().inv_cdf((1 + share) / 2)
+
+
+def _logistic(log_odds: float) -> float:
+    """The probability of log-odds, which count up to 30 to either side."""
+    return 1 / (1 + math.exp(-min(max(log_odds, -30.0), 30.0)))
 
 
 def _within(error_90_deg: float) -> float:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, image_size
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.errors import InputError
 from dgc_pose.estimation.least_squares import loss_width
@@ -213,11 +213,6 @@ def pose_loss_width(inliers: TwoViewProblem, R: np.ndarray, t: np.ndarray) -> fl
 def cell_side(camera: Camera) -> float:
     """The side of a grid cell, normalised."""
     return float(max(image_size(camera))) / _GRID / camera.focal
-
-
-def image_size(camera: Camera) -> tuple[float, float]:
-    """(width, height) of the image; if unknown, with the principal point in the middle."""
-    return camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1)
 
 
 def odd_extent(points: np.ndarray, camera: Camera, number: int) -> tuple[str, ...]:

@@ -22,10 +22,11 @@ from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_cov
 from dgc_pose.estimation.evidence import Evidence, measured
 from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.options import EstimationOptions
-from dgc_pose.estimation.probability import DOUBTFUL, calibrated_focal_std
+from dgc_pose.estimation.probability import DOUBTFUL, ProbabilityModel, calibrated_focal_std
 from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, odd_extent
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import STATUSES, Status
+from dgc_pose.estimation.still_camera import StillCamera
 from dgc_pose.estimation.verdict import by_chance, judge
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.rotation import rotation_angle_deg
@@ -98,7 +99,8 @@ def staying(matches: Matches, camera1: Camera, camera2: Camera) -> np.ndarray:
     points2 = matches.points2
     if camera1.size is not None and camera2.size is not None:
         points2 = rescale(points2, camera2.size, camera1.size)
-    moved = np.hypot(*(points2 - matches.points1).T) / max(_STAY_PX, matches.error_px)
+    with np.errstate(invalid="ignore"):  # points that are not finite
+        moved = np.hypot(*(points2 - matches.points1).T) / max(_STAY_PX, matches.error_px)
     stay = moved < 1
     little = (moved >= 1) & (moved < _NEAR)
     least = max(_MIN_COUNT, _MIN_SHARE * np.isfinite(moved).sum())
@@ -136,12 +138,16 @@ def _with_static_matches(pose: RelativePose, stay: np.ndarray) -> RelativePose:
         reason += "" if part == 1 else ", and the others determine no pose"
         return RelativePose("same_picture", reason, inliers, count, warnings=pose.warnings)
     reason += f", and {pose.num_inliers} fit a motion: either may be the camera's"
-    both = (pose.hypotheses[0], *pose.alternatives)
+    # The camera moved, or stood still.
+    moving = (pose.hypotheses[0], *pose.alternatives)
+    both = tuple(
+        h if h.probability is None else replace(h, probability=h.probability / 2) for h in moving
+    )
     return RelativePose(
         "ambiguous",
         reason,
         inliers,
-        count,
+        pose.num_matches,
         probability=0.0,
         any_probability=pose.any_probability,
         same_place_probability=pose.same_place_probability,
@@ -245,9 +251,9 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
     best, *others = found.hypotheses
     evidence = measured(found.problem, best, found.map_problem)
     rotation, second, covariance = evidence.rotation, found.second, known.covariance
-    still_ratio, turned = found.still or (0.0, rotation)
+    still_ratio = min(found.still.count / max(best.num_inliers, 1), 1.0)
     if still_ratio > evidence.strict_rotation_share:
-        rotation = turned
+        rotation = found.still.R
     if second is not None:
         left = found.problem.subset(~best.inliers)
         of_left = Hypothesis.of_pose(left, second.R, second.t)
@@ -270,10 +276,22 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
         raw_translation_90_deg=errors[1],
         raw_focal_90_percent=known.focal_90_percent,
         other_ratio=most_of_others / max(best.num_in_front, 1),
-        camera_model=found.model.name,
+        camera_model=found.model.model.name,
         camera_agreement=found.model.agreement,
         camera_doubt=found.model.doubt,
     )
+
+
+def _rotation_covariance(still: StillCamera, model: ProbabilityModel | None) -> np.ndarray | None:
+    """The covariance (6, 6) of a rotation without a translation, calibrated as that of a pose."""
+    if still.covariance is None:
+        return None
+    factor = 1.0
+    if model is not None:
+        factor = model.rotation_error.factor(error_radius_deg(still.covariance))
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = factor**2 * still.covariance
+    return covariance
 
 
 def _judged(
@@ -298,7 +316,9 @@ def _judged(
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
     # The matches do not show which motion is the camera's.
     if ambiguous and evidence.num_second_inliers and (second := found.second):
-        poses = [replace(h, share=h.share / 2) for h in poses if not second.is_among([h])]
+        others = [h for h in poses if not second.is_among([h])]
+        total = sum(h.share for h in others)
+        poses = [replace(h, share=0.5 * h.share / total) for h in others]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
     if probability is not None:
         poses = [replace(h, probability=same_place * probability * h.share) for h in poses]
@@ -313,6 +333,8 @@ def _judged(
     covariance = known.covariance if has_t else None
     if covariance is not None and model is not None:
         covariance = model.calibrated(covariance, evidence)
+    if rotation_alone:
+        covariance = _rotation_covariance(found.still, model)
     camera1, camera2 = known.cameras if has_t else (None, None)
     return RelativePose(
         status=status,

@@ -9,7 +9,7 @@ import numpy as np
 
 from dgc_pose.cameras.calibration import camera_data, parse_camera_data
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_model import STATED_K_MODELS
+from dgc_pose.estimation.camera_model import model_named
 from dgc_pose.estimation.covariance import error_radius_deg
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.problem import Hypothesis
@@ -45,9 +45,10 @@ class RelativePose:
         length: Distance between the cameras, metres, if a `ScaleSource` determines it.
         length_std: Standard deviation of `length`; None if it is not known.
         covariance: Covariance (6, 6), rad^2, of rank 5, of a rotation vector w and a change d of t,
-            in camera 2's axes; the true pose is exp([w]x) R and t + d. None without a pose, and if
-            the inliers do not determine it. Scaled so that the expected error of right poses holds
-            in nine cases of ten. It covers no alternative pose, wrong K or wrong verdict.
+            in camera 2's axes; the true pose is exp([w]x) R and t + d. With "rotation_only" it is
+            that of R, and the rest is 0. None if R is not known, and if the inliers do not
+            determine it. Scaled so that the expected error of right poses holds in nine cases of
+            ten. It covers no alternative pose, wrong K or wrong verdict.
         camera1: Camera of image 1 that belongs to the pose: as it was stated, or with the focal
             length from the matches if the stated one had a deviation. None without a pose.
         camera2: Camera of image 2, in the same way.
@@ -109,11 +110,9 @@ class RelativePose:
             lines.append(f"R {short_text(self.R)}")
         if self.t is not None:
             lines.append(f"t {short_text(self.t)}, {self.length_text}")
-        errors = self.rotation_error_90_deg, self.translation_error_90_deg
-        if errors[0] is not None and errors[1] is not None:
+        if errors := self.error_texts:
             lines.append(
-                f"expected error: R {errors[0]:.3f} deg, t {errors[1]:.3f} deg in 90 % of "
-                "cases, if the pose is right"
+                f"expected error: {', '.join(errors)} in 90 % of cases, if the pose is right"
             )
         others = [probability_text(other.probability) for other in self.alternatives]
         last = [probability_text(self.probability)] if self.success else []
@@ -129,7 +128,9 @@ class RelativePose:
     @property
     def contradicts_K(self) -> bool:
         """Whether the matches agree with other cameras than those of K."""
-        return self.evidence is not None and self.evidence.camera_model in STATED_K_MODELS
+        if self.evidence is None or not STATUSES[self.status].of_cameras:
+            return False
+        return model_named(self.evidence.camera_model).contradicts_K
 
     @property
     def one_place_probability(self) -> float | None:
@@ -211,7 +212,15 @@ class RelativePose:
     @property
     def translation_error_90_deg(self) -> float | None:
         """The same bound for the angle between t and the true direction."""
-        return None if self.covariance is None else error_radius_deg(self.covariance[3:, 3:])
+        if self.covariance is None or self.t is None:
+            return None
+        return error_radius_deg(self.covariance[3:, 3:])
+
+    @property
+    def error_texts(self) -> list[str]:
+        """The bounds that are known, for people: `R within 0.123 deg`, `t within 1.234 deg`."""
+        bounds = {"R": self.rotation_error_90_deg, "t": self.translation_error_90_deg}
+        return [f"{name} within {e:.3f} deg" for name, e in bounds.items() if e is not None]
 
     def inverse(self) -> "RelativePose":
         """The pose of camera 1 relative to camera 2: x1 = R^T x2 - R^T t.
@@ -220,8 +229,9 @@ class RelativePose:
         the images in their first order. `reason` and `warnings` keep this order, too.
         """
         R, E, covariance, of_cameras = self.R, self.E, self.covariance, self.camera_covariance
-        if R is not None and E is not None and covariance is not None:
-            by = np.block([[R.T, np.zeros((3, 3))], [-E.T, R.T]])  # -w and -d by w and d
+        if R is not None and covariance is not None:
+            by_w = np.zeros((3, 3)) if E is None else -E.T
+            by = np.block([[R.T, np.zeros((3, 3))], [by_w, R.T]])  # -w and -d by w and d
             covariance = by @ covariance @ by.T
         return replace(
             self,

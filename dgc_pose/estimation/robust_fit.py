@@ -3,9 +3,7 @@
 Seeded runs of LO-RANSAC with the five-point solver, or with solvers that have focal lengths among
 their unknowns; robust least squares with the Cauchy loss of the Sampson errors.
 
-A homography relates two images of a plane, an image and its crop or zoom, and two images of a
-camera that rotated and zoomed. An essential matrix explains them all, as a plane and a camera that
-moved.
+A homography relates two images of a plane, and an essential matrix explains it.
 """
 
 import numpy as np
@@ -16,7 +14,6 @@ from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem, pose_loss_wi
 from dgc_pose.geometry.epipolar import essential_from_pose
 from dgc_pose.geometry.homography import (
     fit_homography,
-    fit_similarity,
     homography_poses,
     transfer_error,
 )
@@ -35,9 +32,7 @@ _MIN_KEPT = 0.98  # of the inliers: a fit that keeps fewer is rejected
 PLANAR_SHARE = 0.85  # of inliers that one homography explains on a plane
 # Limit of a homography's transfer error over the epipolar threshold. The transfer error contains
 # two coordinates of the noise, the epipolar error one: the same noise needs a wider limit.
-_TRANSFER_LIMIT = 1.75
-_LOG_FOCAL_REACH = 1.5  # ln f of camera 1 is tried so far to either side
-_LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # the first step, and the last
+TRANSFER_LIMIT = 1.75
 
 # PoseLib expects pixels: normalised points are passed as pixels of a camera of this focal length.
 FOCAL = 1000.0
@@ -192,7 +187,7 @@ def fit_plane(problem: TwoViewProblem, pose: Hypothesis) -> tuple[float, np.ndar
     """The share of a hypothesis' inliers that one homography explains, and the homography (3, 3);
     0 and None if there is none. From `PLANAR_SHARE` on, the inliers lie on a plane."""
     inliers = problem.subset(pose.inliers)
-    limit = _TRANSFER_LIMIT * problem.threshold
+    limit = TRANSFER_LIMIT * problem.threshold
     H = fit_homography(inliers.points1, inliers.points2, limit, problem.options.seed)
     if H is None:
         return 0.0, None
@@ -217,49 +212,3 @@ def best_planar(
     if refined:
         others = [refine(problem, other) for other in others]
     return max([first, *others], key=lambda pose: (pose.num_in_front, pose.num_inliers))
-
-
-def still_camera(inliers: TwoViewProblem) -> tuple[float, np.ndarray]:
-    """The largest share of inliers that a camera without a translation explains, and its rotation
-    (3, 3).
-
-    Either image 2 is image 1 scaled, rolled and shifted; or the camera rotated about its centre,
-    with a focal length for each image. inliers: normalised by the stated cameras, whose principal
-    points no fit has moved.
-    """
-    points, limit = (inliers.points1, inliers.points2), _TRANSFER_LIMIT * inliers.threshold
-    homographies = [(np.eye(3), np.eye(3))]
-    similarity = fit_similarity(*points, limit)
-    if similarity is not None:
-        roll = similarity / np.hypot(*similarity[:2, 0])
-        roll[:, 2] = 0, 0, 1
-        homographies.append((similarity, roll))
-    H = fit_homography(*points, limit, inliers.options.seed)
-    if H is not None:
-        step = _LOG_FOCAL_STEP
-        tried = np.arange(-_LOG_FOCAL_REACH, _LOG_FOCAL_REACH + step / 2, step)
-        turns = {k: _turn(H, k) for k in tried}
-        while True:
-            best = min(turns, key=lambda k: np.median(transfer_error(*points, turns[k][0])))
-            if step < _MIN_LOG_FOCAL_STEP:
-                break
-            step /= 2
-            turns = {k: _turn(H, k) for k in (best, best - step, best + step)}
-        homographies.append(turns[best])
-    shares = [float((transfer_error(*points, H) < limit).mean()) for H, _ in homographies]
-    best = int(np.argmax(shares))
-    return shares[best], homographies[best][1]
-
-
-def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:
-    """The homography (3, 3) near H of a camera that only rotates, and its rotation. log_focal: of
-    image 1, whose points have focal length 1; the focal length of image 2 follows from H."""
-    D1 = np.diag([np.exp(log_focal), np.exp(log_focal), 1.0])
-    rows = H @ D1
-    lengths = np.linalg.norm(rows, axis=1)
-    focal2 = lengths[:2].mean() / lengths[2]
-    D2 = np.diag([focal2, focal2, 1.0])
-    U, _, Vt = np.linalg.svd(np.linalg.solve(D2, rows))
-    R = U @ Vt
-    R *= np.linalg.det(R)  # the sign of H is arbitrary
-    return D2 @ R @ np.linalg.inv(D1), R

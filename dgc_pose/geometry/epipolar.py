@@ -23,6 +23,12 @@ def essential_from_pose(R: np.ndarray, t: np.ndarray) -> np.ndarray:
     return skew(t) @ R
 
 
+def tangent_axes(t: np.ndarray) -> np.ndarray:
+    """Two unit vectors perpendicular to t (3,) and to each other, as columns (3, 2)."""
+    axes: np.ndarray = np.linalg.svd(t[None])[2][1:].T
+    return axes
+
+
 def fundamental_from_essential(E: np.ndarray, K1: np.ndarray, K2: np.ndarray) -> np.ndarray:
     """F = K2^-T E K1^-1: the essential matrix for pixels instead of normalised points."""
     return np.linalg.inv(K2).T @ E @ np.linalg.inv(K1)
@@ -37,15 +43,22 @@ def pose_candidates(E: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return [(R1, t), (R2, t), (R1, -t), (R2, -t)]
 
 
+def epipolar_lines(
+    points1: np.ndarray, points2: np.ndarray, F: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """x2^T F x1 (N,), and the normals (2, N) of the epipolar lines in images 1 and 2."""
+    # Points as columns: NumPy is slow along short axes.
+    x1, x2 = points1.T, points2.T
+    lines2, lines1 = F[:, :2] @ x1 + F[:, 2:], F[:2, :2].T @ x2 + F[2:, :2].T
+    return (x2 * lines2[:2]).sum(0) + lines2[2], lines1, lines2[:2]
+
+
 def epipolar_terms(
     points1: np.ndarray, points2: np.ndarray, F: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """x2^T F x1 (N,), and the squared norms (N,) of the normals of the lines in images 1 and 2."""
-    # Points as columns: NumPy is slow along short axes.
-    x1, x2 = points1.T, points2.T
-    lines2, lines1 = F[:, :2] @ x1 + F[:, 2:], F[:2, :2].T @ x2 + F[2:, :2].T
-    algebraic = (x2 * lines2[:2]).sum(0) + lines2[2]
-    return algebraic, (lines1**2).sum(0), (lines2[:2] ** 2).sum(0)
+    algebraic, lines1, lines2 = epipolar_lines(points1, points2, F)
+    return algebraic, (lines1**2).sum(0), (lines2**2).sum(0)
 
 
 def sampson_distance(points1: np.ndarray, points2: np.ndarray, F: np.ndarray) -> np.ndarray:

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 Projection = Literal["plane", "angles", "cylinder"]
-_NEWTON_STEPS, _CONVERGED = 20, 1e-12  # five are enough within the view of a photograph
+# Four steps are enough within the view of a photograph; the error is the square of the last one.
+_NEWTON_STEPS, _CONVERGED = 20, 1e-7
 
 
 def distorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
@@ -24,7 +25,7 @@ def undistorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
     """The inverse of `distorted`; NaN beyond the radius at which `distorted` stops growing."""
     if not np.any(coefficients):
         return points
-    seen = np.linalg.norm(points, axis=1)
+    seen = np.hypot(*points.T)
     radius = seen
     with np.errstate(all="ignore"):  # beyond the inverse
         for _ in range(_NEWTON_STEPS):
@@ -38,17 +39,19 @@ def undistorted(points: np.ndarray, coefficients: ArrayLike) -> np.ndarray:
         return np.where(known[:, None], points / across[:, None], np.nan)
 
 
-def undistorted_slopes(
-    undone: np.ndarray, coefficients: ArrayLike
+def undistorted_gradient(
+    undone: np.ndarray, coefficients: ArrayLike, gradient: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The derivatives of `undistorted` by the distorted points (N, 2, 2) and by the coefficients
-    (N, 2, 2). undone: the result (N, 2) of `undistorted`."""
+    """The gradients by the distorted points (2, N) and by the coefficients (2, N) of a function of
+    `undistorted`. undone: the result (N, 2) of `undistorted`. gradient: of the function by the
+    undistorted points, (2, N)."""
     squared = (undone**2).sum(1)
     across, along = _growth(squared, coefficients)
-    outer = undone[:, :, None] * undone[:, None] / np.maximum(squared, 1e-300)[:, None, None]
-    by_seen = (np.eye(2) - outer) / across[:, None, None] + outer / along[:, None, None]
-    powers = np.stack([squared, squared**2], axis=1)
-    return by_seen, -undone[:, :, None] * (powers / along[:, None])[:, None]
+    radial = (gradient * undone.T).sum(0)  # times the radius
+    by_coefficient = -radial / along
+    turned = radial / np.maximum(squared, 1e-300) * (1 / along - 1 / across)
+    by_seen = gradient / across + undone.T * turned
+    return by_seen, np.stack([by_coefficient * squared, by_coefficient * squared**2])
 
 
 def _growth(squared: np.ndarray, coefficients: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

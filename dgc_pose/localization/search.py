@@ -12,7 +12,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose
-from dgc_pose.estimation.camera_model import is_edited
+from dgc_pose.estimation.camera_changes import is_edited
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem

@@ -72,10 +72,11 @@ def _is_honest(pose: RelativePose, scene: TwoViewScene) -> bool:
 def test_a_K_that_is_wrong_for_both_images(motion: str, factor: float, seed: int) -> None:
     scene = _scene(CAMERA, CAMERA, motion, seed)
     pose = scene.estimate(*_one(CAMERA.with_focal(1300 * factor)), seed=seed)
-    _assert_found(pose, scene, "focal")
+    assert pose.evidence.camera_model in ("focal", "picture")
+    _assert_found(pose, scene, pose.evidence.camera_model)
     (said,) = _agreed(pose)
     focal, std, states = _numbers(said)
-    assert re.fullmatch(r"f = \d+ \+- \d+ px, and K states \d+", said)
+    assert re.fullmatch(r"f = \d+ \+- \d+ px,( as without K,)? and K states \d+", said)
     assert abs(focal - 1300) < max(3 * std, 1.0) < 100 and states == round(1300 * factor)
     assert len(pose.warnings) == 1
     for camera in (pose.camera1, pose.camera2):
@@ -121,7 +122,8 @@ def test_a_lens_that_is_left_out(motion: str, seed: int, one: bool) -> None:
     assert abs(k1 - K1) < 3 * std < 0.05
     for camera in (pose.camera1, pose.camera2):
         assert abs(camera.distortion.radial[0] - K1) < 3 * camera.lens_std < 0.05
-        np.testing.assert_array_equal(camera.K, CAMERA.K)
+        # A K that lacks a lens is not exact in the rest either.
+        assert abs(np.log(camera.focal / CAMERA.focal)) < 3 * camera.focal_std < 0.06
 
 
 @EACH_MOTION

@@ -1,0 +1,316 @@
+"""Other cameras that two images may have than the stated or assumed ones, with prior log-odds.
+
+An assumed camera has a lens of two radial coefficients, square pixels and its principal point near
+the middle, the same in all of its images.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from dgc_pose.cameras.camera import Camera, Part, image_size
+from dgc_pose.cameras.colmap_camera import CYLINDER, FISHEYE, Distortion
+from dgc_pose.cameras.prior import (
+    CENTRE_STD,
+    FAR_OFF,
+    USUAL_K,
+    from_middle,
+    improbability,
+    is_inner,
+    of_part,
+    picture_camera,
+)
+from dgc_pose.estimation.intrinsics_prior import may_be_crop
+
+Cameras = tuple[Camera, Camera]
+# Prior log-odds of another model without a K: for a picture with EXIF data; for a wide lens; for
+# an edited picture of a sensor's shape; and for a picture of no sensor's shape, which was cut,
+# squeezed or joined.
+_LOG_ODDS_OF_EXIF, _LOG_ODDS_OF_WIDE, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = (
+    -12.0,
+    -6.0,
+    -7.0,
+    -3.0,
+)
+_SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
+_SAME_SHAPE = 0.015  # difference of two shapes' logarithms
+# Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same.
+_TWO, _TWO_OF_EXIF = -2.2, -25.0
+_TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
+# Deviations of ln f, of the principal point over the longer side, of the lens and of ln fy / fx: of
+# what a model opens, and of the rest of a K that is contradicted in a part, which is not exact.
+_FOCAL_STD, _CENTRE_STD, _LENS_STD, _ASPECT_STD = 0.5, 0.05, 0.15, 0.3
+_LOOSE_FOCAL_STD, _LOOSE_LENS_STD = 0.02, 0.02
+_TURNED_FOCAL_STD, _TURNED_LENS_STD = 0.2, 0.2  # of a camera that only turned
+_CROP_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
+# Distance of K's principal point from the middle, over the longer side, from which it is off it.
+_OFF = 0.01
+_LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
+_CUT_FOCAL_STD = 0.2  # deviation of ln f of a part or a scaled copy of the photograph of K
+_LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
+_OTHER_FOCAL = 0.02  # least difference of ln f of two K that may be swapped
+
+
+class Variant(NamedTuple):
+    """The cameras of a model before their fit, and its prior log-odds."""
+
+    cameras: Cameras
+    log_odds: float
+
+
+def nothing(stated: Cameras) -> Iterator[Variant]:
+    """No other cameras."""
+    return iter(())
+
+
+def opened(stated: Cameras) -> Cameras:
+    """Two cameras with everything open: around their K, or around what pictures have if a K is
+    unusual. A K beside a camera without one stays."""
+    are_stated = all(camera.focal_source == "given" for camera in stated)
+    changed = []
+    for camera in stated:
+        if camera.focal_source == "given" and not are_stated:
+            changed.append(camera)
+            continue
+        is_usual = not are_stated or improbability(camera) < USUAL_K
+        base = camera if is_usual else picture_camera(camera)
+        radial = base.distortion is None or base.distortion.projection in ("plane", "angles")
+        changed.append(
+            replace(
+                base,
+                focal_std=_FOCAL_STD,
+                centre_std=_CENTRE_STD * max(image_size(camera)),
+                lens_std=_LENS_STD if radial else 0.0,
+                aspect_std=_ASPECT_STD,
+                identity=None,
+            )
+        )
+    return changed[0], changed[1]
+
+
+def turning(stated: Cameras) -> Cameras:
+    """Both cameras with what a camera that only turned may have: a K that is off by one factor, and
+    another lens."""
+    if all(camera.focal_source == "given" for camera in stated):
+        return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
+    return stated
+
+
+def is_open(camera: Camera) -> bool:
+    """Whether neither K nor a lens is stated."""
+    return camera.focal_source != "given" and camera.distortion is None
+
+
+def is_edited(camera: Camera) -> bool:
+    """Whether the picture may be squeezed or cropped: no EXIF data show that a camera wrote it."""
+    by_picture = camera.focal_source in ("size", "lines")
+    return is_open(camera) and (by_picture or may_be_crop(camera))
+
+
+# Models without a K
+
+
+def _of_picture(
+    change: Callable[[Camera], Camera], usual_log_odds: float
+) -> Callable[[Cameras], Iterator[Variant]]:
+    """The variants of a model that changes each camera without a K in the same way."""
+
+    def log_odds(camera: Camera) -> float:
+        shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
+        if all(abs(shape - math.log(usual)) > _SAME_SHAPE for usual in _SHAPES):
+            return _LOG_ODDS_OF_SHAPE
+        return _LOG_ODDS_OF_EXIF if camera.focal_source == "exif" else usual_log_odds
+
+    def variants(stated: Cameras) -> Iterator[Variant]:
+        first, second = (change(camera) if is_open(camera) else camera for camera in stated)
+        if first is not stated[0] or second is not stated[1]:
+            yield Variant((first, second), max(map(log_odds, stated)))
+
+    return variants
+
+
+def _squeezed(camera: Camera) -> Camera:
+    return replace(camera, aspect_std=_ASPECT_STD) if is_edited(camera) else camera
+
+
+def _off_centre(camera: Camera) -> Camera:
+    """A crop has its own principal point."""
+    std = max(camera.centre_std, _CROP_CENTRE_STD * max(image_size(camera)))
+    return replace(camera, centre_std=std) if is_edited(camera) else camera
+
+
+def _wide(distortion: Distortion, over_side: float, focal_std: float) -> Callable[[Camera], Camera]:
+    """Another projection. over_side: the focal length over the longer side, without EXIF data."""
+
+    def change(camera: Camera) -> Camera:
+        if camera.focal_source in ("size", "lines"):
+            camera = camera.with_focal(over_side * max(image_size(camera)))
+            camera = replace(camera, focal_std=focal_std)
+        lens_std = 0.0 if distortion.model == CYLINDER else camera.lens_std
+        return replace(camera, distortion=distortion, lens_std=lens_std)
+
+    return change
+
+
+def tail(stated: Cameras) -> Iterator[Variant]:
+    """The less likely part of a focal length's prior: of one camera, or of each of two."""
+    if _is_one(stated):
+        priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
+        if len(priors) == 2:
+            usual, tail = _parts(stated[0], [prior.lines for prior in priors])
+            first, second = (of_part(camera, tail) for camera in stated)
+            yield Variant((first, second), tail.log_weight - usual.log_weight)
+        return
+    for number, camera in enumerate(stated):
+        if camera.focal_prior is not None:
+            usual, tail = _parts(camera, [camera.focal_prior.lines])
+            other = of_part(camera, tail)
+            cameras = (stated[0], other) if number else (other, stated[1])
+            yield Variant(cameras, tail.log_weight - usual.log_weight)
+
+
+def two(stated: Cameras) -> Iterator[Variant]:
+    """A focal length for each image: another zoom, or a crop that EXIF data do not show."""
+    priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
+    if not _is_one(stated) or len(priors) < 2:
+        return
+    usual, _ = _parts(stated[0], [prior.lines for prior in priors])
+    exif = stated[0].focal_source == "exif"
+    own = [
+        prior.tail.given(prior.lines) if exif else prior.parts([prior.lines])[0] for prior in priors
+    ]
+    odds = (_TWO_OF_EXIF if exif else _TWO) - usual.log_weight
+    first, second = (
+        replace(of_part(c, part), identity=None, lens_std=min(c.lens_std, _TWO_LENS_STD))
+        for c, part in zip(stated, own, strict=True)
+    )
+    yield Variant((first, second), odds + sum(part.log_weight for part in own))
+
+
+def _is_one(stated: Cameras) -> bool:
+    """Whether one camera took both images."""
+    return stated[0].identity is not None and stated[0].identity == stated[1].identity
+
+
+def _parts(camera: Camera, lines: Sequence[np.ndarray]) -> tuple[Part, Part]:
+    """The part of the prior that the camera's focal length is from, and the other part."""
+    assert camera.focal_prior is not None
+
+    def distance(part: Part) -> float:
+        return abs(math.log(of_part(camera, part).focal / camera.focal))
+
+    one, other = sorted(camera.focal_prior.parts(lines), key=distance)
+    return one, other
+
+
+# Models in place of a K
+
+
+def _in_place_of_K(
+    change: Callable[[Cameras], Cameras], log_odds: float
+) -> Callable[[Cameras], Iterator[Variant]]:
+    """The variants of a model that changes two cameras whose K is stated."""
+
+    def variants(stated: Cameras) -> Iterator[Variant]:
+        if all(camera.focal_source == "given" for camera in stated):
+            cameras = change(stated)
+            if cameras[0] is not stated[0] or cameras[1] is not stated[1]:
+                yield Variant(cameras, log_odds)
+
+    return variants
+
+
+def _loosened(
+    cameras: Cameras,
+    *,
+    focal: float = 0.0,
+    centre: float = 0.0,
+    lens: float = 0.0,
+    one: bool | None = None,
+) -> Cameras:
+    """K with these deviations, and small ones of the rest. one: whether both cameras are off by
+    the same; by default, if their K and sizes are the same."""
+    one = _have_one_K(cameras) if one is None else one
+    changed = []
+    for camera in cameras:
+        radial = camera.distortion is None or camera.distortion.projection in ("plane", "angles")
+        centre_std = max(centre, CENTRE_STD) * max(image_size(camera))
+        changed.append(
+            replace(
+                camera,
+                focal_std=max(camera.focal_std, focal, _LOOSE_FOCAL_STD),
+                centre_std=max(camera.centre_std, centre_std),
+                lens_std=max(camera.lens_std, lens, _LOOSE_LENS_STD) if radial else 0.0,
+                identity="both" if one else None,
+            )
+        )
+    return changed[0], changed[1]
+
+
+def _have_one_K(cameras: Cameras) -> bool:
+    ratio = abs(math.log(cameras[0].focal / cameras[1].focal))
+    return cameras[0].size == cameras[1].size and ratio < _OTHER_FOCAL
+
+
+def _unlensed(cameras: Cameras) -> Cameras:
+    """Images that are undistorted already."""
+    if all(camera.distortion is None for camera in cameras):
+        return cameras
+    loose = _loosened(cameras)
+    first, second = (replace(camera, distortion=None, lens_std=0.0) for camera in loose)
+    return first, second
+
+
+def _swapped(cameras: Cameras) -> Cameras:
+    same_size = cameras[0].size == cameras[1].size
+    return cameras[::-1] if same_size and not _have_one_K(cameras) else cameras
+
+
+def middle(stated: Cameras) -> Iterator[Variant]:
+    """The principal point in the middle, as of a frame cut from the photograph of K, or scaled."""
+    if any(camera.focal_source != "given" for camera in stated):
+        return
+    far = max(map(from_middle, stated))
+    if far >= _OFF:
+        is_cut = far > FAR_OFF and all(map(is_inner, stated))
+        cameras = _loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
+        yield Variant(cameras, _LOG_ODDS_OF_CUT if is_cut else -10.0)
+
+
+def _centred(camera: Camera) -> Camera:
+    if from_middle(camera) < _OFF:
+        return camera
+    K = camera.K.copy()
+    K[:2, 2] = (np.array(image_size(camera)) - 1) / 2
+    return replace(camera, K=K)
+
+
+def picture(stated: Cameras) -> Iterator[Variant]:
+    """The cameras as without K: one camera, or one for each image."""
+    if any(camera.focal_source != "given" for camera in stated):
+        return
+    first, second = map(picture_camera, stated)
+    odds = _LOG_ODDS_OF_PICTURE + max(map(improbability, stated))
+    of_one, of_two = (0.0, _TWO) if _have_one_K(stated) else (2 * _TWO, 0.0)
+    if first.identity == second.identity:
+        yield Variant((first, second), odds + of_one)
+    separate = replace(first, identity=None), replace(second, identity=None)
+    yield Variant(separate, odds + of_two)
+
+
+squeezed = _of_picture(_squeezed, _LOG_ODDS_OF_EDITED)
+off_centre = _of_picture(_off_centre, _LOG_ODDS_OF_EDITED)
+fisheye = _of_picture(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
+cylinder = _of_picture(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
+focal = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=True), -8.0)
+focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -9.0)
+lens = _in_place_of_K(partial(_loosened, lens=_LENS_STD), -8.0)
+centre = _in_place_of_K(partial(_loosened, centre=_CENTRE_STD), -11.0)
+unlensed = _in_place_of_K(_unlensed, -9.0)
+swapped = _in_place_of_K(_swapped, -12.0)

@@ -1,0 +1,92 @@
+"""What the matches agree with, in words: of a camera before its fit and after; "" for nothing."""
+
+from __future__ import annotations
+
+import math
+
+from dgc_pose.cameras.camera import Camera
+
+_MIN_FOCAL_ERROR = 0.08  # least error of ln f that is worth a warning
+
+
+def focal_text(camera: Camera) -> str:
+    """The focal length and its deviation."""
+    return f"f = {camera.focal:.0f} +- {camera.focal_std * camera.focal:.0f} px"
+
+
+def focal_of_prior(before: Camera, camera: Camera) -> str:
+    """Of a focal length with a prior."""
+    source = {"given": "K", "exif": "EXIF"}.get(before.focal_source)
+    if source and before.focal_std and is_contradicted(before, camera):
+        return f"{focal_text(camera)}, and {source} states {before.focal:.0f}"
+    return ""
+
+
+def focal(before: Camera, camera: Camera) -> str:
+    """Of another focal length than K states."""
+    off = abs(math.log(camera.focal / before.focal))
+    far = off > 2 * camera.focal_std
+    return f"{focal_text(camera)}, and K states {before.focal:.0f}" if far else ""
+
+
+def lens(before: Camera, camera: Camera) -> str:
+    """Of a lens that K does not state."""
+    if camera.distortion is None:
+        return ""
+    states = "none" if before.distortion is None else before.distortion.model
+    k1 = f"k1 = {camera.distortion.radial[0]:.3f} +- {camera.lens_std:.3f}"
+    return f"a lens of {k1}, and K states {states}"
+
+
+def unlensed(before: Camera, camera: Camera) -> str:
+    """Of no lens where K states one."""
+    return "" if before.distortion is None else f"no lens, and K states {before.distortion.model}"
+
+
+def centre_text(camera: Camera) -> str:
+    """The principal point and its deviation."""
+    x, y = camera.K[:2, 2]
+    return f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
+
+
+def centre(before: Camera, camera: Camera) -> str:
+    """Of another principal point than K states."""
+    x, y = before.K[:2, 2]
+    return f"a principal point of {centre_text(camera)}, and K states ({x:.0f}, {y:.0f})"
+
+
+def picture(before: Camera, camera: Camera) -> str:
+    """Of a camera as without K."""
+    return f"{focal_text(camera)}, as without K, and K states {before.focal:.0f}"
+
+
+def swapped(before: Camera, camera: Camera) -> str:
+    """Of the K of the other image."""
+    return f"f = {camera.focal:.0f} px, as the K of the other image"
+
+
+def two(camera: Camera) -> str:
+    """Of another zoom."""
+    return f"a different focal length for each image, {focal_text(camera)}"
+
+
+def squeezed(camera: Camera) -> str:
+    """Of pixels that are not square."""
+    ratio = f"{camera.K[1, 1] / camera.K[0, 0]:.3f} +- {camera.aspect_std:.3f}"
+    return f"pixels that are not square, fy / fx = {ratio}"
+
+
+def off_centre(camera: Camera) -> str:
+    """Of a crop."""
+    return f"a principal point of its own, {centre_text(camera)}"
+
+
+def fisheye(camera: Camera) -> str:
+    """Of another projection."""
+    return f"a fisheye, f = {camera.focal:.0f} px"
+
+
+def is_contradicted(stated: Camera, fitted: Camera) -> bool:
+    """Whether a fit contradicts a focal length that is stated with a deviation."""
+    off = abs(math.log(fitted.focal / stated.focal))
+    return off >= max(_MIN_FOCAL_ERROR, 3 * stated.focal_std)

@@ -1,0 +1,204 @@
+"""Whether the camera did not move: image 2 is image 1 turned, zoomed or cropped.
+
+A camera that only turned gives an essential matrix with any translation, and the more so if its
+focal length or its lens is a little wrong. So these are fitted together with the rotation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from dgc_pose.estimation.evidence import robust_rotation
+from dgc_pose.estimation.intrinsics_prior import (
+    SIZE,
+    IntrinsicsPrior,
+    renormalised_pair,
+    renormalised_slopes,
+)
+from dgc_pose.estimation.least_squares import (
+    CORRELATED,
+    EFFICIENT,
+    KEPT,
+    block_jackknife,
+    cauchy_losses,
+    levenberg_marquardt,
+    loss_terms,
+    loss_width,
+)
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.robust_fit import TRANSFER_LIMIT, draw
+from dgc_pose.geometry.epipolar import homogeneous, skew
+from dgc_pose.geometry.homography import fit_homography, fit_similarity, transfer_error
+
+_LOG_FOCAL_REACH = 1.5  # ln f of camera 1 is tried so far to either side
+_LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # the first step, and the last
+_SAMPLED = 300  # matches of the fit of a turn
+# Largest errors in each round of the fit of a turn, over the limit; and the share of the sample
+# that must be within each of them, and the least number.
+_LIMITS, _MIN_SHARE, _MIN_COUNT = (20.0, 5.0, 1.0, 1.0), 0.2, 10
+_ITERATIONS = 10  # of a round
+
+
+@dataclass(frozen=True, eq=False)
+class StillCamera:
+    """The motion without a translation that explains most matches."""
+
+    R: np.ndarray  # (3, 3)
+    count: int  # of the matches that it explains
+    covariance: np.ndarray | None = None  # (3, 3) of the rotation vector, rad^2; None if not known
+
+
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """A rotation, and how far the cameras are from those that normalised the matches."""
+
+    R: np.ndarray  # (3, 3)
+    z: np.ndarray  # (M,) parameters in the basis of an `IntrinsicsPrior`, standard deviations
+
+    def moved(self, step: np.ndarray) -> _Turn:
+        """The turn after a step (3 + M,)."""
+        return _Turn(cv2.Rodrigues(step[:3])[0] @ self.R, self.z + step[3:])
+
+
+@dataclass(frozen=True, eq=False)
+class _TurnFit:
+    """Least squares of a rotation and of cameras."""
+
+    problem: TwoViewProblem
+    prior: IntrinsicsPrior
+
+    def errors(self, turn: _Turn) -> np.ndarray:
+        """Transfer errors (N, 2) in image 2, in the problem's unit; infinite beyond the horizon."""
+        parameters = self.prior.basis @ turn.z
+        points1, points2 = renormalised_pair(self.problem, parameters)
+        turned = homogeneous(points1) @ turn.R.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = turned[:, :2] / turned[:, 2:] - points2
+        error = np.where(turned[:, 2:] > 0, error, np.inf)
+        return np.nan_to_num(error * np.exp(parameters[SIZE]), nan=np.inf)
+
+    def distances(self, turn: _Turn) -> np.ndarray:
+        """The lengths (N,) of the errors."""
+        return np.hypot(*self.errors(turn).T)
+
+    def slopes(self, turn: _Turn) -> np.ndarray:
+        """The derivatives (N, 2, 3 + M) of the errors."""
+        parameters = self.prior.basis @ turn.z
+        points1, _ = renormalised_pair(self.problem, parameters)
+        turned = homogeneous(points1) @ turn.R.T
+        by_turned = np.zeros((len(turned), 2, 3))
+        by_turned[:, [0, 1], [0, 1]] = 1 / turned[:, 2:]
+        by_turned[:, :, 2] = -turned[:, :2] / turned[:, 2:] ** 2
+        by_rotation = np.stack([turned @ skew(axis).T for axis in np.eye(3)], axis=2)
+        lens1, lens2 = self.problem.lenses
+        of_points1 = renormalised_slopes(self.problem.points1, lens1, parameters[:SIZE])
+        of_points2 = renormalised_slopes(self.problem.points2, lens2, parameters[SIZE:])
+        of_cameras = np.concatenate([by_turned @ turn.R[:, :2] @ of_points1, -of_points2], axis=2)
+        slopes = np.concatenate([by_turned @ by_rotation, of_cameras @ self.prior.basis], axis=2)
+        return slopes * np.exp(parameters[SIZE])
+
+    def fitted(self, turn: _Turn, width: float) -> _Turn:
+        """The turn of least Cauchy loss. All matches must have finite errors."""
+
+        def linearised(turn: _Turn) -> tuple[float, np.ndarray, np.ndarray]:
+            error, slopes = self.errors(turn), self.slopes(turn)
+            distance = np.hypot(*error.T)
+            known = np.isfinite(distance)
+            weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (distance[known] / width) ** 2)
+            slopes, error = slopes[known], error[known]
+            hessian = np.einsum("n,nip,niq->pq", weights, slopes, slopes)
+            gradient = np.einsum("n,nip,ni->p", weights, slopes, error)
+            gradient[3:] += turn.z
+            hessian[3:, 3:] += np.eye(len(turn.z))
+            cost = float(cauchy_losses(distance, width).sum() + turn.z @ turn.z / 2)
+            return cost, hessian, gradient
+
+        return levenberg_marquardt(turn, linearised, _Turn.moved, _ITERATIONS)
+
+    def covariance(self, turn: _Turn, width: float) -> np.ndarray | None:
+        """The covariance (3, 3) of the rotation vector, as of a pose (`covariance`)."""
+        error, slopes = self.errors(turn).ravel(), self.slopes(turn)
+        slopes = slopes.reshape(len(error), -1)
+        count = slopes.shape[1]
+        variance = CORRELATED * (width / EFFICIENT) ** 2
+        information = variance * np.diag([0.0] * 3 + [1.0] * len(turn.z))
+        terms = loss_terms(error, slopes, width)
+        total = information + terms[:, : count**2].sum(0).reshape(count, count)
+        points = np.repeat(self.problem.points2, 2, axis=0)
+        try:
+            covariance = block_jackknife(total, terms, points, KEPT) + variance * np.linalg.inv(
+                total
+            )
+        except np.linalg.LinAlgError:
+            return None
+        return covariance[:3, :3] if np.isfinite(covariance).all() else None
+
+
+def turned_camera(stated: TwoViewProblem, prior: IntrinsicsPrior) -> StillCamera:
+    """The turn of a camera whose focal length and lens differ from those that normalise the
+    matches. prior: how far these may differ. Ends early if few matches fit a turn."""
+    limit = TRANSFER_LIMIT * stated.threshold
+    sample = draw(stated, stated.options.seed, _SAMPLED)
+    turn = _Turn(robust_rotation(sample), np.zeros(len(prior)))
+    fit = _TurnFit(sample, prior)
+    for widest in _LIMITS:
+        distance = fit.distances(turn)
+        near = distance < widest * limit
+        if near.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
+            return StillCamera(turn.R, 0)
+        width = loss_width(distance[near], widest * limit)
+        turn = _TurnFit(sample.subset(near), prior).fitted(turn, width)
+    whole = _TurnFit(stated, prior)
+    explained = _TurnFit(stated.subset(whole.distances(turn) < limit), prior)
+    if not len(explained.problem):
+        return StillCamera(turn.R, 0)
+    width = loss_width(explained.distances(turn), limit)
+    return StillCamera(turn.R, len(explained.problem), explained.covariance(turn, width))
+
+
+def zoomed_camera(inliers: TwoViewProblem) -> StillCamera:
+    """The motion without a translation that explains most inliers, for cameras without a K.
+
+    Either image 2 is image 1 scaled, rolled and shifted; or the camera rotated about its centre,
+    with a focal length for each image. inliers: normalised by the stated cameras, whose principal
+    points no fit has moved.
+    """
+    points, limit = (inliers.points1, inliers.points2), TRANSFER_LIMIT * inliers.threshold
+    homographies = [(np.eye(3), np.eye(3))]
+    similarity = fit_similarity(*points, limit)
+    if similarity is not None:
+        roll = similarity / np.hypot(*similarity[:2, 0])
+        roll[:, 2] = 0, 0, 1
+        homographies.append((similarity, roll))
+    H = fit_homography(*points, limit, inliers.options.seed)
+    if H is not None:
+        step = _LOG_FOCAL_STEP
+        tried = np.arange(-_LOG_FOCAL_REACH, _LOG_FOCAL_REACH + step / 2, step)
+        turns = {k: _turn(H, k) for k in tried}
+        while True:
+            best = min(turns, key=lambda k: np.median(transfer_error(*points, turns[k][0])))
+            if step < _MIN_LOG_FOCAL_STEP:
+                break
+            step /= 2
+            turns = {k: _turn(H, k) for k in (best, best - step, best + step)}
+        homographies.append(turns[best])
+    counts = [int((transfer_error(*points, H) < limit).sum()) for H, _ in homographies]
+    best = int(np.argmax(counts))
+    return StillCamera(homographies[best][1], counts[best])
+
+
+def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:
+    """The homography (3, 3) near H of a camera that only rotates, and its rotation. log_focal: of
+    image 1, whose points have focal length 1; the focal length of image 2 follows from H."""
+    D1 = np.diag([np.exp(log_focal), np.exp(log_focal), 1.0])
+    rows = H @ D1
+    lengths = np.linalg.norm(rows, axis=1)
+    focal2 = lengths[:2].mean() / lengths[2]
+    D2 = np.diag([focal2, focal2, 1.0])
+    U, _, Vt = np.linalg.svd(np.linalg.solve(D2, rows))
+    R = U @ Vt
+    R *= np.linalg.det(R)  # the sign of H is arbitrary
+    return D2 @ R @ np.linalg.inv(D1), R
