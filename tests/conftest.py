@@ -1,5 +1,7 @@
 """How often hypothesis draws: always the same in the suite, anew in each round of `make fuzz`;
-and the browser of the tests of pages."""
+the browser of the tests of pages; and signals as a terminal's shell leaves them."""
+
+import signal
 
 import pytest
 from chromium import chromium_page, find_chromium
@@ -24,3 +26,16 @@ def browser():
         pytest.skip("no Chromium on this machine: install it, or name one in $CHROMIUM")
     with chromium_page(executable) as page:
         yield page
+
+
+@pytest.fixture
+def default_signals():
+    """SIGINT and SIGTERM do in the test, and in the processes it starts, what they do by default.
+
+    A script that runs `make test &` starts it with SIGINT ignored, which processes inherit.
+    """
+    defaults = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in defaults.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)

@@ -117,7 +117,7 @@ def test_a_wheel_of_the_sdist_holds_every_module_and_data_file(release: tuple[Pa
     for folder, package in MAPPED.items():
         target = package.replace(".", "/")
         for file in (ROOT / folder).rglob("*"):
-            data = "__pycache__" not in file.parts and file.suffix not in (".py", ".pth", ".txt")
+            data = "__pycache__" not in file.parts and file.suffix not in (".py", ".pth")
             if file.suffix == ".py" or (file.is_file() and data):
                 expected.add(f"{target}/{file.relative_to(ROOT / folder).as_posix()}")
             if file.suffix == ".py":

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
+from dgc_pose.benchmarks.dtu.pairs import Light, dtu_pairs
 from dgc_pose.benchmarks.methods import CameraTrial
-from dgc_pose.benchmarks.posed_pairs import Light, dtu_pairs
 from dgc_pose.cameras.pair_list import write_pairs
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.laboratory.bench_pairs import (

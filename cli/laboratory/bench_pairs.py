@@ -3,13 +3,15 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
 import click
 from tqdm import tqdm
 
+from dgc_pose.benchmarks.dtu.histograms import plot_errors
+from dgc_pose.benchmarks.dtu.protocol import PAPER_SIZE, paper_options
 from dgc_pose.benchmarks.evaluate import score
 from dgc_pose.benchmarks.methods import EVERYWHERE, CameraTrial, load_matchers, parse_methods
 from dgc_pose.benchmarks.other_matchers import pair_files
@@ -20,7 +22,6 @@ from dgc_pose.benchmarks.report import (
     columns,
     finite_data,
     heading,
-    plot_errors,
     split_names,
     summarise,
     summary_table,
@@ -39,8 +40,6 @@ from dgc_pose.system.options import option
 from dgc_pose.system.texts import write_json
 from dgc_pose.viz import save_figure
 
-PAPER_SIZE = (256, 256)  # width, height (Melekhov et al., section 4.4)
-EVERY_MATCH = 2**31  # more than any map has cells
 FILES = ("run.jsonl", "results.csv", "summary.json", "errors.png")  # written by a run
 Protocol = Literal["native", "paper"]
 PROTOCOL_HELP = (
@@ -124,9 +123,7 @@ def run_bench(
     """Score methods on pairs; print the tables and write the files of `bench-pairs`."""
     out, paper = options.out, options.protocol == "paper"
     if paper:
-        matching = replace(matcher.matching, max_matches=EVERY_MATCH, aligned="none")
-        matcher = replace(matcher, matching=matching)
-        estimation = replace(estimation, refine=False)
+        matcher, estimation = paper_options(matcher, estimation)
     folders = _folders(options.matches)
     names = split_names(options.methods)
     methods = parse_methods(names, matcher, estimation, [*folders], cameras)

@@ -11,13 +11,11 @@ from dgc_pose.benchmarks.report import (
     calibration_error,
     columns,
     finite_data,
-    plot_errors,
     reliability,
     shares,
     summarise,
     summary_table,
 )
-from dgc_pose.viz.figure import save_figure
 
 
 def score(rotation, translation, *, focal=1.0, std=0.0, probability=math.nan, doubts=False):
@@ -132,28 +130,3 @@ def test_every_bin_counts_its_own_matches_parts_add_up_and_empty_ones_say_nothin
     np.testing.assert_array_equal(shares(found)[0], [0, np.nan, np.nan, 0.5])
     assert calibration_error(found) == pytest.approx(2 / 3 * 0.5)
     assert np.isnan(calibration_error(reliability(np.zeros(0), np.zeros(0, bool))))
-
-
-def test_a_panel_has_a_curve_of_each_method_that_has_the_quantity(tmp_path):
-    """A method may be called as a formula."""
-    errors, lost = np.array([3.0, np.inf, 1.0, 9.0, 3.0]), np.full(5, np.inf)
-    fields = ("rotation_error_deg", "translation_error_deg", "epipolar_confident_px")
-    methods = {
-        name: {**dict.fromkeys(fields, own), "epipolar_all_px": of_map}
-        for name, own, of_map in (
-            ("$\\frac{$", errors, errors),
-            ("$\\frac{$/all", lost, lost),
-            ("\udcff", errors, np.array([np.nan])),
-        )
-    }
-    figure = plot_errors(methods)
-    rotation, _, everywhere, confident = figure.axes
-    first, second, _ = (text.get_text() for text in rotation.get_legend().get_texts())
-    assert (first, second) == ("$\\frac{$, median 3.00°", "$\\frac{$/all, median inf°")
-    # At each value the share of errors not above it.
-    assert rotation.lines[0].get_xdata().tolist() == [0, 1, 3, 3, 9, 10]
-    assert rotation.lines[0].get_ydata().tolist() == [0, 20, 40, 60, 80, 80]
-    assert rotation.lines[1].get_ydata().tolist() == [0, 0]
-    assert (len(everywhere.lines), len(confident.lines)) == (2, 3)
-    save_figure(figure, tmp_path / "a.png")
-    assert (tmp_path / "a.png").exists()

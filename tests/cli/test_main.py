@@ -107,6 +107,7 @@ def test_errors_are_one_line_and_an_exit_code(raising, error, code, line):
     assert "Traceback" in result.stderr and result.stderr.endswith(f"error: {line}\n")
 
 
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize(
     ("number", "line"),
     [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "stopped by SIGTERM")],
@@ -120,6 +121,24 @@ def test_a_signal_to_stop_is_one_line_and_the_shells_code(raising, number, line)
     result = raising(Raised)
     assert (result.exit_code, result.stderr) == (128 + number, f"error: {line}\n")
     assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_that_is_ignored_stays_so(monkeypatch, number):
+    """As nohup and scripts start commands that are to run on."""
+
+    @click.command()
+    def info():
+        signal.raise_signal(number)
+        click.echo("runs on")
+
+    monkeypatch.setattr("dgc_pose.cli.info.info", info)
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        result = run("info")
+    finally:
+        signal.signal(number, before)
+    assert (result.exit_code, result.stdout, result.stderr) == (0, "runs on\n", "")
 
 
 def test_warnings_are_lines_of_their_own(monkeypatch):

@@ -55,6 +55,7 @@ def ready(process):
     return process
 
 
+@pytest.mark.usefixtures("default_signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_stopped_command_leaves_the_file_of_before(tmp_path, number):
     """Killed, it leaves a part beside it, which the next run clears."""

@@ -11,6 +11,7 @@ from torch import nn
 
 from dgc_pose.images.image import Image, load_image, resize
 from dgc_pose.matchers import load_matcher
+from dgc_pose.matching.correspondence_map import MATCHABILITY
 from dgc_pose.network.config import preset
 from dgc_pose.network.efficientnet import EfficientPyramid
 from dgc_pose.network.net import DGCNet, to_normalised, to_pixels
@@ -160,22 +161,41 @@ def test_features_of_a_rotated_image_lie_in_the_rotated_cells():
         assert torch.allclose(rotated[level], expected, atol=1e-4 * expected.abs().max())
 
 
-def test_a_network_made_for_inference_gives_the_same_map():
-    net = load_network("dgcm-lite0")
-    fast = for_inference(net)
-    assert nn.BatchNorm2d not in [type(module) for module in fast.modules()]
+@pytest.fixture
+def net():
+    return load_network("dgcm-lite0")
+
+
+@pytest.fixture
+def inputs():
+    """The images of the rendered pair, as the network takes them."""
     folder = resources.files("dgc_pose") / "data" / "rendered"
     images = [load_image(str(folder / f"image{number}.jpg")).pixels for number in (1, 2)]
-    inputs = [network_input(pixels, (240, 240), torch.device("cpu")) for pixels in images]
-    with torch.inference_mode():
-        wanted, found = net(*inputs), fast(*inputs)
-    apart_px = 120 * (found.maps[-1] - wanted.maps[-1]).norm(dim=1)
-    assert wanted.maps[-1].std() > 1e-3  # a map that is the same everywhere would show nothing
-    assert apart_px.median() < 1e-3 and apart_px.quantile(0.99) < 0.05
-    assert len(found.logits) == len(wanted.logits)
-    # As probabilities: a logit of -10 carries a hundredth of rounding, which means nothing.
-    off = (found.logits[-1].sigmoid() - wanted.logits[-1].sigmoid()).abs()[:, 0]
-    # On image 1's border warped features fade, and their norm magnifies it.
-    from_border_px = 120 * (wanted.maps[-1].abs().amax(1) - 1).abs()
-    assert off[from_border_px > 2].max() < 1e-3
-    assert off.quantile(0.999) < 1e-4 and off.max() < 1e-2
+    return [network_input(pixels, (240, 240), torch.device("cpu")) for pixels in images]
+
+
+@torch.inference_mode()
+def _decoded(net, inputs):
+    """The finest map in pixels, (240, 240, 2), and its matchability, (240, 240)."""
+    prediction = net(*inputs)
+    points = to_pixels(prediction.maps[-1][0].movedim(0, -1), (240, 240), net.config.align_corners)
+    return points, prediction.logits[-1][0, 0].sigmoid()
+
+
+def test_a_network_made_for_inference_is_the_same_function(net, inputs):
+    """In double precision, where rounding is far below any fault."""
+    fast = for_inference(net.double())
+    assert nn.BatchNorm2d not in [type(module) for module in fast.modules()]
+    wanted, found = (_decoded(one, [image.double() for image in inputs]) for one in (net, fast))
+    assert wanted[0].dtype == torch.float64
+    for own, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(own, other, atol=1e-7, rtol=0)
+
+
+def test_a_network_made_for_inference_gives_the_same_matches(net, inputs):
+    """Up to rounding, which differs between processors."""
+    (wanted, expected), (found, own) = (_decoded(one, inputs) for one in (net, for_inference(net)))
+    matched = expected >= MATCHABILITY
+    assert 0.3 < matched.float().mean() < 0.9
+    assert ((own >= MATCHABILITY) != matched).float().mean() < 1e-3
+    assert (found - wanted)[matched].norm(dim=-1).max() < 0.02

@@ -47,6 +47,7 @@ def test_work_is_side_by_side_in_as_many_threads_as_opencv_has() -> None:
     assert len(inner(0)) == 1
 
 
+@pytest.mark.usefixtures("default_signals")
 def test_an_interrupt_does_not_wait_for_the_work() -> None:
     """As in a long call of a library, which handles no signal."""
     cv2.setNumThreads(2)

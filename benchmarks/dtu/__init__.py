@@ -1,0 +1,1 @@
+"""The paper's experiment on relative pose: DTU's pairs, the protocol, the histograms."""
