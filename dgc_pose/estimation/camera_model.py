@@ -36,7 +36,6 @@ ModelName = Literal[
 # Shares of the matches that the assumed cameras explain, above which no distant cameras are
 # searched: without a K; with a K, and for models that are less likely than the third, in log-odds.
 EXPLAINED, EXPLAINED_BY_K, _UNLIKELY = 0.8, 0.5, -10.0
-_HOPELESS = -20.0  # log-odds of a model that is not searched
 _UNCERTAIN_STD = 0.1  # deviation of ln f beyond which there is a warning
 
 
@@ -68,8 +67,6 @@ class CameraModel:
             return focal_is_open
         least = EXPLAINED_BY_K if self.contradicts_K or log_odds < _UNLIKELY else EXPLAINED
         is_explained = explained > least
-        if log_odds < _HOPELESS:
-            return False
         if self.is_far:
             return not (is_explained and usual)
         return bool(self.focals) and not is_explained

@@ -65,7 +65,7 @@ _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 _MAX_EXTRA_COST, _MORE = 1.0, 1.2
 _WORSE = 4.0  # loss by which a run may be worse than the fit of the assumed cameras
 _USUAL = 0.7  # standard deviations up to which fitted focal lengths are usual
-_MARGIN = 3.0  # by which an estimate may be too low
+_MARGIN, _MARGIN_OF_K = 3.0, 5.0  # by which an estimate may be too low, without a K and with one
 _DETERMINED = 0.5  # share of the prior's deviation of ln f below which the matches determine f
 _LEAST_SPREAD_DEG = 1.0  # least standard deviation of the pose of a model
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
@@ -146,7 +146,8 @@ def _joined(fit: ModelFit, other: ModelFit) -> ModelFit:
 
 
 def _with_margin(fit: ModelFit) -> float:
-    return fit.log_probability + (0.0 if fit.is_fitted else _MARGIN)
+    margin = _MARGIN_OF_K if fit.model.contradicts_K else _MARGIN
+    return fit.log_probability + (0.0 if fit.is_fitted else margin)
 
 
 def _are_stated(cameras: Cameras) -> bool:
@@ -271,17 +272,17 @@ class _Sample:
         """The assumed model and the others, those that may be far from it from other starts."""
         found, explained = list(others), float((self.error < 1).mean())
         usual = self._is_usual(assumed.cameras)
-        is_far = explained <= EXPLAINED_BY_K or (_are_stated(assumed.cameras) and not usual)
-        if is_far:
+        if explained <= EXPLAINED_BY_K or (_are_stated(assumed.cameras) and not usual):
             joint = JointFit(self.joint.problem.of_cameras(opened(assumed.cameras)))
             wide = rough_pose(joint)
             if wide is not None:
                 far = self.quadratic(joint, wide)
                 found = [_joined(fit, far.estimate(fit)) for fit in found]
         is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
-        known = {"explained": explained, "usual": usual, "focal_is_open": is_open}
         for number, fit in enumerate(found):
-            if fit.model.is_searched(fit.log_odds, **known):
+            if fit.model.is_searched(
+                fit.log_odds, explained=explained, usual=usual, focal_is_open=is_open
+            ):
                 found[number] = self.fitted(fit, search=True)
         return [assumed, *found]
 
@@ -322,10 +323,12 @@ class _Sample:
             start_at(joint, of_focals(np.full(2, log_focal)), seed)
             for log_focal, seed in zip(fit.model.focals, seeds, strict=False)
         ]
-        runs = [run for run in runs if run is not None]
-        losses = [cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum() for run in runs]
-        most = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE
-        return runs[int(np.argmin(losses))] if runs and min(losses) < most else None
+        best, most = None, float(cauchy_losses(self.error, 1.0).sum()) + _WORSE
+        for run in runs:
+            if run is not None:
+                loss = float(cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum())
+                best, most = (run, loss) if loss < most else (best, most)
+        return best
 
     def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
         """The model fitted with a pose, and its evidence. If it explains the inliers of the assumed

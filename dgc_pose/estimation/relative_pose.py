@@ -316,9 +316,9 @@ def _judged(
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
     # The matches do not show which motion is the camera's.
     if ambiguous and evidence.num_second_inliers and (second := found.second):
-        others = [h for h in poses if not second.is_among([h])]
-        total = sum(h.share for h in others)
-        poses = [replace(h, share=0.5 * h.share / total) for h in others]
+        own = [h for h in poses if not second.is_among([h])]
+        total = sum(h.share for h in own)
+        poses = [replace(h, share=0.5 * h.share / total) for h in own]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
     if probability is not None:
         poses = [replace(h, probability=same_place * probability * h.share) for h in poses]
