@@ -63,6 +63,7 @@ _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
 # has this many times as many inliers.
 _MAX_EXTRA_COST, _MORE = 1.0, 1.2
+_MOST_STDS = 3.0  # from the prior, of the parameters of another model
 _WORSE = 4.0  # loss by which a run may be worse than the fit of the assumed cameras
 _USUAL = 0.7  # standard deviations up to which fitted focal lengths are usual
 _MARGIN, _MARGIN_OF_K = 3.0, 5.0  # by which an estimate may be too low, without a K and with one
@@ -130,9 +131,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
     near = sample.quadratic(sample.joint, pose)
     others = [near.estimate(ModelFit(model, *variant)) for model, variant in other_models(stated)]
     fits = sample.searched(assumed, others)
-    while not (best := max(fits, key=_with_margin)).is_fitted:
-        fits[fits.index(best)] = sample.fitted(best)
-    best = max(fits, key=lambda fit: fit.log_probability)
+    best = sample.settled(fits)
     shares = choice_shares([fit.log_probability for fit in fits]).tolist()
     if shares[0] > (_MIN_STATED_SHARE if _are_stated(stated) else _MIN_SHARE):
         best = assumed
@@ -270,7 +269,9 @@ class _Sample:
 
     def searched(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
         """The assumed model and the others, those that may be far from it from other starts."""
-        found, explained = list(others), float((self.error < 1).mean())
+        found = list(others)
+        is_contested = any(fit.log_probability > assumed.log_probability for fit in others)
+        explained = 0.0 if is_contested else float((self.error < 1).mean())
         usual = self._is_usual(assumed.cameras)
         if explained <= EXPLAINED_BY_K or (_are_stated(assumed.cameras) and not usual):
             joint = JointFit(self.joint.problem.of_cameras(opened(assumed.cameras)))
@@ -285,6 +286,13 @@ class _Sample:
             ):
                 found[number] = self.fitted(fit, search=True)
         return [assumed, *found]
+
+    def settled(self, fits: list[ModelFit]) -> ModelFit:
+        """The likeliest of the models, each of which is fitted while its estimate is the likeliest;
+        replaces the estimates in the list."""
+        while not (best := max(fits, key=_with_margin)).is_fitted:
+            fits[fits.index(best)] = self.fitted(best)
+        return max(fits, key=lambda fit: fit.log_probability)
 
     def _is_usual(self, assumed: Cameras) -> bool:
         if _are_stated(assumed):
@@ -332,12 +340,15 @@ class _Sample:
 
     def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
         """The model fitted with a pose, and its evidence. If it explains the inliers of the assumed
-        cameras worse than these do, and has not far more inliers, the model without a pose."""
+        cameras worse than these do, and has not far more inliers, or if its cameras are far from
+        their prior, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
         fit = replace(fit, is_fitted=True)
-        if losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more:
+        is_worse = losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more
+        is_far = float(np.abs(pose.z).max(initial=0.0)) > _MOST_STDS
+        if is_worse or (is_far and fit.model.name != "assumed"):
             return fit
         hessian, _ = joint.slopes(pose, self._width_of(joint), joint.prior)
         loss = self.weight * float(losses.sum())
