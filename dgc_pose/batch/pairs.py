@@ -10,7 +10,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
-from dgc_pose.estimation.camera_model import ModelName
+from dgc_pose.estimation.camera_model import ModelName, model_named
 from dgc_pose.geometry.epipolar import sampson_distance
 from dgc_pose.matches import Matches
 from dgc_pose.system.files import read_as
@@ -113,9 +113,10 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
             pose = RelativePose.from_dict(data | {"seconds": {}})
         except InputError as error:
             raise ValueError(str(error)) from None
+        model = model_named(data["camera_model"]).name
         probability, (agree, differ) = data["folder_probability"], data["folder_triples"]
         return PairRow(
-            *(*names, status, pose.reason, pose, data["error_px"], data["camera_model"]),
+            *(*names, status, pose.reason, pose, data["error_px"], model),
             index=index,
             folder_probability=None if probability is None else float(probability),
             folder_triples=(int(agree), int(differ)),

@@ -106,8 +106,8 @@ class Camera:
         aspect_std: Standard deviation of the logarithm of fy / fx; 0: exact.
         focal_prior: For a focal length that no K states, see `FocalPrior`; K and `focal_std` are
             its likeliest part.
-        picture: The camera of the same image as without K; None if no image is known. For a K that
-            is stated.
+        picture: The camera of the same image as without K, for a pair whose K is stated; None, as
+            in folders: the size tells it.
     """
 
     K: np.ndarray

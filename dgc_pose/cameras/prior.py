@@ -47,6 +47,7 @@ _OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
 # distance of the principal point from the middle over the side; and the log-odds against each.
 _USUAL_FOCALS, _USUAL_RATIO, _INNER, _EXTREME = (0.3, 4.0), 1.3, 0.25, 10.0
 FAR_OFF = 0.04  # distance of the principal point from the middle, over the longer side, of a part
+_LEAST_SIDE = 32  # of an image whose size follows from the principal point, pixels
 USUAL_K = 2.0  # improbability of a stated K up to which it is usual
 _LINES_STD_RATIO = 0.8  # the lines determine f if they reduce its deviation below this share
 # Standard deviations of the first radial coefficient: photographs as cameras wrote them, action
@@ -158,9 +159,16 @@ def picture_camera(stated: Camera) -> Camera:
     return stated.picture or camera_of_size((round(width), round(height)))
 
 
+def has_picture(stated: Camera) -> bool:
+    """Whether the size of the image is known, or follows from a principal point in its middle."""
+    return stated.size is not None or min(image_size(stated)) > _LEAST_SIDE
+
+
 def improbability(stated: Camera) -> float:
     """By how much a stated K is less probable than the likeliest one, in log-odds: by the focal
-    length that its picture has, and by what no photograph has."""
+    length that its picture has, and by what no photograph has. 0 if no picture is known."""
+    if not has_picture(stated):
+        return 0.0
     picture = picture_camera(stated)
     assert picture.focal_prior is not None
     longer = max(image_size(stated))

@@ -21,6 +21,7 @@ from dgc_pose.cameras.prior import (
     FAR_OFF,
     USUAL_K,
     from_middle,
+    has_picture,
     improbability,
     is_inner,
     of_part,
@@ -99,7 +100,13 @@ def turning(stated: Cameras) -> Cameras:
     another lens."""
     if all(camera.focal_source == "given" for camera in stated):
         return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
-    return stated
+    first, second = (
+        replace(camera, lens_std=max(camera.lens_std, _TURNED_LENS_STD))
+        if camera.lens_std
+        else camera
+        for camera in stated
+    )
+    return first, second
 
 
 def is_open(camera: Camera) -> bool:
@@ -268,19 +275,38 @@ def _unlensed(cameras: Cameras) -> Cameras:
 
 
 def _swapped(cameras: Cameras) -> Cameras:
-    same_size = cameras[0].size == cameras[1].size
-    return cameras[::-1] if same_size and not _have_one_K(cameras) else cameras
+    """Each image with the K and lens of the other."""
+    first, second = cameras
+    if first.size != second.size or _have_one_K(cameras):
+        return cameras
+    return _with_K_of(first, second), _with_K_of(second, first)
+
+
+def _with_K_of(camera: Camera, other: Camera) -> Camera:
+    return replace(
+        camera,
+        K=other.K,
+        distortion=other.distortion,
+        focal_std=other.focal_std,
+        centre_std=other.centre_std,
+        lens_std=other.lens_std,
+        aspect_std=other.aspect_std,
+    )
 
 
 def middle(stated: Cameras) -> Iterator[Variant]:
     """The principal point in the middle, as of a frame cut from the photograph of K, or scaled."""
-    if any(camera.focal_source != "given" for camera in stated):
+    if not _have_K_and_pictures(stated):
         return
     far = max(map(from_middle, stated))
     if far >= _OFF:
         is_cut = far > FAR_OFF and all(map(is_inner, stated))
         cameras = _loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
         yield Variant(cameras, _LOG_ODDS_OF_CUT if is_cut else -10.0)
+
+
+def _have_K_and_pictures(stated: Cameras) -> bool:
+    return all(camera.focal_source == "given" and has_picture(camera) for camera in stated)
 
 
 def _centred(camera: Camera) -> Camera:
@@ -293,7 +319,7 @@ def _centred(camera: Camera) -> Camera:
 
 def picture(stated: Cameras) -> Iterator[Variant]:
     """The cameras as without K: one camera, or one for each image."""
-    if any(camera.focal_source != "given" for camera in stated):
+    if not _have_K_and_pictures(stated):
         return
     first, second = map(picture_camera, stated)
     odds = _LOG_ODDS_OF_PICTURE + max(map(improbability, stated))

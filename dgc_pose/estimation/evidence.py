@@ -64,8 +64,8 @@ class Evidence:
         map_chance: The same share if the cells are paired wrongly; None without a map.
         context_ratio: Similarity of the images around the matches over that at them, see
             `rotation_corrected`; None if unknown.
-        still_ratio: Share of inliers that a camera without a translation explains (`still_camera`),
-            if the cameras were fitted; else 0.
+        still_ratio: Matches that a camera without a translation explains (`still_camera`), over the
+            inliers; at most 1.
         num_second_inliers: Inliers of another motion among the outliers, more than chance explains;
             0 without one.
         second_rotation_deg: Angle between the rotation of this motion and `rotation`.

@@ -39,7 +39,8 @@ def loss_width(error: np.ndarray, threshold: float) -> float:
 def cauchy_losses(error: np.ndarray, width: float) -> np.ndarray:
     """Minus the log-likelihoods (N,) of errors with a Cauchy distribution of this width, up to a
     constant, divided by `CORRELATED`."""
-    losses: np.ndarray = EFFICIENT**2 / CORRELATED / 2 * np.log1p((error / width) ** 2)
+    with np.errstate(over="ignore"):
+        losses: np.ndarray = EFFICIENT**2 / CORRELATED / 2 * np.log1p((error / width) ** 2)
     return losses
 
 
@@ -76,8 +77,11 @@ def levenberg_marquardt(
     for _ in range(iterations):
         before = cost
         while damping < _MOST_DAMPING:
-            step = np.linalg.solve(hessian + damping * np.diag(np.diag(hessian)), -gradient)
-            candidate = moved(fit, step)
+            damped = hessian + damping * np.diag(np.diag(hessian))
+            try:
+                candidate = moved(fit, np.linalg.solve(damped, -gradient))
+            except np.linalg.LinAlgError:  # a parameter that the errors do not depend on
+                return fit
             found = linearised(candidate)
             if found[0] < before:
                 fit, (cost, hessian, gradient) = candidate, found

@@ -102,7 +102,7 @@ class ModelFit:
         prior = IntrinsicsPrior.of(*self.cameras)
         total = hessian + prior.information
         sign, log_determinant = np.linalg.slogdet(total)
-        if sign <= 0:
+        if not (sign > 0 and math.isfinite(log_determinant)):
             return self
         inverse = np.linalg.inv(total)
         of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
@@ -111,7 +111,7 @@ class ModelFit:
             pose=pose,
             log_evidence=-loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2,
             covariance=of_pose(inverse[:5, :5], tangent_axes(pose.t)),
-            focal_std=float(np.sqrt(of_cameras.diagonal()[FOCALS].max())),
+            focal_std=math.sqrt(max(float(of_cameras.diagonal()[FOCALS].max()), 0.0)),
         )
 
 

@@ -252,7 +252,7 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
     evidence = measured(found.problem, best, found.map_problem)
     rotation, second, covariance = evidence.rotation, found.second, known.covariance
     still_ratio = min(found.still.count / max(best.num_inliers, 1), 1.0)
-    if still_ratio > evidence.strict_rotation_share:
+    if still_ratio >= evidence.strict_rotation_share:
         rotation = found.still.R
     if second is not None:
         left = found.problem.subset(~best.inliers)
@@ -333,7 +333,7 @@ def _judged(
     covariance = known.covariance if has_t else None
     if covariance is not None and model is not None:
         covariance = model.calibrated(covariance, evidence)
-    if rotation_alone:
+    if rotation_alone and evidence.rotation is found.still.R:
         covariance = _rotation_covariance(found.still, model)
     camera1, camera2 = known.cameras if has_t else (None, None)
     return RelativePose(

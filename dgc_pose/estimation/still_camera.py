@@ -6,6 +6,7 @@ focal length or its lens is a little wrong. So these are fitted together with th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -82,12 +83,13 @@ class _TurnFit:
 
     def distances(self, turn: _Turn) -> np.ndarray:
         """The lengths (N,) of the errors."""
-        return np.hypot(*self.errors(turn).T)
+        with np.errstate(over="ignore"):
+            return np.hypot(*self.errors(turn).T)
 
     def slopes(self, turn: _Turn) -> np.ndarray:
-        """The derivatives (N, 2, 3 + M) of the errors."""
+        """The derivatives (N, 2, 3 + M) of the errors, which must be finite."""
         parameters = self.prior.basis @ turn.z
-        points1, _ = renormalised_pair(self.problem, parameters)
+        points1, points2 = renormalised_pair(self.problem, parameters)
         turned = homogeneous(points1) @ turn.R.T
         by_turned = np.zeros((len(turned), 2, 3))
         by_turned[:, [0, 1], [0, 1]] = 1 / turned[:, 2:]
@@ -97,23 +99,24 @@ class _TurnFit:
         of_points1 = renormalised_slopes(self.problem.points1, lens1, parameters[:SIZE])
         of_points2 = renormalised_slopes(self.problem.points2, lens2, parameters[SIZE:])
         of_cameras = np.concatenate([by_turned @ turn.R[:, :2] @ of_points1, -of_points2], axis=2)
+        of_cameras[:, :, SIZE] += turned[:, :2] / turned[:, 2:] - points2  # of the unit
         slopes = np.concatenate([by_turned @ by_rotation, of_cameras @ self.prior.basis], axis=2)
         return slopes * np.exp(parameters[SIZE])
 
     def fitted(self, turn: _Turn, width: float) -> _Turn:
-        """The turn of least Cauchy loss. All matches must have finite errors."""
+        """The turn of least Cauchy loss, from one with finite errors."""
 
         def linearised(turn: _Turn) -> tuple[float, np.ndarray, np.ndarray]:
-            error, slopes = self.errors(turn), self.slopes(turn)
-            distance = np.hypot(*error.T)
-            known = np.isfinite(distance)
-            weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (distance[known] / width) ** 2)
-            slopes, error = slopes[known], error[known]
+            error, distance = self.errors(turn), self.distances(turn)
+            cost = float(cauchy_losses(distance, width).sum() + turn.z @ turn.z / 2)
+            if not math.isfinite(cost):  # a step that is refused
+                return cost, np.eye(3 + len(turn.z)), np.zeros(3 + len(turn.z))
+            slopes = self.slopes(turn)
+            weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (distance / width) ** 2)
             hessian = np.einsum("n,nip,niq->pq", weights, slopes, slopes)
             gradient = np.einsum("n,nip,ni->p", weights, slopes, error)
             gradient[3:] += turn.z
             hessian[3:, 3:] += np.eye(len(turn.z))
-            cost = float(cauchy_losses(distance, width).sum() + turn.z @ turn.z / 2)
             return cost, hessian, gradient
 
         return levenberg_marquardt(turn, linearised, _Turn.moved, _ITERATIONS)

@@ -137,7 +137,8 @@ def _undetermined_translation(evidence: Evidence) -> Verdict | None:
             "essential matrix"
         )
     elif evidence.still_ratio >= _STRICT_ROTATION_SHARE:
-        why = f"a turn, zoom or crop explains {100 * evidence.still_ratio:.0f} % of the inliers"
+        share = f"{100 * evidence.still_ratio:.0f} %"
+        why = f"a turn, zoom or crop explains as many matches as {share} of the inliers"
     else:
         return None
     if evidence.num_second_inliers and evidence.second_rotation_deg >= _SAME_ROTATION_DEG:

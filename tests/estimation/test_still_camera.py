@@ -1,0 +1,118 @@
+"""A camera that only turned, with a K or a lens that is a little wrong: it is found, with the right
+rotation, and told from scenes with a translation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, poster_scene, two_view_scene
+from scipy.spatial.transform import Rotation
+
+from dgc_pose.cameras.colmap_camera import Distortion
+from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation.camera_changes import turning
+from dgc_pose.estimation.intrinsics_prior import EXACT, IntrinsicsPrior
+from dgc_pose.estimation.probability import shipped_models
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.still_camera import _Turn, _TurnFit, turned_camera
+from dgc_pose.metrics import rotation_error_deg
+
+SIZE = (1600, 1200)
+CAMERA = pinhole(1500, SIZE)
+NETWORK = min(shipped_models().weights)  # of which a probability is known
+
+
+def _turned(degrees: float, seed: int, k1: float = 0.0, outliers: float = 0.2) -> TwoViewScene:
+    lens = Distortion("RADIAL", (k1, 0.0)) if k1 else None
+    camera = replace(CAMERA, distortion=lens)
+    turn = (0.2 * degrees, degrees, 0.3 * degrees)
+    nowhere = {"turn_deg": turn, "centre": (0.0, 0.0, 0.0), "outliers": outliers}
+    return camera_scene(camera, camera, seed=seed, weights=NETWORK, **nowhere)
+
+
+def _assert_turn(pose: RelativePose, scene: TwoViewScene) -> None:
+    assert pose.status == "rotation_only" and pose.t is None and not pose.success
+    error = rotation_error_deg(pose.R, scene.R)
+    assert error < max(2 * pose.rotation_error_90_deg, 0.1) and error < 1.0
+    assert pose.translation_error_90_deg is None
+    np.testing.assert_array_equal(pose.covariance[3:], 0)
+
+
+@pytest.mark.parametrize("lens", [None, Distortion("OPENCV", (-0.1, 0.02, 0.001, -0.001))])
+def test_the_slopes_are_the_differences_of_the_errors(lens) -> None:
+    scene = two_view_scene("skew", count=50, outliers=0.0)
+    cameras = [replace(camera, distortion=lens) for camera in scene.cameras]
+    problem = TwoViewProblem.of(scene.matches, *cameras)
+    basis = np.random.default_rng(1).standard_normal((12, 4)) * 0.05
+    if lens is not None:
+        basis[[3, 4, 9, 10]] = 0  # its coefficients are known
+    fit = _TurnFit(problem, IntrinsicsPrior(basis))
+    turn = _Turn(scene.R, np.array([0.4, -0.3, 0.2, 0.5]))
+    slopes = fit.slopes(turn)
+    for column, step in enumerate(1e-6 * np.eye(7)):
+        moved = (fit.errors(turn.moved(step)) - fit.errors(turn.moved(-step))) / 2e-6
+        np.testing.assert_allclose(slopes[:, :, column], moved, atol=2e-4)
+
+
+@pytest.mark.parametrize("factor", [0.8, 0.9, 0.96, 1.0, 1.04, 1.1, 1.2])
+@pytest.mark.parametrize(("degrees", "seed"), [(6, 0), (14, 1), (25, 2)])
+def test_a_turn_with_a_wrong_focal_length(factor: float, degrees: float, seed: int) -> None:
+    scene = _turned(degrees, seed)
+    stated = CAMERA.with_focal(factor * 1500)
+    _assert_turn(scene.estimate(stated, stated, seed=seed), scene)
+
+
+@pytest.mark.parametrize("k1", [-0.3, -0.15, -0.05])
+@pytest.mark.parametrize(("degrees", "seed"), [(8, 0), (20, 1)])
+def test_a_turn_with_a_lens_that_K_leaves_out(k1: float, degrees: float, seed: int) -> None:
+    scene = _turned(degrees, seed, k1)
+    _assert_turn(scene.estimate(CAMERA, CAMERA, seed=seed), scene)
+    assert scene.estimate(seed=seed).status == "rotation_only"  # and without K
+
+
+@pytest.mark.parametrize("kind", ["general", "skew", "orbit", "planar"])
+def test_a_translation_is_no_turn(kind: SceneKind) -> None:
+    for seed in range(3):
+        scene = two_view_scene(kind, seed=seed, same_camera=True, outliers=0.2)
+        for factor in (0.85, 1.0, 1.15):
+            stated = scene.cameras[0].with_focal(factor * scene.cameras[0].focal)
+            pose = scene.estimate(stated, stated, seed=seed)
+            assert pose.status != "rotation_only", (seed, factor)
+
+
+def test_a_frontal_plane_that_shifts_is_no_turn() -> None:
+    """A shift or zoom of the image is a turn only of a camera that sees at a point."""
+    for seed in range(3):
+        for centre in ((1.0, 0.2, 0.0), (0.0, 0.0, 1.5)):
+            plane = camera_scene(
+                CAMERA, CAMERA, seed=seed, turn_deg=(0, 0, 0), centre=centre, depths=(6.0, 6.01)
+            )
+            assert plane.estimate(CAMERA, CAMERA, seed=seed).status != "rotation_only"
+        poster = poster_scene(seed=seed)
+        assert poster.estimate(*poster.cameras, seed=seed).status != "rotation_only"
+
+
+def test_what_a_turn_explains_is_counted_over_all_matches() -> None:
+    scene = _turned(12, 3, outliers=0.3)
+    stated = (CAMERA.with_focal(1350),) * 2
+    problem = TwoViewProblem.of(scene.matches, *stated)
+    free = turned_camera(problem, IntrinsicsPrior.of(*turning(stated)))
+    assert 0.65 * len(problem) < free.count < 0.75 * len(problem)
+    assert rotation_error_deg(free.R, scene.R) < 0.3
+    assert turned_camera(problem, EXACT).count < 0.6 * free.count
+    few = problem.subset(np.arange(len(problem)) < 12)
+    assert turned_camera(few, EXACT).count <= 12
+
+
+def test_the_inverse_of_a_rotation_has_its_error() -> None:
+    scene = _turned(10, 0)
+    pose = scene.estimate(CAMERA, CAMERA)
+    back = pose.inverse()
+    np.testing.assert_allclose(back.R, pose.R.T)
+    turn = Rotation.from_matrix(pose.R).as_matrix().T
+    block = turn @ pose.covariance[:3, :3] @ turn.T
+    np.testing.assert_allclose(back.covariance[:3, :3], block, atol=1e-15)
+    assert back.rotation_error_90_deg == pytest.approx(pose.rotation_error_90_deg)
+    assert RelativePose.from_dict(pose.to_dict()).rotation_error_90_deg == pytest.approx(
+        pose.rotation_error_90_deg
+    )
