@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.errors import InputError
+from dgc_pose.system.options import check_type
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class Matches:
         outside = confidence[~((confidence >= 0) & (confidence <= 1))]
         if len(outside):
             raise InputError(f"confidence must lie in 0 to 1, not {outside[0]}")
+        check_type(self.error_px, float, "error_px")
         if not 0 < self.error_px < math.inf:
             raise InputError(f"error_px must be positive and finite, not {self.error_px}")
         if self.context_ratio is not None and not math.isfinite(self.context_ratio):

@@ -129,6 +129,7 @@ class Camera:
         if self.size is not None and not (self.size[0] > 0 and self.size[1] > 0):
             raise InputError(f"size must be positive, not {self.size[0]} x {self.size[1]}")
         for name in ("focal_std", "centre_std", "lens_std", "aspect_std"):
+            check_type(getattr(self, name), float, name)
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
         lens = self.distortion

@@ -97,9 +97,11 @@ def opened(stated: Cameras) -> Cameras:
 
 def turning(stated: Cameras) -> Cameras:
     """Both cameras with what a camera that only turned may have: a K that is off by one factor, and
-    another lens."""
+    another lens. A K that is unusual is as none."""
     if all(camera.focal_source == "given" for camera in stated):
-        return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
+        if max(map(improbability, stated)) < USUAL_K:
+            return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
+        stated = picture_camera(stated[0]), picture_camera(stated[1])
     first, second = (
         replace(camera, lens_std=max(camera.lens_std, _TURNED_LENS_STD))
         if camera.lens_std
@@ -335,8 +337,8 @@ off_centre = _of_picture(_off_centre, _LOG_ODDS_OF_EDITED)
 fisheye = _of_picture(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_ODDS_OF_WIDE)
 cylinder = _of_picture(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
 focal = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=True), -5.5)
-focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -7.0)
-lens = _in_place_of_K(partial(_loosened, lens=_LENS_STD), -8.0)
+focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -8.0)
+lens = _in_place_of_K(partial(_loosened, lens=_LENS_STD), -5.5)
 centre = _in_place_of_K(partial(_loosened, centre=_CENTRE_STD), -11.0)
 unlensed = _in_place_of_K(_unlensed, -9.0)
 swapped = _in_place_of_K(_swapped, -12.0)

@@ -54,17 +54,14 @@ class CameraModel:
     focals: tuple[float, ...] = ()
     is_far: bool = False
 
-    def is_searched(
-        self, log_odds: float, *, explained: float, usual: bool, focal_is_open: bool
-    ) -> bool:
+    def is_searched(self, log_odds: float, *, explained: float, usual: bool) -> bool:
         """Whether the model is fitted whatever its estimate.
 
         log_odds: prior. explained: the share of the matches that the assumed cameras explain.
-        usual: whether these are usual. focal_is_open: whether the prior determines f, not the
-        matches.
+        usual: whether these are usual.
         """
         if self.name == "tail":
-            return focal_is_open
+            return True
         least = EXPLAINED_BY_K if self.contradicts_K or log_odds < _UNLIKELY else EXPLAINED
         is_explained = explained > least
         if self.is_far:

@@ -22,8 +22,6 @@ import numpy as np
 from dgc_pose.estimation.camera_changes import turning
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
 from dgc_pose.estimation.intrinsics_prior import (
-    EXACT,
-    IntrinsicsPrior,
     pair_with_parameters,
 )
 from dgc_pose.estimation.model_comparison import ModelFit, assumed_fit, likeliest_model
@@ -49,6 +47,7 @@ LIKELY_SHARE = 0.75  # of the first one's inliers: another pose explains the mat
 _MIN_REFINED_SHARE = 0.3  # of the first one's inliers: another pose is refined
 _MAX_DEPTH = 1e6  # in baselines: beyond, there is no parallax to mirror
 _MAX_ERROR = 3.0  # thresholds; larger errors, and points behind a camera, count as this
+_SAME_TURN = 0.95  # of the matches that another fit explains: the turn that is fitted is as good
 _MOST_STILL = 0.6  # share of the matches that a turn explains up to which cameras are compared
 _MIN_PLANAR_SHARE = 0.5  # of the inliers on a homography: its poses compete
 
@@ -80,7 +79,7 @@ def candidates(
         turned, problem, model, runs = _runs_by_model(stated)
     else:
         problem, model, runs = stated, assumed_fit(stated.cameras), sample(stated)
-        turned = turned_camera(stated, EXACT)
+        turned = turned_camera(stated)
     if not runs:
         return None
     fitted = fit_cameras and not all(camera.exact for camera in model.cameras)
@@ -132,6 +131,8 @@ def _still_camera(
         return turned
     of_inliers = np.isin(stated.index, problem.index[best.inliers])
     zoomed = zoomed_camera(stated.subset(of_inliers))
+    if zoomed.is_turn and turned.count >= _SAME_TURN * zoomed.count:
+        return turned  # whose error is known
     return max(zoomed, turned, key=lambda still: still.count)
 
 
@@ -149,7 +150,7 @@ def _runs_by_model(
     model; and the hypotheses of the runs, with most inliers first; no hypotheses if there is no
     essential matrix.
     """
-    turned = turned_camera(stated, IntrinsicsPrior.of(*turning(stated.cameras)))
+    turned = turned_camera(stated.of_cameras(turning(stated.cameras)))
     joint, runs = JointFit(stated), list[Hypothesis]()
     if len(joint.prior):
         pose = joint_pose(joint)

@@ -63,11 +63,12 @@ _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
 # has this many times as many inliers.
 _MAX_EXTRA_COST, _MORE = 1.0, 1.2
-_MOST_STDS = 3.0  # from the prior, of the parameters of another model
+# Standard deviations from the prior, and the least one, of ln f of another model.
+_MOST_STDS, _LEAST_FOCAL_STD = 3.0, 0.1
 _WORSE = 4.0  # loss by which a run may be worse than the fit of the assumed cameras
 _USUAL = 0.7  # standard deviations up to which fitted focal lengths are usual
 _MARGIN, _MARGIN_OF_K = 3.0, 5.0  # by which an estimate may be too low, without a K and with one
-_DETERMINED = 0.5  # share of the prior's deviation of ln f below which the matches determine f
+_DETERMINED = 0.3  # share of the prior's deviation of ln f below which the matches determine f
 _LEAST_SPREAD_DEG = 1.0  # least standard deviation of the pose of a model
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
 
@@ -271,21 +272,28 @@ class _Sample:
         """The assumed model and the others, those that may be far from it from other starts."""
         found = list(others)
         is_contested = any(fit.log_probability > assumed.log_probability for fit in others)
-        explained = 0.0 if is_contested else float((self.error < 1).mean())
+        explained = float((self.error < 1).mean())
         usual = self._is_usual(assumed.cameras)
-        if explained <= EXPLAINED_BY_K or (_are_stated(assumed.cameras) and not usual):
+        if (
+            is_contested
+            or explained <= EXPLAINED_BY_K
+            or (_are_stated(assumed.cameras) and not usual)
+        ):
             joint = JointFit(self.joint.problem.of_cameras(opened(assumed.cameras)))
             wide = rough_pose(joint)
             if wide is not None:
                 far = self.quadratic(joint, wide)
                 found = [_joined(fit, far.estimate(fit)) for fit in found]
         is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
-        for number, fit in enumerate(found):
-            if fit.model.is_searched(
-                fit.log_odds, explained=explained, usual=usual, focal_is_open=is_open
-            ):
-                found[number] = self.fitted(fit, search=True)
-        return [assumed, *found]
+        fits = [assumed]
+        for fit in found:
+            if fit.model.name == "tail" and not is_open:
+                continue  # the matches determine f, whatever the prior
+            is_searched = is_contested or fit.model.is_searched(
+                fit.log_odds, explained=explained, usual=usual
+            )
+            fits.append(self.fitted(fit, search=True) if is_searched else fit)
+        return fits
 
     def settled(self, fits: list[ModelFit]) -> ModelFit:
         """The likeliest of the models, each of which is fitted while its estimate is the likeliest;
@@ -340,14 +348,16 @@ class _Sample:
 
     def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
         """The model fitted with a pose, and its evidence. If it explains the inliers of the assumed
-        cameras worse than these do, and has not far more inliers, or if its cameras are far from
-        their prior, the model without a pose."""
+        cameras worse than these do, and has not far more inliers, or if its focal lengths are
+        far from their prior, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
         near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
         fit = replace(fit, is_fitted=True)
         is_worse = losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more
-        is_far = float(np.abs(pose.z).max(initial=0.0)) > _MOST_STDS
+        focals = joint.parameters(pose)[FOCALS]
+        stds = np.maximum(np.linalg.norm(joint.prior.basis[FOCALS], axis=1), _LEAST_FOCAL_STD)
+        is_far = bool((np.abs(focals) > _MOST_STDS * stds).any())
         if is_worse or (is_far and fit.model.name != "assumed"):
             return fit
         hessian, _ = joint.slopes(pose, self._width_of(joint), joint.prior)

@@ -41,6 +41,7 @@ _SAMPLED = 300  # matches of the fit of a turn
 # that must be within each of them, and the least number.
 _LIMITS, _MIN_SHARE, _MIN_COUNT = (20.0, 5.0, 1.0, 1.0), 0.2, 10
 _ITERATIONS = 10  # of a round
+_TURN = 2  # the place of the turn among the homographies of a camera that did not move
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,7 @@ class StillCamera:
     R: np.ndarray  # (3, 3)
     count: int  # of the matches that it explains
     covariance: np.ndarray | None = None  # (3, 3) of the rotation vector, rad^2; None if not known
+    is_turn: bool = True  # not a zoom or a crop
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +142,10 @@ class _TurnFit:
         return covariance[:3, :3] if np.isfinite(covariance).all() else None
 
 
-def turned_camera(stated: TwoViewProblem, prior: IntrinsicsPrior) -> StillCamera:
-    """The turn of a camera whose focal length and lens differ from those that normalise the
-    matches. prior: how far these may differ. Ends early if few matches fit a turn."""
+def turned_camera(stated: TwoViewProblem) -> StillCamera:
+    """The turn that explains most matches, with cameras that deviate from those that normalise them
+    by their standard deviations. Ends early if few matches fit a turn."""
+    prior = IntrinsicsPrior.of(*stated.cameras)
     limit = TRANSFER_LIMIT * stated.threshold
     sample = draw(stated, stated.options.seed, _SAMPLED)
     turn = _Turn(robust_rotation(sample), np.zeros(len(prior)))
@@ -170,12 +173,12 @@ def zoomed_camera(inliers: TwoViewProblem) -> StillCamera:
     points no fit has moved.
     """
     points, limit = (inliers.points1, inliers.points2), TRANSFER_LIMIT * inliers.threshold
-    homographies = [(np.eye(3), np.eye(3))]
+    homographies = [(np.eye(3), np.eye(3))] * 2
     similarity = fit_similarity(*points, limit)
     if similarity is not None:
         roll = similarity / np.hypot(*similarity[:2, 0])
         roll[:, 2] = 0, 0, 1
-        homographies.append((similarity, roll))
+        homographies[1] = similarity, roll
     H = fit_homography(*points, limit, inliers.options.seed)
     if H is not None:
         step = _LOG_FOCAL_STEP
@@ -190,7 +193,7 @@ def zoomed_camera(inliers: TwoViewProblem) -> StillCamera:
         homographies.append(turns[best])
     counts = [int((transfer_error(*points, H) < limit).sum()) for H, _ in homographies]
     best = int(np.argmax(counts))
-    return StillCamera(homographies[best][1], counts[best])
+    return StillCamera(homographies[best][1], counts[best], is_turn=best == _TURN)
 
 
 def _turn(H: np.ndarray, log_focal: float) -> tuple[np.ndarray, np.ndarray]:
