@@ -7,7 +7,8 @@ number of parameters.
 The quadratic approximation of the cost at one fit, by the pose and by all parameters of both
 cameras, estimates every model with the same lenses by one solve. A model is fitted only while its
 estimate is the likeliest of all. Where the assumed cameras are unusual, or leave matches
-unexplained, there is a second estimate, at the fit of cameras with everything open.
+unexplained, or an estimate wins, there is a second estimate, at the fit of cameras with everything
+open, and the models that may be far are fitted too.
 """
 
 from __future__ import annotations
@@ -270,8 +271,10 @@ class _Sample:
 
     def searched(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
         """The assumed model and the others, those that may be far from it from other starts."""
-        found = list(others)
-        is_contested = any(fit.log_probability > assumed.log_probability for fit in others)
+        # The tail of a prior tells nothing where the matches determine f.
+        is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
+        found = [fit for fit in others if is_open or fit.model.name != "tail"]
+        is_contested = any(fit.log_probability > assumed.log_probability for fit in found)
         explained = float((self.error < 1).mean())
         usual = self._is_usual(assumed.cameras)
         if (
@@ -284,11 +287,8 @@ class _Sample:
             if wide is not None:
                 far = self.quadratic(joint, wide)
                 found = [_joined(fit, far.estimate(fit)) for fit in found]
-        is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
         fits = [assumed]
         for fit in found:
-            if fit.model.name == "tail" and not is_open:
-                continue  # the matches determine f, whatever the prior
             is_searched = is_contested or fit.model.is_searched(
                 fit.log_odds, explained=explained, usual=usual
             )
