@@ -49,6 +49,7 @@ _TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes
 _FOCAL_STD, _CENTRE_STD, _LENS_STD, _ASPECT_STD = 0.5, 0.05, 0.15, 0.3
 _LOOSE_FOCAL_STD, _LOOSE_LENS_STD = 0.02, 0.02
 _TURNED_FOCAL_STD, _TURNED_LENS_STD = 0.2, 0.2  # of a camera that only turned
+_TURNED_OPEN_LENS_STD = 0.08  # the same without a K: a plane that moves is no turn
 _CROP_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer side
 # Distance of K's principal point from the middle, over the longer side, from which it is off it.
 _OFF = 0.01
@@ -103,7 +104,7 @@ def turning(stated: Cameras) -> Cameras:
             return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
         stated = picture_camera(stated[0]), picture_camera(stated[1])
     first, second = (
-        replace(camera, lens_std=max(camera.lens_std, _TURNED_LENS_STD))
+        replace(camera, lens_std=max(camera.lens_std, _TURNED_OPEN_LENS_STD))
         if camera.lens_std
         else camera
         for camera in stated
