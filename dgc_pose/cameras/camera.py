@@ -133,11 +133,16 @@ class Camera:
             if not 0 <= getattr(self, name) < np.inf:
                 raise InputError(f"{name} must be finite and at least 0, not {getattr(self, name)}")
         lens = self.distortion
-        if self.lens_std and lens and lens.projection not in ("plane", "angles"):
+        if self.lens_std and lens and not self.has_radial_lens:
             raise InputError(
                 f"lens_std must be 0 with the lens {lens.model}: it is for RADIAL, and for "
                 "OPENCV_FISHEYE of two coefficients"
             )
+
+    @property
+    def has_radial_lens(self) -> bool:
+        """Whether the lens has two radial coefficients, or is none: `lens_std` may be positive."""
+        return self.distortion is None or self.distortion.projection in ("plane", "angles")
 
     @property
     def exact(self) -> bool:

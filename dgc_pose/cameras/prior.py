@@ -148,15 +148,11 @@ def auto_camera(image: Image | Header, sharing: Sharing = "files") -> Camera:
     )
 
 
-def camera_of_size(size: tuple[int, int]) -> Camera:
-    """The camera of an image of which only the size (width, height) is known."""
-    return auto_camera(Header("", size))
-
-
 def picture_camera(stated: Camera) -> Camera:
-    """The camera of an image as without the K that is stated for it."""
+    """The camera of an image as without the K that is stated for it; by the size if no image is
+    known."""
     width, height = image_size(stated)
-    return stated.picture or camera_of_size((round(width), round(height)))
+    return stated.picture or auto_camera(Header("", (round(width), round(height))))
 
 
 def has_picture(stated: Camera) -> bool:
@@ -202,6 +198,8 @@ def is_inner(camera: Camera) -> bool:
 def with_pictures(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
     """Update cameras whose K is stated with what their images say of it: by size and EXIF data, and
     by lines if K is unusual."""
+    if all(camera.focal_source != "given" for camera in cameras):
+        return list(cameras)
     pictures = [auto_camera(image) for image in images]
     told = [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
     if any(c.focal_source == "given" and improbability(c) >= USUAL_K for c in told):

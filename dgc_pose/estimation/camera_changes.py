@@ -33,12 +33,10 @@ Cameras = tuple[Camera, Camera]
 # Prior log-odds of another model without a K: for a picture with EXIF data; for a wide lens; for
 # an edited picture of a sensor's shape; and for a picture of no sensor's shape, which was cut,
 # squeezed or joined.
-_LOG_ODDS_OF_EXIF, _LOG_ODDS_OF_WIDE, _LOG_ODDS_OF_EDITED, _LOG_ODDS_OF_SHAPE = (
-    -12.0,
-    -6.0,
-    -7.0,
-    -3.0,
-)
+_LOG_ODDS_OF_EXIF = -12.0
+_LOG_ODDS_OF_WIDE = -6.0
+_LOG_ODDS_OF_EDITED = -7.0
+_LOG_ODDS_OF_SHAPE = -3.0
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
 # Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same.
@@ -66,6 +64,11 @@ class Variant(NamedTuple):
     log_odds: float
 
 
+def are_stated(cameras: Cameras) -> bool:
+    """Whether both images have a K."""
+    return all(camera.focal_source == "given" for camera in cameras)
+
+
 def nothing(stated: Cameras) -> Iterator[Variant]:
     """No other cameras."""
     return iter(())
@@ -74,21 +77,19 @@ def nothing(stated: Cameras) -> Iterator[Variant]:
 def opened(stated: Cameras) -> Cameras:
     """Two cameras with everything open: around their K, or around what pictures have if a K is
     unusual. A K beside a camera without one stays."""
-    are_stated = all(camera.focal_source == "given" for camera in stated)
     changed = []
     for camera in stated:
-        if camera.focal_source == "given" and not are_stated:
+        if camera.focal_source == "given" and not are_stated(stated):
             changed.append(camera)
             continue
-        is_usual = not are_stated or improbability(camera) < USUAL_K
+        is_usual = not are_stated(stated) or improbability(camera) < USUAL_K
         base = camera if is_usual else picture_camera(camera)
-        radial = base.distortion is None or base.distortion.projection in ("plane", "angles")
         changed.append(
             replace(
                 base,
                 focal_std=_FOCAL_STD,
                 centre_std=_CENTRE_STD * max(image_size(camera)),
-                lens_std=_LENS_STD if radial else 0.0,
+                lens_std=_LENS_STD if base.has_radial_lens else 0.0,
                 aspect_std=_ASPECT_STD,
                 identity=None,
             )
@@ -99,7 +100,7 @@ def opened(stated: Cameras) -> Cameras:
 def turning(stated: Cameras) -> Cameras:
     """Both cameras with what a camera that only turned may have: a K that is off by one factor, and
     another lens. A K that is unusual is as none."""
-    if all(camera.focal_source == "given" for camera in stated):
+    if are_stated(stated):
         if max(map(improbability, stated)) < USUAL_K:
             return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
         stated = picture_camera(stated[0]), picture_camera(stated[1])
@@ -228,7 +229,7 @@ def _in_place_of_K(
     """The variants of a model that changes two cameras whose K is stated."""
 
     def variants(stated: Cameras) -> Iterator[Variant]:
-        if all(camera.focal_source == "given" for camera in stated):
+        if are_stated(stated):
             cameras = change(stated)
             if cameras[0] is not stated[0] or cameras[1] is not stated[1]:
                 yield Variant(cameras, log_odds)
@@ -249,14 +250,14 @@ def _loosened(
     one = _have_one_K(cameras) if one is None else one
     changed = []
     for camera in cameras:
-        radial = camera.distortion is None or camera.distortion.projection in ("plane", "angles")
         centre_std = max(centre, CENTRE_STD) * max(image_size(camera))
+        lens_std = max(camera.lens_std, lens, _LOOSE_LENS_STD)
         changed.append(
             replace(
                 camera,
                 focal_std=max(camera.focal_std, focal, _LOOSE_FOCAL_STD),
                 centre_std=max(camera.centre_std, centre_std),
-                lens_std=max(camera.lens_std, lens, _LOOSE_LENS_STD) if radial else 0.0,
+                lens_std=lens_std if camera.has_radial_lens else 0.0,
                 identity="both" if one else None,
             )
         )
@@ -309,7 +310,7 @@ def middle(stated: Cameras) -> Iterator[Variant]:
 
 
 def _have_K_and_pictures(stated: Cameras) -> bool:
-    return all(camera.focal_source == "given" and has_picture(camera) for camera in stated)
+    return are_stated(stated) and all(map(has_picture, stated))
 
 
 def _centred(camera: Camera) -> Camera:

@@ -22,7 +22,7 @@ import numpy as np
 
 from dgc_pose.cameras.camera import image_size
 from dgc_pose.cameras.prior import USUAL_K, improbability
-from dgc_pose.estimation.camera_changes import Cameras, opened
+from dgc_pose.estimation.camera_changes import Cameras, are_stated, opened
 from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
     JointFit,
@@ -135,7 +135,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
     fits = sample.searched(assumed, others)
     best = sample.settled(fits)
     shares = choice_shares([fit.log_probability for fit in fits]).tolist()
-    if shares[0] > (_MIN_STATED_SHARE if _are_stated(stated) else _MIN_SHARE):
+    if shares[0] > (_MIN_STATED_SHARE if are_stated(stated) else _MIN_SHARE):
         best = assumed
     return _with_others(best, fits, shares, near.doubt(assumed, others, sample.weight))
 
@@ -149,10 +149,6 @@ def _joined(fit: ModelFit, other: ModelFit) -> ModelFit:
 def _with_margin(fit: ModelFit) -> float:
     margin = _MARGIN_OF_K if fit.model.contradicts_K else _MARGIN
     return fit.log_probability + (0.0 if fit.is_fitted else margin)
-
-
-def _are_stated(cameras: Cameras) -> bool:
-    return all(camera.focal_source == "given" for camera in cameras)
 
 
 def _with_others(
@@ -224,7 +220,7 @@ class _Quadratic:
 
 
 def _most_weight(cameras: Cameras) -> float:
-    return _MOST_WEIGHT if _are_stated(cameras) else 1.0
+    return _MOST_WEIGHT if are_stated(cameras) else 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,9 +255,13 @@ class _Sample:
             cauchy_losses(_errors(joint, pose, self.pixels), self.width).sum()
         )
         hessian, gradient = joint.slopes(pose, self._width_of(joint), _ALL)
-        hessian, gradient = self.weight * hessian, self.weight * gradient
         return _Quadratic(
-            joint.problem.cameras, pose, joint.parameters(pose), loss, hessian, gradient
+            joint.problem.cameras,
+            pose,
+            joint.parameters(pose),
+            loss,
+            self.weight * hessian,
+            self.weight * gradient,
         )
 
     def _width_of(self, joint: JointFit) -> float:
@@ -280,7 +280,7 @@ class _Sample:
         if (
             is_contested
             or explained <= EXPLAINED_BY_K
-            or (_are_stated(assumed.cameras) and not usual)
+            or (are_stated(assumed.cameras) and not usual)
         ):
             joint = JointFit(self.joint.problem.of_cameras(opened(assumed.cameras)))
             wide = rough_pose(joint)
@@ -303,7 +303,7 @@ class _Sample:
         return max(fits, key=lambda fit: fit.log_probability)
 
     def _is_usual(self, assumed: Cameras) -> bool:
-        if _are_stated(assumed):
+        if are_stated(assumed):
             return max(map(improbability, assumed)) < USUAL_K
         focals = self.joint.prior.basis[FOCALS] @ self.pose.z
         stds = np.linalg.norm(self.joint.prior.basis[FOCALS], axis=1)
@@ -328,8 +328,9 @@ class _Sample:
         """The pose of the assumed cameras, with the middles of the images where they were."""
         own, others = _to_middles(self.joint.problem.cameras), _to_middles(cameras)
         turn1, turn2 = (other @ one.T for one, other in zip(own, others, strict=True))
-        R, t = turn2 @ self.pose.R @ turn1.T, turn2 @ self.pose.t
-        return JointPose(R, t, np.zeros(len(joint.prior)))
+        return JointPose(
+            turn2 @ self.pose.R @ turn1.T, turn2 @ self.pose.t, np.zeros(len(joint.prior))
+        )
 
     def _best_run(self, fit: ModelFit, joint: JointFit) -> JointPose | None:
         """The best of RANSAC runs at the focal lengths of the model; None if it has none, or none
@@ -339,11 +340,15 @@ class _Sample:
             start_at(joint, of_focals(np.full(2, log_focal)), seed)
             for log_focal, seed in zip(fit.model.focals, seeds, strict=False)
         ]
-        best, most = None, float(cauchy_losses(self.error, 1.0).sum()) + _WORSE
+        best = None
+        least = float(cauchy_losses(self.error, 1.0).sum()) + _WORSE
         for run in runs:
-            if run is not None:
-                loss = float(cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum())
-                best, most = (run, loss) if loss < most else (best, most)
+            if run is None:
+                continue
+            loss = float(cauchy_losses(_errors(joint, run, self.pixels), 1.0).sum())
+            if loss < least:
+                best = run
+                least = loss
         return best
 
     def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
@@ -351,8 +356,10 @@ class _Sample:
         cameras worse than these do, and has not far more inliers, or if its focal lengths are
         far from their prior, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
-        losses, before = cauchy_losses(error, self.width), cauchy_losses(self.error, self.width)
-        near, has_more = self.error < 1, (error < 1).sum() >= _MORE * (self.error < 1).sum()
+        losses = cauchy_losses(error, self.width)
+        before = cauchy_losses(self.error, self.width)
+        near = self.error < 1
+        has_more = (error < 1).sum() >= _MORE * near.sum()
         fit = replace(fit, is_fitted=True)
         is_worse = losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more
         focals = joint.parameters(pose)[FOCALS]

@@ -85,8 +85,7 @@ class _TurnFit:
 
     def distances(self, turn: _Turn) -> np.ndarray:
         """The lengths (N,) of the errors."""
-        with np.errstate(over="ignore"):
-            return np.hypot(*self.errors(turn).T)
+        return _lengths(self.errors(turn))
 
     def slopes(self, turn: _Turn) -> np.ndarray:
         """The derivatives (N, 2, 3 + M) of the errors, which must be finite."""
@@ -109,7 +108,8 @@ class _TurnFit:
         """The turn of least Cauchy loss, from one with finite errors."""
 
         def linearised(turn: _Turn) -> tuple[float, np.ndarray, np.ndarray]:
-            error, distance = self.errors(turn), self.distances(turn)
+            error = self.errors(turn)
+            distance = _lengths(error)
             cost = float(cauchy_losses(distance, width).sum() + turn.z @ turn.z / 2)
             if not math.isfinite(cost):  # a step that is refused
                 return cost, np.eye(3 + len(turn.z)), np.zeros(3 + len(turn.z))
@@ -125,8 +125,8 @@ class _TurnFit:
 
     def covariance(self, turn: _Turn, width: float) -> np.ndarray | None:
         """The covariance (3, 3) of the rotation vector, as of a pose (`covariance`)."""
-        error, slopes = self.errors(turn).ravel(), self.slopes(turn)
-        slopes = slopes.reshape(len(error), -1)
+        error = self.errors(turn).ravel()
+        slopes = self.slopes(turn).reshape(len(error), -1)
         count = slopes.shape[1]
         variance = CORRELATED * (width / EFFICIENT) ** 2
         information = variance * np.diag([0.0] * 3 + [1.0] * len(turn.z))
@@ -134,12 +134,16 @@ class _TurnFit:
         total = information + terms[:, : count**2].sum(0).reshape(count, count)
         points = np.repeat(self.problem.points2, 2, axis=0)
         try:
-            covariance = block_jackknife(total, terms, points, KEPT) + variance * np.linalg.inv(
-                total
-            )
+            covariance = block_jackknife(total, terms, points, KEPT)
+            covariance += variance * np.linalg.inv(total)
         except np.linalg.LinAlgError:
             return None
         return covariance[:3, :3] if np.isfinite(covariance).all() else None
+
+
+def _lengths(errors: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        return np.hypot(*errors.T)
 
 
 def turned_camera(stated: TwoViewProblem) -> StillCamera:
