@@ -45,7 +45,7 @@ OTHER_STD = 0.55  # of all photographs together, around `SIZE_FOCAL`
 _OTHER_SHARE = 0.03  # files with EXIF data of another crop or lens
 # A K that hardly any photograph has: f over the longer side, fx / fy over that of the pixels, the
 # distance of the principal point from the middle over the side; and the log-odds against each.
-_USUAL_FOCALS, _USUAL_RATIO, _INNER, _EXTREME = (0.3, 4.0), 1.3, 0.25, 10.0
+_USUAL_FOCALS, _USUAL_RATIO, _INNER, _EXTREME = (0.3, 4.0), 1.3, 0.25, 20.0
 FAR_OFF = 0.04  # distance of the principal point from the middle, over the longer side, of a part
 _LEAST_SIDE = 32  # of an image whose size follows from the principal point, pixels
 USUAL_K = 2.0  # improbability of a stated K up to which it is usual

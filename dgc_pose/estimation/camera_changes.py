@@ -39,8 +39,8 @@ _LOG_ODDS_OF_EDITED = -7.0
 _LOG_ODDS_OF_SHAPE = -3.0
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
-# Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same.
-_TWO, _TWO_OF_EXIF = -2.2, -25.0
+# Prior log-odds of two cameras if the images have one size.
+_TWO = -2.2
 _TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
 # Deviations of ln f, of the principal point over the longer side, of the lens and of ln fy / fx: of
 # what a model opens, and of the rest of a K that is contradicted in a part, which is not exact.
@@ -187,21 +187,27 @@ def tail(stated: Cameras) -> Iterator[Variant]:
 
 
 def two(stated: Cameras) -> Iterator[Variant]:
-    """A focal length for each image: another zoom, or a crop that EXIF data do not show."""
+    """A focal length for each image: another zoom; or, with EXIF data, a crop or a zoom of one of
+    the images that they do not show."""
     priors = [camera.focal_prior for camera in stated if camera.focal_prior is not None]
     if not _is_one(stated) or len(priors) < 2:
         return
-    usual, _ = _parts(stated[0], [prior.lines for prior in priors])
-    exif = stated[0].focal_source == "exif"
-    own = [
-        prior.tail.given(prior.lines) if exif else prior.parts([prior.lines])[0] for prior in priors
-    ]
-    odds = (_TWO_OF_EXIF if exif else _TWO) - usual.log_weight
-    first, second = (
-        replace(of_part(c, part), identity=None, lens_std=min(c.lens_std, _TWO_LENS_STD))
-        for c, part in zip(stated, own, strict=True)
-    )
-    yield Variant((first, second), odds + sum(part.log_weight for part in own))
+    before, _ = _parts(stated[0], [prior.lines for prior in priors])
+    if stated[0].focal_source == "exif":
+        usual1, usual2 = (prior.usual.given(prior.lines) for prior in priors)
+        tail1, tail2 = (prior.tail.given(prior.lines) for prior in priors)
+        choices = [(tail1, usual2), (usual1, tail2)]
+    else:
+        first, second = (prior.parts([prior.lines])[0] for prior in priors)
+        choices = [(first, second)]
+    for part1, part2 in choices:
+        odds = _TWO + part1.log_weight + part2.log_weight - before.log_weight
+        yield Variant((_zoomed(stated[0], part1), _zoomed(stated[1], part2)), odds)
+
+
+def _zoomed(camera: Camera, part: Part) -> Camera:
+    lens_std = min(camera.lens_std, _TWO_LENS_STD)
+    return replace(of_part(camera, part), identity=None, lens_std=lens_std)
 
 
 def _is_one(stated: Cameras) -> bool:

@@ -61,8 +61,8 @@ _LIMITS = (3.0, 3.0, 1.0, 1.0)  # largest errors in each round of a fit, thresho
 _MIN_SHOWN = 0.02  # least probability of a model that counts against the pose of another
 # Probabilities above which the assumed cameras, and those that K states, are kept.
 _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
-# Another model may raise the cost of the assumed cameras' inliers by the first number; by any if it
-# has this many times as many inliers.
+# Without a K, another model may raise the cost of the assumed cameras' inliers by the first number;
+# by any if it has this many times as many inliers.
 _MAX_EXTRA_COST, _MORE = 1.0, 1.2
 # Standard deviations from the prior, and the least one, of ln f of another model.
 _MOST_STDS, _LEAST_FOCAL_STD = 3.0, 0.1
@@ -132,7 +132,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
         return assumed_fit(stated, pose)
     near = sample.quadratic(sample.joint, pose)
     others = [near.estimate(ModelFit(model, *variant)) for model, variant in other_models(stated)]
-    fits = sample.searched(assumed, others)
+    fits = sample.compared(assumed, others)
     best = sample.settled(fits)
     shares = choice_shares([fit.log_probability for fit in fits]).tolist()
     if shares[0] > (_MIN_STATED_SHARE if are_stated(stated) else _MIN_SHARE):
@@ -207,7 +207,7 @@ class _Quadratic:
         change = basis @ step + offset
         loss = self.loss + float(self.gradient @ change + change @ self.hessian @ change / 2)
         estimated = fit.with_evidence(moved, times * loss, hessian)
-        return replace(estimated, starts=(moved,))
+        return replace(estimated, starts=(moved,), is_fitted=False)
 
     def doubt(self, assumed: ModelFit, others: Sequence[ModelFit], weight: float) -> float:
         """The log-odds of the likeliest other model if each match had the largest weight."""
@@ -269,14 +269,19 @@ class _Sample:
         first, second = joint.problem.cameras
         return self.width * self.pixels * (1 / first.focal + 1 / second.focal) / 2
 
-    def searched(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
-        """The assumed model and the others, those that may be far from it from other starts."""
+    def compared(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
+        """The assumed model and the others, each of which is fitted while its estimate is the
+        likeliest. Where one of them wins, without a K by its estimate, or the assumed cameras are
+        unusual or leave matches unexplained, all are searched."""
         # The tail of a prior tells nothing where the matches determine f.
         is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
-        found = [fit for fit in others if is_open or fit.model.name != "tail"]
-        is_contested = any(fit.log_probability > assumed.log_probability for fit in found)
+        fits = [assumed, *(fit for fit in others if is_open or fit.model.name != "tail")]
         explained = float((self.error < 1).mean())
         usual = self._is_usual(assumed.cameras)
+        if are_stated(assumed.cameras):
+            is_contested = self.settled(fits) is not assumed
+        else:
+            is_contested = max(fits, key=lambda fit: fit.log_probability) is not assumed
         if (
             is_contested
             or explained <= EXPLAINED_BY_K
@@ -286,13 +291,13 @@ class _Sample:
             wide = rough_pose(joint)
             if wide is not None:
                 far = self.quadratic(joint, wide)
-                found = [_joined(fit, far.estimate(fit)) for fit in found]
-        fits = [assumed]
-        for fit in found:
+                fits[1:] = [_joined(fit, far.estimate(fit)) for fit in fits[1:]]
+        for number, fit in enumerate(fits):
             is_searched = is_contested or fit.model.is_searched(
                 fit.log_odds, explained=explained, usual=usual
             )
-            fits.append(self.fitted(fit, search=True) if is_searched else fit)
+            if is_searched and number:
+                fits[number] = self.fitted(fit, search=True)
         return fits
 
     def settled(self, fits: list[ModelFit]) -> ModelFit:
@@ -322,7 +327,8 @@ class _Sample:
         fits = [joint.fitted(start, _LIMITS) for start in starts]
         failed = replace(fit, pose=None, log_evidence=-math.inf, is_fitted=True)
         valued = [self.valued(failed, pose, joint) for pose in fits]
-        return max([failed, *valued], key=lambda each: each.log_evidence)
+        best = max([failed, *valued], key=lambda each: each.log_evidence)
+        return replace(best, starts=() if best.pose is None else (best.pose,))
 
     def _turned(self, cameras: Cameras, joint: JointFit) -> JointPose:
         """The pose of the assumed cameras, with the middles of the images where they were."""
@@ -352,16 +358,19 @@ class _Sample:
         return best
 
     def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
-        """The model fitted with a pose, and its evidence. If it explains the inliers of the assumed
-        cameras worse than these do, and has not far more inliers, or if its focal lengths are
-        far from their prior, the model without a pose."""
+        """The model fitted with a pose, and its evidence. If its focal lengths are far from their
+        prior, or if without a K it explains the inliers of the assumed cameras worse than these do
+        and has not far more inliers, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses = cauchy_losses(error, self.width)
-        before = cauchy_losses(self.error, self.width)
-        near = self.error < 1
-        has_more = (error < 1).sum() >= _MORE * near.sum()
         fit = replace(fit, is_fitted=True)
-        is_worse = losses[near].sum() > before[near].sum() + _MAX_EXTRA_COST and not has_more
+        is_worse = False
+        if not fit.model.contradicts_K:
+            near = self.error < 1
+            has_more = (error < 1).sum() >= _MORE * near.sum()
+            before = cauchy_losses(self.error[near], self.width)
+            most = before.sum() + _MAX_EXTRA_COST
+            is_worse = losses[near].sum() > most and not has_more
         focals = joint.parameters(pose)[FOCALS]
         stds = np.maximum(np.linalg.norm(joint.prior.basis[FOCALS], axis=1), _LEAST_FOCAL_STD)
         is_far = bool((np.abs(focals) > _MOST_STDS * stds).any())

@@ -43,6 +43,11 @@ CASES = {
     "zoomed": ((ZOOMED, ZOOMED), "assumed", {}),
     "two": ((pinhole(1000, SIZE, LENS), pinhole(1500, SIZE, LENS)), "two", {}),
     "one zoomed": ((pinhole(1280, SIZE), pinhole(1.6 * 1280, SIZE)), "two", {"weights": NETWORK}),
+    "first zoomed": (
+        (pinhole(1.3 * 1280, SIZE, LENS), pinhole(1280, SIZE, LENS)),
+        "two",
+        {"count": 200, "sigma_px": 1.0, "outliers": 0.5},
+    ),
 }
 SAID = {
     "assumed": None,
@@ -236,6 +241,9 @@ def test_the_models_beside_the_assumed_one() -> None:
         assert exif[name][0].log_odds < found[name][0].log_odds < 0
     # A camera whose EXIF data are whole has square pixels, and its principal point in the middle.
     assert exif.keys() == {"tail", "two", "fisheye", "cylinder"}
+    # One of the images is of another focal length than its EXIF data say.
+    stds = [[camera.focal_std for camera in variant.cameras] for variant in exif["two"]]
+    np.testing.assert_allclose(stds, [(0.55, 0.08), (0.08, 0.55)], rtol=0.02)
     apart = _models(*(replace(camera, identity=None) for camera in scene.auto()))
     assert apart.keys() == {*edited, "tail"} and len(apart["tail"]) == 2
     for number, model in enumerate(apart["tail"]):
