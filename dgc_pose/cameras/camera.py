@@ -236,8 +236,10 @@ class TwoViews:
 
 
 def image_size(camera: Camera) -> tuple[float, float]:
-    """(width, height) of the image; if unknown, with the principal point in the middle."""
-    return camera.size or (2 * camera.K[0, 2] + 1, 2 * camera.K[1, 2] + 1)
+    """(width, height) of the image; if unknown, with the principal point in the middle, and at
+    least one pixel."""
+    x, y = camera.K[:2, 2]
+    return camera.size or (max(2 * x + 1, 1.0), max(2 * y + 1, 1.0))
 
 
 def matrix_camera(K: Any, name: str = "K") -> Camera:

@@ -170,15 +170,22 @@ def improbability(stated: Camera) -> float:
     longer = max(image_size(stated))
     density = picture.focal_prior.log_density(LOGS)
     own = picture.focal_prior.log_density(np.log([stated.focal / longer]))
-    ratio = stated.K[0, 0] / stated.K[1, 1] / (picture.K[0, 0] / picture.K[1, 1])
-    by_size = picture.focal_source != "exif"
+    usual = picture.focal_prior.usual
+    as_usual = abs(math.log(stated.focal / longer) - usual.log_focal) < 3 * usual.std
     extreme = (
-        by_size and not _USUAL_FOCALS[0] <= stated.focal / longer <= _USUAL_FOCALS[1],
+        not (as_usual or _USUAL_FOCALS[0] <= stated.focal / longer <= _USUAL_FOCALS[1]),
         not is_inner(stated),
-        abs(math.log(ratio)) > math.log(_USUAL_RATIO),
+        not has_usual_pixels(stated),
     )
     is_off = from_middle(stated) > FAR_OFF
     return float(density.max() - own[0]) + USUAL_K * is_off + _EXTREME * sum(extreme)
+
+
+def has_usual_pixels(stated: Camera) -> bool:
+    """Whether fx / fy is near that of the picture."""
+    picture = picture_camera(stated)
+    ratio = stated.K[0, 0] / stated.K[1, 1] / (picture.K[0, 0] / picture.K[1, 1])
+    return abs(math.log(ratio)) <= math.log(_USUAL_RATIO)
 
 
 def from_middle(camera: Camera) -> float:
@@ -196,18 +203,16 @@ def is_inner(camera: Camera) -> bool:
 
 @one_blas_thread()
 def with_pictures(cameras: Sequence[Camera], images: Sequence[Image]) -> list[Camera]:
-    """Update cameras whose K is stated with what their images say of it: by size and EXIF data, and
-    by lines if K is unusual."""
-    if all(camera.focal_source != "given" for camera in cameras):
+    """If all have a K, update the cameras with what their images say of it: by size and EXIF data,
+    and by lines if a K is unusual."""
+    if any(camera.focal_source != "given" for camera in cameras):
         return list(cameras)
     pictures = [auto_camera(image) for image in images]
     told = [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
-    if any(c.focal_source == "given" and improbability(c) >= USUAL_K for c in told):
-        pictures = with_lines(pictures, images)
-    return [
-        replace(camera, picture=picture) if camera.focal_source == "given" else camera
-        for camera, picture in zip(cameras, pictures, strict=True)
-    ]
+    if all(improbability(camera) < USUAL_K for camera in told):
+        return told
+    pictures = with_lines(pictures, images)
+    return [replace(c, picture=p) for c, p in zip(cameras, pictures, strict=True)]
 
 
 @one_blas_thread()

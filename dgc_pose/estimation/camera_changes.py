@@ -52,9 +52,11 @@ _CROP_CENTRE_STD = 0.02  # of the principal point of a crop, over the longer sid
 # Distance of K's principal point from the middle, over the longer side, from which it is off it.
 _OFF = 0.01
 _LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
-_CUT_FOCAL_STD = 0.2  # deviation of ln f of a part or a scaled copy of the photograph of K
+# Deviations of ln f of a scaled copy of the photograph of K, and of the principal point from the
+# middle of a part of it, over the longer side.
+_CUT_FOCAL_STD, _CUT_CENTRE_STD = 0.2, 0.2
 _LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
-_OTHER_FOCAL = 0.02  # least difference of ln f of two K that may be swapped
+_OTHER_FOCAL = 0.02  # least relative difference of two K, or of two focal lengths
 
 
 class Variant(NamedTuple):
@@ -83,7 +85,7 @@ def opened(stated: Cameras) -> Cameras:
             changed.append(camera)
             continue
         is_usual = not are_stated(stated) or improbability(camera) < USUAL_K
-        base = camera if is_usual else picture_camera(camera)
+        base = camera if is_usual else _as_pictured(camera)
         changed.append(
             replace(
                 base,
@@ -103,7 +105,7 @@ def turning(stated: Cameras) -> Cameras:
     if are_stated(stated):
         if max(map(improbability, stated)) < USUAL_K:
             return _loosened(stated, focal=_TURNED_FOCAL_STD, lens=_TURNED_LENS_STD, one=True)
-        stated = picture_camera(stated[0]), picture_camera(stated[1])
+        stated = _as_pictured(stated[0]), _as_pictured(stated[1])
     first, second = (
         replace(camera, lens_std=max(camera.lens_std, _TURNED_OPEN_LENS_STD))
         if camera.lens_std
@@ -111,6 +113,11 @@ def turning(stated: Cameras) -> Cameras:
         for camera in stated
     )
     return first, second
+
+
+def _as_pictured(camera: Camera) -> Camera:
+    """The camera as without its K, if anything is known of its picture."""
+    return picture_camera(camera) if has_picture(camera) else camera
 
 
 def is_open(camera: Camera) -> bool:
@@ -140,8 +147,13 @@ def _of_picture(
 
     def variants(stated: Cameras) -> Iterator[Variant]:
         first, second = (change(camera) if is_open(camera) else camera for camera in stated)
-        if first is not stated[0] or second is not stated[1]:
-            yield Variant((first, second), max(map(log_odds, stated)))
+        odds = [
+            log_odds(before)
+            for before, changed in zip(stated, (first, second), strict=True)
+            if changed is not before
+        ]
+        if odds:
+            yield Variant((first, second), max(odds))
 
     return variants
 
@@ -152,8 +164,9 @@ def _squeezed(camera: Camera) -> Camera:
 
 def _off_centre(camera: Camera) -> Camera:
     """A crop has its own principal point."""
-    std = max(camera.centre_std, _CROP_CENTRE_STD * max(image_size(camera)))
-    return replace(camera, centre_std=std) if is_edited(camera) else camera
+    std = _CROP_CENTRE_STD * max(image_size(camera))
+    is_changed = is_edited(camera) and std > camera.centre_std
+    return replace(camera, centre_std=std) if is_changed else camera
 
 
 def _wide(distortion: Distortion, over_side: float, focal_std: float) -> Callable[[Camera], Camera]:
@@ -252,8 +265,8 @@ def _loosened(
     one: bool | None = None,
 ) -> Cameras:
     """K with these deviations, and small ones of the rest. one: whether both cameras are off by
-    the same; by default, if their K and sizes are the same."""
-    one = _have_one_K(cameras) if one is None else one
+    the same; by default, if their focal lengths and sizes are the same."""
+    one = _have_one_focal(cameras) if one is None else one
     changed = []
     for camera in cameras:
         centre_std = max(centre, CENTRE_STD) * max(image_size(camera))
@@ -270,9 +283,16 @@ def _loosened(
     return changed[0], changed[1]
 
 
-def _have_one_K(cameras: Cameras) -> bool:
+def _have_one_focal(cameras: Cameras) -> bool:
     ratio = abs(math.log(cameras[0].focal / cameras[1].focal))
     return cameras[0].size == cameras[1].size and ratio < _OTHER_FOCAL
+
+
+def _lensed(cameras: Cameras) -> Cameras:
+    """A radial lens that differs from the stated one."""
+    if not any(camera.has_radial_lens for camera in cameras):
+        return cameras
+    return _loosened(cameras, lens=_LENS_STD)
 
 
 def _unlensed(cameras: Cameras) -> Cameras:
@@ -287,7 +307,8 @@ def _unlensed(cameras: Cameras) -> Cameras:
 def _swapped(cameras: Cameras) -> Cameras:
     """Each image with the K and lens of the other."""
     first, second = cameras
-    if first.size != second.size or _have_one_K(cameras):
+    is_same = np.allclose(first.K, second.K, rtol=_OTHER_FOCAL)
+    if first.size != second.size or (is_same and first.distortion == second.distortion):
         return cameras
     return _with_K_of(first, second), _with_K_of(second, first)
 
@@ -304,15 +325,32 @@ def _with_K_of(camera: Camera, other: Camera) -> Camera:
     )
 
 
+def centre(stated: Cameras) -> Iterator[Variant]:
+    """A principal point near that of K; or anywhere, as of a part of the photograph of K."""
+    yield from _near_centre(stated)
+    if _may_be_cut(stated):
+        loose = _loosened((_centred(stated[0]), _centred(stated[1])), one=False)
+        first, second = (
+            replace(camera, centre_std=_CUT_CENTRE_STD * max(image_size(camera)))
+            if from_middle(before) > FAR_OFF
+            else camera
+            for before, camera in zip(stated, loose, strict=True)
+        )
+        yield Variant((first, second), _LOG_ODDS_OF_CUT)
+
+
 def middle(stated: Cameras) -> Iterator[Variant]:
     """The principal point in the middle, as of a frame cut from the photograph of K, or scaled."""
-    if not _have_K_and_pictures(stated):
-        return
-    far = max(map(from_middle, stated))
-    if far >= _OFF:
-        is_cut = far > FAR_OFF and all(map(is_inner, stated))
+    if _have_K_and_pictures(stated) and max(map(from_middle, stated)) >= _OFF:
         cameras = _loosened((_centred(stated[0]), _centred(stated[1])), focal=_CUT_FOCAL_STD)
-        yield Variant(cameras, _LOG_ODDS_OF_CUT if is_cut else -10.0)
+        yield Variant(cameras, _LOG_ODDS_OF_CUT if _may_be_cut(stated) else -10.0)
+
+
+def _may_be_cut(stated: Cameras) -> bool:
+    """Whether a K may be that of a larger photograph, or of one of another scale."""
+    if not _have_K_and_pictures(stated):
+        return False
+    return max(map(from_middle, stated)) > FAR_OFF and all(map(is_inner, stated))
 
 
 def _have_K_and_pictures(stated: Cameras) -> bool:
@@ -333,7 +371,7 @@ def picture(stated: Cameras) -> Iterator[Variant]:
         return
     first, second = map(picture_camera, stated)
     odds = _LOG_ODDS_OF_PICTURE + max(map(improbability, stated))
-    of_one, of_two = (0.0, _TWO) if _have_one_K(stated) else (2 * _TWO, 0.0)
+    of_one, of_two = (0.0, _TWO) if _have_one_focal(stated) else (2 * _TWO, 0.0)
     if first.identity == second.identity:
         yield Variant((first, second), odds + of_one)
     separate = replace(first, identity=None), replace(second, identity=None)
@@ -346,7 +384,7 @@ fisheye = _of_picture(_wide(Distortion(FISHEYE, (0.0,) * 4), 0.55, 0.35), _LOG_O
 cylinder = _of_picture(_wide(Distortion(CYLINDER), 0.6, 0.4), _LOG_ODDS_OF_WIDE)
 focal = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=True), -5.5)
 focals = _in_place_of_K(partial(_loosened, focal=_FOCAL_STD, one=False), -8.0)
-lens = _in_place_of_K(partial(_loosened, lens=_LENS_STD), -5.5)
-centre = _in_place_of_K(partial(_loosened, centre=_CENTRE_STD), -11.0)
+lens = _in_place_of_K(_lensed, -5.5)
+_near_centre = _in_place_of_K(partial(_loosened, centre=_CENTRE_STD), -11.0)
 unlensed = _in_place_of_K(_unlensed, -9.0)
 swapped = _in_place_of_K(_swapped, -12.0)

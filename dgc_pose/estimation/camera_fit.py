@@ -258,7 +258,10 @@ def of_focals(log_focals: np.ndarray, aspects: np.ndarray | float = 0.0) -> np.n
 def start_at(
     joint: JointFit, parameters: np.ndarray, seed: int, iterations: int | None = None
 ) -> JointPose | None:
-    """The pose of one RANSAC run on cameras with parameters (2 * SIZE,); None if it fails."""
+    """The pose of one RANSAC run on cameras with parameters (2 * SIZE,), as far as the prior allows
+    them; None if it fails."""
+    basis = joint.prior.basis
+    parameters = basis @ np.linalg.lstsq(basis, parameters, rcond=None)[0]
     drawn = draw(_rescaled(joint.problem, parameters), seed)
     E = essential_matrix(drawn, seed, iterations)
     return None if E is None else _start(joint, E, parameters)

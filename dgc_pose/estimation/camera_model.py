@@ -87,16 +87,26 @@ def with_model(camera: Camera, name: str) -> Camera:
     return camera if variant is None else variant.cameras[0]
 
 
+def unusual_cameras(name: str, stated: Cameras, fitted: Cameras) -> tuple[str, ...]:
+    """What the matches agree with instead of what is stated, a line for each of unlike cameras.
+    stated: before the fit."""
+    says = model_named(name).says
+    first, second = (says(before, camera) for before, camera in zip(stated, fitted, strict=True))
+    if first == second:
+        return (f"the matches agree with {first}",) if first else ()
+    numbered = (("image 1", first), ("image 2", second))
+    return tuple(f"{image}: the matches agree with {line}" for image, line in numbered if line)
+
+
 def camera_warnings(name: str, stated: Cameras, fitted: Cameras) -> tuple[str, ...]:
     """Warnings about unusual or uncertain fitted cameras, a line each. stated: before the fit."""
-    lines, loose = dict[str, None](), dict[str, None]()
+    lines = dict.fromkeys(unusual_cameras(name, stated, fitted))
+    says = model_named(name).says
     for before, camera in zip(stated, fitted, strict=True):
-        if line := model_named(name).says(before, camera):
-            lines[f"the matches agree with {line}"] = None
-        elif camera.focal_std > _UNCERTAIN_STD:
+        if camera.focal_std > _UNCERTAIN_STD and not says(before, camera):
             within = f"f = {camera.focal:.0f} px within {100 * camera.focal_std:.0f} %"
-            loose[f"the focal length is uncertain: {within}"] = None
-    return (*lines, *loose)
+            lines[f"the focal length is uncertain: {within}"] = None
+    return tuple(lines)
 
 
 def _if_open(text: Callable[[Camera], str]) -> Callable[[Camera, Camera], str]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 
-from dgc_pose.cameras.camera import Camera
+import numpy as np
 
+from dgc_pose.cameras.camera import Camera, image_size
+
+_MIN_SHIFT = 0.005  # least one of a principal point, over the longer side, that is worth a warning
 _MIN_FOCAL_ERROR = 0.08  # least error of ln f that is worth a warning
 
 
@@ -31,7 +34,7 @@ def focal(before: Camera, camera: Camera) -> str:
 
 def lens(before: Camera, camera: Camera) -> str:
     """Of a lens that K does not state."""
-    if camera.distortion is None:
+    if camera.distortion is None or not camera.lens_std:
         return ""
     states = "none" if before.distortion is None else before.distortion.model
     k1 = f"k1 = {camera.distortion.radial[0]:.3f} +- {camera.lens_std:.3f}"
@@ -52,6 +55,9 @@ def centre_text(camera: Camera) -> str:
 def centre(before: Camera, camera: Camera) -> str:
     """Of another principal point than K states."""
     x, y = before.K[:2, 2]
+    shift = np.abs(camera.K[:2, 2] - before.K[:2, 2]).max()
+    if shift <= _MIN_SHIFT * max(image_size(before)):
+        return ""
     return f"a principal point of {centre_text(camera)}, and K states ({x:.0f}, {y:.0f})"
 
 

@@ -148,7 +148,7 @@ def _runs_by_model(
     model; and the hypotheses of the runs, with most inliers first; no hypotheses if there is no
     essential matrix.
     """
-    turned = turned_camera(stated.of_cameras(turning(stated.cameras)))
+    turned = turned_camera(stated.of_cameras(turning(stated.cameras), stated.threshold_px))
     joint, runs = JointFit(stated), list[Hypothesis]()
     if len(joint.prior):
         pose = joint_pose(joint)

@@ -21,7 +21,13 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import image_size
-from dgc_pose.cameras.prior import USUAL_K, improbability
+from dgc_pose.cameras.prior import (
+    FAR_OFF,
+    USUAL_K,
+    from_middle,
+    has_usual_pixels,
+    improbability,
+)
 from dgc_pose.estimation.camera_changes import Cameras, are_stated, opened
 from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
@@ -131,17 +137,31 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
     if assumed.pose is None:
         return assumed_fit(stated, pose)
     near = sample.quadratic(sample.joint, pose)
-    others = [near.estimate(ModelFit(model, *variant)) for model, variant in other_models(stated)]
+    others = [
+        near.estimate(ModelFit(model, *variant))
+        for model, variant in other_models(stated)
+        if model.name != "tail" or not _is_determined(assumed)
+    ]
     fits = sample.compared(assumed, others)
     best = sample.settled(fits)
     shares = choice_shares([fit.log_probability for fit in fits]).tolist()
     if shares[0] > (_MIN_STATED_SHARE if are_stated(stated) else _MIN_SHARE):
         best = assumed
+    elif best.model.name == "picture" and sample.confirms_K(best):
+        best = assumed
     return _with_others(best, fits, shares, near.doubt(assumed, others, sample.weight))
+
+
+def _is_determined(assumed: ModelFit) -> bool:
+    """Whether the matches determine the focal lengths. The tail of a prior tells nothing then."""
+    before = max(camera.focal_std for camera in assumed.cameras)
+    return assumed.focal_std <= _DETERMINED * before
 
 
 def _joined(fit: ModelFit, other: ModelFit) -> ModelFit:
     """The likelier one of two estimates of a model, with the starts of both."""
+    if other is fit:  # there is no other estimate
+        return fit
     likelier = max(fit, other, key=lambda each: each.log_probability)
     return replace(likelier, starts=(*fit.starts, *other.starts))
 
@@ -243,7 +263,7 @@ class _Sample:
         joint = JointFit(
             TwoViewProblem.of(drawn, *stated, replace(options, iterations=_ITERATIONS))
         )
-        pixels = problem.threshold * (stated[0].focal + stated[1].focal) / 2
+        pixels = problem.threshold_px
         error = _errors(joint, pose, pixels)
         near = error[error < 1]
         width = loss_width(near, 1.0) if len(near) else 1.0
@@ -273,9 +293,7 @@ class _Sample:
         """The assumed model and the others, each of which is fitted while its estimate is the
         likeliest. Where one of them wins, without a K by its estimate, or the assumed cameras are
         unusual or leave matches unexplained, all are searched."""
-        # The tail of a prior tells nothing where the matches determine f.
-        is_open = assumed.focal_std > _DETERMINED * max(c.focal_std for c in assumed.cameras)
-        fits = [assumed, *(fit for fit in others if is_open or fit.model.name != "tail")]
+        fits = [assumed, *others]
         explained = float((self.error < 1).mean())
         usual = self._is_usual(assumed.cameras)
         if are_stated(assumed.cameras):
@@ -298,6 +316,13 @@ class _Sample:
             )
             if is_searched and number:
                 fits[number] = self.fitted(fit, search=True)
+        best = self.settled(fits)
+        if best.pose is not None and best is not fits[0]:  # others may have a fit near to it
+            joint = JointFit(self.joint.problem.of_cameras(best.cameras))
+            there = self.quadratic(joint, best.pose)
+            fits[1:] = [
+                fit if fit is best else _joined(fit, there.estimate(fit)) for fit in fits[1:]
+            ]
         return fits
 
     def settled(self, fits: list[ModelFit]) -> ModelFit:
@@ -313,6 +338,23 @@ class _Sample:
         focals = self.joint.prior.basis[FOCALS] @ self.pose.z
         stds = np.linalg.norm(self.joint.prior.basis[FOCALS], axis=1)
         return bool((np.abs(focals) <= _USUAL * stds).all())
+
+    def confirms_K(self, picture: ModelFit) -> bool:
+        """Whether the focal lengths are all that is improbable of K, and the cameras as without K,
+        whose focal lengths the matches determine, agree with them: a telescope."""
+        assert picture.pose is not None
+        if picture.focal_std > _DETERMINED:
+            return False
+        joint = JointFit(self.joint.problem.of_cameras(picture.cameras))
+        off = joint.parameters(picture.pose)[FOCALS]
+        return all(
+            has_usual_pixels(K)
+            and from_middle(K) <= FAR_OFF
+            and abs(math.log(K.focal / before.focal) - change) < 2 * picture.focal_std
+            for K, before, change in zip(
+                self.joint.problem.cameras, picture.cameras, off, strict=True
+            )
+        )
 
     def fitted(self, fit: ModelFit, *, search: bool = False) -> ModelFit:
         """The model with the likeliest of its fits, from its estimate or from the pose of the
@@ -394,6 +436,11 @@ def _to_middles(cameras: Cameras) -> list[np.ndarray]:
     for camera in cameras:
         middle = (np.array(image_size(camera)) - 1) / 2
         ray = unit_rays(camera.normalise(middle[None]))[0]
-        axis = np.array([-ray[1], ray[0], 0.0])  # the angle is small
+        axis = np.array([-ray[1], ray[0], 0.0])
+        sine = float(np.hypot(*axis[:2]))
+        if sine > 0 and math.isfinite(sine):  # not where a distortion is not undone
+            axis *= math.atan2(sine, ray[2]) / sine
+        else:
+            axis[:] = 0.0
         rotations.append(cv2.Rodrigues(axis)[0])
     return rotations

@@ -102,9 +102,20 @@ class TwoViewProblem:
             index=self.index[chosen],
         )
 
-    def of_cameras(self, cameras: tuple[Camera, Camera]) -> TwoViewProblem:
-        """The same matches normalised by other cameras."""
-        return TwoViewProblem.of(self.matches, *cameras, self.options)
+    def of_cameras(
+        self, cameras: tuple[Camera, Camera], threshold_px: float | None = None
+    ) -> TwoViewProblem:
+        """The same matches normalised by other cameras; by default, with the threshold of these."""
+        threshold_px = threshold_px or self.options.threshold_px
+        return TwoViewProblem.of(
+            self.matches, *cameras, replace(self.options, threshold_px=threshold_px)
+        )
+
+    @property
+    def threshold_px(self) -> float:
+        """The threshold in pixels of the originals."""
+        first, second = self.cameras
+        return self.threshold / ((1 / first.focal + 1 / second.focal) / 2)
 
     @property
     def confidence(self) -> np.ndarray:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.camera_model import camera_warnings
+from dgc_pose.estimation.camera_model import camera_warnings, unusual_cameras
 from dgc_pose.estimation.candidates import Candidates, candidates
 from dgc_pose.estimation.covariance import NORMAL_90, error_radius_deg, pose_covariance
 from dgc_pose.estimation.evidence import Evidence, measured
@@ -88,7 +88,8 @@ def reject_contradicted_K(pose: RelativePose, stated: tuple[Camera, Camera]) -> 
     evidence, cameras = pose.evidence, pose.cameras
     if evidence is None or cameras is None or not pose.contradicts_K:
         return pose
-    reason, *_ = (*camera_warnings(evidence.camera_model, stated, cameras), "K is contradicted")
+    lines = unusual_cameras(evidence.camera_model, stated, cameras)
+    reason = lines[0] if lines else "the matches contradict K"
     none = np.zeros_like(pose.inliers)
     return RelativePose("improbable", reason, none, pose.num_matches, evidence=evidence)
 

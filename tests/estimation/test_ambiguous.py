@@ -23,7 +23,8 @@ def known_models(monkeypatch: pytest.MonkeyPatch) -> None:
     choice by the likelihood."""
     choice, certain = {"likelihood": 1.0, "lapse": 0.0}, SamePlace(0.0, 30.0)
     model = ProbabilityModel({}, 3.0, {}, AS_STATED, AS_STATED, choice, certain)
-    models = FittedModels({"matches": model, "network": model}, AS_STATED, frozenset({WEIGHTS}))
+    kinds = ("matches", "network", "matches_auto", "network_auto")
+    models = FittedModels(dict.fromkeys(kinds, model), AS_STATED, frozenset({WEIGHTS}))
     monkeypatch.setattr(candidates, "shipped_models", lambda: models)
 
 

@@ -10,11 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation.camera_fit import JointFit, JointPose
+from dgc_pose.estimation.camera_fit import JointFit, JointPose, of_focals, start_at
 from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.least_squares import cauchy_losses
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.geometry.epipolar import essential_from_pose, homogeneous, tangent_axes
+from dgc_pose.metrics import rotation_error_deg
 
 IMAGE = (1400, 1000)
 LENSES = [
@@ -95,3 +96,13 @@ def test_the_slopes_are_those_of_the_losses() -> None:
         slope = (losses[1] - losses[0]) / (2 * step)
         scale = np.sqrt(information[k, k])
         assert abs(gradient[k] - slope) < 0.02 * abs(slope) + 0.05 * scale, k
+
+
+def test_a_run_at_another_focal_length_leaves_an_exact_camera_as_it_is() -> None:
+    exact, zoomed = pinhole(1300, IMAGE), pinhole(1300 * np.exp(0.6), IMAGE)
+    scene = camera_scene(exact, zoomed)
+    unknown = replace(exact, focal_std=0.5)
+    joint = JointFit(TwoViewProblem.of(scene.matches, exact, unknown))
+    start = start_at(joint, of_focals(np.full(2, 0.6)), 0)
+    assert rotation_error_deg(start.R, scene.R) < 0.5
+    np.testing.assert_allclose(joint.parameters(start)[[0, 6]], [0.0, 0.6], atol=1e-9)

@@ -265,6 +265,10 @@ def test_the_models_in_place_of_a_K() -> None:
     assert middles[0].log_odds < middles[1].log_odds
     for model in middles:
         np.testing.assert_array_equal(model.cameras[0].K[:2, 2], (767.5, 511.5))
+    # Two views of a stereo camera may be swapped; a lens that is no radial one is not opened.
+    assert "swapped" in _models(plain, pinhole(1250, SIZE, centre=(150, 0)))
+    opencv = pinhole(1250, SIZE, Distortion("OPENCV", (-0.1, 0.0, 0.001, 0.0)))
+    assert "lens" not in _models(opencv, opencv)
     for model in (v for variants in _models(plain, plain).values() for v in variants):
         # A K that is contradicted in a part is exact in none.
         assert all(camera.focal_std and camera.centre_std for camera in model.cameras)
@@ -288,6 +292,9 @@ def test_what_no_photograph_has_speaks_against_K(unusual: Camera) -> None:
         film = unusual.focal / np.hypot(*SIZE) * 43.27
         picture = auto_camera(Header("JPEG", SIZE, Exif(focal_35mm=film)))
         assert improbability(replace(unusual, picture=picture)) < USUAL_K
+    picture = auto_camera(Header("JPEG", SIZE, OF_30_MM))  # which say another focal length
+    least = improbability(unusual) - 3  # by the density of the prior alone
+    assert improbability(replace(unusual, picture=picture)) > least
 
 
 def test_a_folder_s_camera_by_a_model_is_that_of_its_pairs() -> None:

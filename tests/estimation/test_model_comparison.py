@@ -6,11 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes import SceneKind, TwoViewScene, camera_scene, pinhole, poster_scene, two_view_scene
+from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation import RelativePose
+from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.probability import shipped_models
+from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 
 SIZE = (1536, 1024)
@@ -238,3 +240,27 @@ def test_a_K_with_a_wide_deviation_is_fitted_and_not_contradicted(stated: dict) 
     pose = scene.estimate(wide, wide)
     assert pose.success and pose.evidence.camera_model == "assumed" and not _agreed(pose)
     assert abs(np.log(pose.camera1.focal / 1300)) < max(3 * pose.camera1.focal_std, 0.01)
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        # A lens that is not undone at the middle, and a part that is left of its principal point.
+        Camera([1000, 1000, 100, 100], (1601, 1201), Distortion("RADIAL", (-0.3, 0.0))),
+        Camera([1000, 1000, -20, -20]),
+    ],
+)
+def test_a_K_of_a_part_far_off_the_middle_is_compared(stated: Camera) -> None:
+    rng = np.random.default_rng(0)
+    R = Rotation.from_euler("y", 8, degrees=True).as_matrix()
+    points = rng.uniform([-1, -1, 5], [4, 3, 9], (6000, 3))
+    rays = [points, points @ R.T + (0.9, 0.1, 0.2)]
+    near = np.all([np.hypot(*(x[:, :2] / x[:, 2:]).T) < 0.9 for x in rays], axis=0)
+    pixels = [stated.project(x[near, :2] / x[near, 2:]) for x in rays]
+    inside = np.all([(p >= 0).all(1) for p in pixels], axis=0)
+    first, second = (p[inside][:500] + rng.normal(0, 0.3, (500, 2)).clip(-1, 1) for p in pixels)
+    second[:250] = rng.permutation(second[:250])
+    matches = Matches(first.clip(0), second.clip(0), np.full(len(first), 0.9), error_px=0.5)
+    pose = estimate_pose(matches, stated, stated)
+    assert pose.evidence.camera_model in ("assumed", "focal", "lens")
+    assert rotation_error_deg(pose.R, R) < 1.0

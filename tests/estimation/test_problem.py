@@ -137,3 +137,14 @@ def test_the_scale_follows_the_errors_between_a_floor_and_the_threshold():
     # Gaussian errors: 2.385 of their standard deviations (Rey 1983).
     scale = pose_loss_width(problem, scene.R, scene.t)
     assert scale == pytest.approx(2.385 * np.sqrt((error**2).mean()), rel=0.05)
+
+
+def test_the_threshold_in_pixels_is_that_of_any_cameras():
+    scene = two_view_scene("general", count=50)
+    wide, long = (
+        camera.with_focal(f) for camera, f in zip(scene.cameras, (500, 2000), strict=True)
+    )
+    problem = TwoViewProblem.of(scene.matches, wide, long, EstimationOptions(threshold_px=1.7))
+    assert problem.threshold_px == pytest.approx(1.7)
+    loose = problem.of_cameras((replace(wide, lens_std=0.1), long), problem.threshold_px)
+    assert loose.threshold_px == pytest.approx(1.7)

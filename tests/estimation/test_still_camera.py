@@ -117,3 +117,15 @@ def test_the_inverse_of_a_rotation_has_its_error() -> None:
     assert RelativePose.from_dict(pose.to_dict()).rotation_error_90_deg == pytest.approx(
         pose.rotation_error_90_deg
     )
+
+
+@pytest.mark.parametrize("size", [(4000, 3000), None])
+def test_a_small_shift_in_a_large_image_is_no_turn(size) -> None:
+    """A turn may have another lens, and explains no larger errors for that."""
+    large = pinhole(3500, (4000, 3000))
+    shift = {"turn_deg": (1.0, 6.0, 0.5), "centre": (0.035, 0.0, 0.005), "depths": (5.0, 10.0)}
+    scene = camera_scene(large, large, sigma_px=0.3, weights=NETWORK, **shift)
+    stated = replace(large, size=size)
+    pose = scene.estimate(stated, stated)
+    rotation, translation = scene.errors_deg(pose)
+    assert pose.status == "ok" and rotation < 0.05 and translation < 2.0
