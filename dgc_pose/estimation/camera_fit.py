@@ -62,7 +62,7 @@ _FITTED = 1000  # matches that they are fitted to
 LIMITS = (3.0, 1.0, 1.0)  # largest errors of the matches in each round of a fit, thresholds
 MOST_ERROR = 3.0  # thresholds; larger errors count as this one
 _TRIED_TOGETHER, _TRIED_APART = (-0.5, -0.25, 0.0, 0.25, 0.5), (-0.35, -0.18, 0.18, 0.35)  # ln f
-_ROUGH_ITERATIONS = 10  # of a fit that need not be the minimum
+ROUGH_ITERATIONS = 10  # of a fit that need not be the minimum
 _ITERATIONS = 30  # of a fit, which usually converges in 10
 _LARGEST_STEP = 0.5  # change of ln f in an iteration
 
@@ -214,7 +214,7 @@ def rough_pose(joint: JointFit) -> JointPose | None:
     runs.append(partial(solved_start, joint, seeds[-1]))
     starts = [start for start in in_threads(lambda run: run(), runs[::-1]) if start is not None]
     best = min(starts, key=joint.cost, default=None)
-    return None if best is None else joint.fitted(best, LIMITS[:-1], _ROUGH_ITERATIONS)
+    return None if best is None else joint.fitted(best, LIMITS[:-1], ROUGH_ITERATIONS)
 
 
 def _starts(joint: JointFit) -> list[JointPose | None]:

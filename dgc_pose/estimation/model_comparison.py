@@ -31,6 +31,7 @@ from dgc_pose.cameras.prior import (
 from dgc_pose.estimation.camera_changes import Cameras, are_stated, opened
 from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
+    ROUGH_ITERATIONS,
     JointFit,
     JointPose,
     of_focals,
@@ -366,11 +367,12 @@ class _Sample:
         run = self._best_run(fit, joint) if search else None
         if run is not None:
             starts.append(run)
-        fits = [joint.fitted(start, _LIMITS) for start in starts]
         failed = replace(fit, pose=None, log_evidence=-math.inf, is_fitted=True)
-        valued = [self.valued(failed, pose, joint) for pose in fits]
-        best = max([failed, *valued], key=lambda each: each.log_evidence)
-        return replace(best, starts=() if best.pose is None else (best.pose,))
+        if len(starts) > 1:
+            starts = [joint.fitted(start, _LIMITS[:1], ROUGH_ITERATIONS) for start in starts]
+        best = max(starts, key=lambda pose: self.valued(failed, pose, joint).log_evidence)
+        found = self.valued(failed, joint.fitted(best, _LIMITS), joint)
+        return replace(found, starts=() if found.pose is None else (found.pose,))
 
     def _turned(self, cameras: Cameras, joint: JointFit) -> JointPose:
         """The pose of the assumed cameras, with the middles of the images where they were."""

@@ -68,7 +68,7 @@ def test_a_wrong_focal_length_is_doubted_as_the_warnings_of_the_pose_say(
     images = map(Image, dense_scene.pictures())
     matches = dense_scene.MapMatcher(dense_scene.true_map()).match(*images).matches
     pose = estimate_pose(matches, camera, camera, EstimationOptions(runs=1, iterations=200))
-    warned = any(text.startswith("the matches agree with ") for text in pose.warnings)
+    warned = any("the matches agree with " in text for text in pose.warnings)
     assert doubts_camera(pose, (camera, camera)) == warned == (scale != 1)
     given = replace(camera, focal_source="given", warnings=("K1 is odd",))
     assert doubts_camera(pose, (given, camera))

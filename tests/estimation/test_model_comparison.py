@@ -11,7 +11,12 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation.camera_fit import JointPose
+from dgc_pose.estimation.camera_model import other_models
+from dgc_pose.estimation.intrinsics_prior import FOCALS, IntrinsicsPrior
+from dgc_pose.estimation.model_comparison import ModelFit, _Sample
 from dgc_pose.estimation.probability import shipped_models
+from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 
@@ -43,8 +48,9 @@ def _scene(camera1: Camera, camera2: Camera, motion: str, seed: int) -> TwoViewS
 
 
 def _agreed(pose: RelativePose) -> list[str]:
-    start = "the matches agree with "
-    return [text.removeprefix(start) for text in pose.warnings if text.startswith(start)]
+    """What the matches agree with, of both images or of one."""
+    found = (re.fullmatch(r"(?:image \d: )?the matches agree with (.*)", w) for w in pose.warnings)
+    return [match[1] for match in found if match]
 
 
 def _numbers(text: str) -> list[float]:
@@ -264,3 +270,52 @@ def test_a_K_of_a_part_far_off_the_middle_is_compared(stated: Camera) -> None:
     pose = estimate_pose(matches, stated, stated)
     assert pose.evidence.camera_model in ("assumed", "focal", "lens")
     assert rotation_error_deg(pose.R, R) < 1.0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_part_of_the_photograph_of_K(seed: int) -> None:
+    """K is that of the whole photograph: its principal point is outside of the middle of the part,
+    and the focal length is right."""
+    whole = pinhole(1300, (1536, 1024))
+    part = Camera(whole.K - [[0, 0, 400], [0, 0, 150], [0, 0, 0]], (1100, 800))
+    scene = camera_scene(whole, part, seed=seed, weights=NETWORK)
+    pose = scene.estimate(whole, Camera(whole.K, part.size), seed=seed)
+    assert pose.evidence.camera_model in ("centre", "middle") and _is_honest(pose, scene)
+    assert pose.warnings[0].startswith("image 2: the matches agree with a principal point of (")
+
+
+def test_a_telescope_whose_focal_length_the_matches_confirm_is_kept() -> None:
+    telescope = pinhole(5.0 * 1200, (1200, 900))
+    away = {"depths": (14.0, 40.0), "centre": (6.0, 0.5, 3.0), "turn_deg": (1.0, 12.0, 4.0)}
+    scene = camera_scene(telescope, telescope, count=600, weights=NETWORK, **away)
+    pose = scene.estimate(*scene.cameras)
+    assert pose.success and pose.evidence.camera_model == "assumed" and not _agreed(pose)
+
+
+@pytest.mark.parametrize(
+    ("K", "log_focal", "std", "confirms"),
+    [
+        (pinhole(6000, (1200, 900)), np.log(6000), 0.1, True),
+        (pinhole(6000, (1200, 900)), np.log(6000) - 0.3, 0.2, True),
+        (pinhole(6000, (1200, 900)), np.log(6000) - 0.3, 0.1, False),  # another focal length
+        (pinhole(6000, (1200, 900)), np.log(6000), 0.35, False),  # not determined
+        (pinhole(6000, (1200, 900), aspect=1.5), np.log(6000), 0.1, False),
+        (pinhole(6000, (1200, 900), centre=(300, 0)), np.log(6000), 0.1, False),
+    ],
+)
+def test_an_unusual_focal_length_is_confirmed_by_the_cameras_without_K(
+    K: Camera, log_focal: float, std: float, confirms: bool
+) -> None:
+    near = {"turn_deg": (0.0, 5.0, 2.0), "centre": (3.0, 0.3, 0.3), "depths": (20.0, 40.0)}
+    scene = camera_scene(K, K, count=200, **near)
+    pose = JointPose(scene.R, scene.t, np.zeros(0))
+    sample = _Sample.of(TwoViewProblem.of(scene.matches, K, K), pose)
+    model, variant = next(
+        (model, variant) for model, variant in other_models((K, K)) if model.name == "picture"
+    )
+    prior = IntrinsicsPrior.of(*variant.cameras)
+    off = np.zeros(12)
+    off[FOCALS] = log_focal - np.log(variant.cameras[0].focal)
+    z = np.linalg.lstsq(prior.basis, off, rcond=None)[0]
+    fit = ModelFit(model, variant.cameras, pose=replace(pose, z=z), focal_std=std)
+    assert sample.confirms_K(fit) is confirms
