@@ -41,7 +41,7 @@ _SAMPLED = 300  # matches of the fit of a turn
 # that must be within each of them, and the least number.
 _LIMITS, _MIN_SHARE, _MIN_COUNT = (20.0, 5.0, 1.0, 1.0), 0.2, 10
 _ITERATIONS = 10  # of a round
-_RAYLEIGH = 1.1774 * 1.4826  # median length of Gaussian errors along two axes, over that of one
+_RAYLEIGH = 1.1774 * 1.4826  # median length of Gaussian errors along two axes, over that along one
 _TURN = 2  # the place of the turn among the homographies of a camera that did not move
 
 
@@ -142,11 +142,6 @@ class _TurnFit:
         return covariance[:3, :3] if np.isfinite(covariance).all() else None
 
 
-def _width(distances: np.ndarray, threshold: float) -> float:
-    """The width of the losses for the lengths (N,) of errors along two axes."""
-    return loss_width(distances / _RAYLEIGH, threshold)
-
-
 def _lengths(errors: np.ndarray) -> np.ndarray:
     with np.errstate(over="ignore"):
         return np.hypot(*errors.T)
@@ -165,13 +160,13 @@ def turned_camera(stated: TwoViewProblem) -> StillCamera:
         near = distance < widest * limit
         if near.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
             return StillCamera(turn.R, 0)
-        width = _width(distance[near], widest * limit)
+        width = loss_width(distance[near], widest * limit)
         turn = _TurnFit(sample.subset(near), prior).fitted(turn, width)
     whole = _TurnFit(stated, prior)
     explained = _TurnFit(stated.subset(whole.distances(turn) < limit), prior)
     if not len(explained.problem):
         return StillCamera(turn.R, 0)
-    width = _width(explained.distances(turn), limit)
+    width = loss_width(explained.distances(turn) / _RAYLEIGH, limit)
     return StillCamera(turn.R, len(explained.problem), explained.covariance(turn, width))
 
 
