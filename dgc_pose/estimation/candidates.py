@@ -22,7 +22,8 @@ import numpy as np
 from dgc_pose.estimation.camera_changes import turning
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
 from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
-from dgc_pose.estimation.model_comparison import ModelFit, assumed_fit, likeliest_model
+from dgc_pose.estimation.model_comparison import likeliest_model
+from dgc_pose.estimation.model_fit import ModelFit, assumed_fit
 from dgc_pose.estimation.probability import ProbabilityModel, choice_shares, shipped_models, utility
 from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem, pose_loss_width
 from dgc_pose.estimation.robust_fit import (

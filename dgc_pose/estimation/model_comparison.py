@@ -1,21 +1,17 @@
 """The camera model that the matches agree with.
 
-The evidence of a model is the likelihood of the errors in the images with all parameters integrated
-out, by a normal distribution around their fit (Laplace; MacKay 1992). It compares models of any
-number of parameters.
-
 The quadratic approximation of the cost at one fit, by the pose and by all parameters of both
 cameras, estimates every model with the same lenses by one solve. A model is fitted only while its
 estimate is the likeliest of all. Where the assumed cameras are unusual, or leave matches
-unexplained, or an estimate wins, there is a second estimate, at the fit of cameras with everything
-open, and the models that may be far are fitted too.
+unexplained, or another model wins, there are further estimates, at the fit of cameras with
+everything open and at that of the winner, and the models that may be far are fitted too.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -40,23 +36,19 @@ from dgc_pose.estimation.camera_fit import (
 )
 from dgc_pose.estimation.camera_model import (
     EXPLAINED_BY_K,
-    CameraModel,
-    model_named,
     other_models,
 )
 from dgc_pose.estimation.intrinsics_prior import (
     FOCALS,
     SIZE,
     IntrinsicsPrior,
-    between,
-    have_same_lens,
-    of_pose,
 )
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
+from dgc_pose.estimation.model_fit import ModelFit, Quadratic, assumed_fit, joined
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.estimation.robust_fit import draw, run_seeds
-from dgc_pose.geometry.epipolar import tangent_axes, unit_rays
+from dgc_pose.geometry.epipolar import unit_rays
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 
 _SAMPLED = 500  # matches
@@ -81,54 +73,6 @@ _LEAST_SPREAD_DEG = 1.0  # least standard deviation of the pose of a model
 _ALL = IntrinsicsPrior(np.eye(2 * SIZE))
 
 
-@dataclass(frozen=True, eq=False)
-class ModelFit:
-    """Two cameras by one model, and their pose: estimated or fitted."""
-
-    model: CameraModel
-    cameras: Cameras  # before the fit
-    log_odds: float = 0.0  # prior, against the assumed model
-    pose: JointPose | None = None  # None if there is none
-    log_evidence: float = -math.inf
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))  # of the pose, rad^2
-    focal_std: float = 0.0  # of ln f of the less certain camera, by the fit
-    is_fitted: bool = False
-    starts: tuple[JointPose, ...] = ()  # estimates to fit from
-    # Only of the likeliest model: the covariance (6, 6), rad^2, that the other models' poses within
-    # 10 degrees of its pose add; and the probability that the right pose is within 10 degrees.
-    pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
-    agreement: float = 1.0
-    # Log-odds of the likeliest other model if each match had the largest weight.
-    doubt: float = -math.inf
-
-    @property
-    def log_probability(self) -> float:
-        """Up to a constant of the pair."""
-        return self.log_evidence + self.log_odds
-
-    def with_evidence(self, pose: JointPose, loss: float, hessian: np.ndarray) -> ModelFit:
-        """The fit with a pose. loss, hessian (5 + M, 5 + M): of the matches, without the prior."""
-        prior = IntrinsicsPrior.of(*self.cameras)
-        total = hessian + prior.information
-        sign, log_determinant = np.linalg.slogdet(total)
-        if not (sign > 0 and math.isfinite(log_determinant)):
-            return self
-        inverse = np.linalg.inv(total)
-        of_cameras = prior.basis @ inverse[5:, 5:] @ prior.basis.T
-        return replace(
-            self,
-            pose=pose,
-            log_evidence=-loss - float(pose.z @ pose.z) / 2 - float(log_determinant) / 2,
-            covariance=of_pose(inverse[:5, :5], tangent_axes(pose.t)),
-            focal_std=math.sqrt(max(float(of_cameras.diagonal()[FOCALS].max()), 0.0)),
-        )
-
-
-def assumed_fit(cameras: Cameras, pose: JointPose | None = None) -> ModelFit:
-    """The stated or assumed cameras, not compared with others."""
-    return ModelFit(model_named("assumed"), cameras, pose=pose)
-
-
 def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
     """The most probable model. problem: normalised by the stated cameras. pose: fitted with
     them."""
@@ -150,21 +94,14 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
         best = assumed
     elif best.model.name == "picture" and sample.confirms_K(best):
         best = assumed
-    return _with_others(best, fits, shares, near.doubt(assumed, others, sample.weight))
+    times = max(1.0, _most_weight(stated) / sample.weight)
+    return _with_others(best, fits, shares, near.doubt(assumed, others, times))
 
 
 def _is_determined(assumed: ModelFit) -> bool:
     """Whether the matches determine the focal lengths. The tail of a prior tells nothing then."""
     before = max(camera.focal_std for camera in assumed.cameras)
     return assumed.focal_std <= _DETERMINED * before
-
-
-def _joined(fit: ModelFit, other: ModelFit) -> ModelFit:
-    """The likelier one of two estimates of a model, with the starts of both."""
-    if other is fit:  # there is no other estimate
-        return fit
-    likelier = max(fit, other, key=lambda each: each.log_probability)
-    return replace(likelier, starts=(*fit.starts, *other.starts))
 
 
 def _with_margin(fit: ModelFit) -> float:
@@ -193,51 +130,6 @@ def _with_others(
             difference = np.concatenate([rotation, t - best.pose.t])
             covariance += share * right * (np.outer(difference, difference) + fit.covariance)
     return replace(best, pose_covariance=covariance, agreement=min(agreement, 1.0), doubt=doubt)
-
-
-@dataclass(frozen=True, eq=False)
-class _Quadratic:
-    """The cost of the matches near a fit, to the second order in the pose and in all parameters of
-    both cameras."""
-
-    cameras: Cameras  # whose parameters these are
-    pose: JointPose
-    parameters: np.ndarray  # (12,) at the fit
-    loss: float
-    hessian: np.ndarray  # (17, 17)
-    gradient: np.ndarray  # (17,)
-
-    def estimate(self, fit: ModelFit, times: float = 1.0) -> ModelFit:
-        """The model at the minimum of the approximation; unchanged if its lenses are others.
-        times: the weight of the matches."""
-        pairs = list(zip(self.cameras, fit.cameras, strict=True))
-        if not all(have_same_lens(ours, theirs) for ours, theirs in pairs):
-            return fit
-        prior = IntrinsicsPrior.of(*fit.cameras)
-        basis = np.zeros((17, 5 + len(prior)))
-        basis[:5, :5] = np.eye(5)
-        units = [theirs.focal / ours.focal for ours, theirs in pairs]
-        unit = np.concatenate([[1, u, u, 1, 1, 1] for u in units])
-        basis[5:, 5:] = unit[:, None] * prior.basis
-        offset = np.zeros(17)
-        offset[5:] = np.concatenate([between(*pair) for pair in pairs]) - self.parameters
-        hessian = times * basis.T @ self.hessian @ basis
-        gradient = times * basis.T @ (self.gradient + self.hessian @ offset)
-        step = -np.linalg.lstsq(hessian + prior.information, gradient, rcond=None)[0]
-        moved = replace(self.pose, z=np.zeros(len(prior))).moved(step)
-        change = basis @ step + offset
-        loss = self.loss + float(self.gradient @ change + change @ self.hessian @ change / 2)
-        estimated = fit.with_evidence(moved, times * loss, hessian)
-        return replace(estimated, starts=(moved,), is_fitted=False)
-
-    def doubt(self, assumed: ModelFit, others: Sequence[ModelFit], weight: float) -> float:
-        """The log-odds of the likeliest other model if each match had the largest weight."""
-        times = max(1.0, _most_weight(assumed.cameras) / weight)
-        before = self.estimate(assumed, times).log_probability
-        return max(
-            (self.estimate(fit, times).log_probability - before for fit in others),
-            default=-math.inf,
-        )
 
 
 def _most_weight(cameras: Cameras) -> float:
@@ -270,13 +162,13 @@ class _Sample:
         width = loss_width(near, 1.0) if len(near) else 1.0
         return cls(joint, pose, pixels, weight, error, width)
 
-    def quadratic(self, joint: JointFit, pose: JointPose) -> _Quadratic:
+    def quadratic(self, joint: JointFit, pose: JointPose) -> Quadratic:
         """The approximation at a fit."""
         loss = self.weight * float(
             cauchy_losses(_errors(joint, pose, self.pixels), self.width).sum()
         )
         hessian, gradient = joint.slopes(pose, self._width_of(joint), _ALL)
-        return _Quadratic(
+        return Quadratic(
             joint.problem.cameras,
             pose,
             joint.parameters(pose),
@@ -310,7 +202,7 @@ class _Sample:
             wide = rough_pose(joint)
             if wide is not None:
                 far = self.quadratic(joint, wide)
-                fits[1:] = [_joined(fit, far.estimate(fit)) for fit in fits[1:]]
+                fits[1:] = [joined(fit, far.estimate(fit)) for fit in fits[1:]]
         for number, fit in enumerate(fits):
             is_searched = is_contested or fit.model.is_searched(
                 fit.log_odds, explained=explained, usual=usual
@@ -322,7 +214,7 @@ class _Sample:
             joint = JointFit(self.joint.problem.of_cameras(best.cameras))
             there = self.quadratic(joint, best.pose)
             fits[1:] = [
-                fit if fit is best else _joined(fit, there.estimate(fit)) for fit in fits[1:]
+                fit if fit is best else joined(fit, there.estimate(fit)) for fit in fits[1:]
             ]
         return fits
 

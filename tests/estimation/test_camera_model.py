@@ -13,7 +13,7 @@ from dgc_pose.estimation import RelativePose, candidates, relative_pose
 from dgc_pose.estimation.camera_changes import Variant
 from dgc_pose.estimation.camera_model import model_named, other_models, with_model
 from dgc_pose.estimation.camera_texts import is_contradicted
-from dgc_pose.estimation.model_comparison import assumed_fit
+from dgc_pose.estimation.model_fit import assumed_fit
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.images.decoding import Exif, Header
 

@@ -14,7 +14,8 @@ from dgc_pose.estimation import RelativePose, estimate_pose
 from dgc_pose.estimation.camera_fit import JointPose
 from dgc_pose.estimation.camera_model import other_models
 from dgc_pose.estimation.intrinsics_prior import FOCALS, IntrinsicsPrior
-from dgc_pose.estimation.model_comparison import ModelFit, _Sample
+from dgc_pose.estimation.model_comparison import _Sample
+from dgc_pose.estimation.model_fit import ModelFit
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
