@@ -39,8 +39,9 @@ _LOG_ODDS_OF_EDITED = -7.0
 _LOG_ODDS_OF_SHAPE = -3.0
 _SHAPES = (5 / 4, 4 / 3, 3 / 2, 8 / 5, 16 / 9)  # of sensors: the longer side over the shorter
 _SAME_SHAPE = 0.015  # difference of two shapes' logarithms
-# Prior log-odds of two cameras if the images have one size.
-_TWO = -2.2
+# Prior log-odds of two cameras if the images have one size: without EXIF data, or with the same,
+# where an unknown lens and centre may pass for a zoom.
+_TWO, _TWO_OF_EXIF = -2.2, -20.0
 _TWO_LENS_STD = 0.02  # deviation of each lens: one camera's zoom hardly changes its lens
 # Deviations of ln f, of the principal point over the longer side, of the lens and of ln fy / fx: of
 # what a model opens, and of the rest of a K that is contradicted in a part, which is not exact.
@@ -210,11 +211,13 @@ def two(stated: Cameras) -> Iterator[Variant]:
         usual1, usual2 = (prior.usual.given(prior.lines) for prior in priors)
         tail1, tail2 = (prior.tail.given(prior.lines) for prior in priors)
         choices = [(tail1, usual2), (usual1, tail2)]
+        odds_of_two = _TWO_OF_EXIF
     else:
         first, second = (prior.parts([prior.lines])[0] for prior in priors)
         choices = [(first, second)]
+        odds_of_two = _TWO
     for part1, part2 in choices:
-        odds = _TWO + part1.log_weight + part2.log_weight - before.log_weight
+        odds = odds_of_two + part1.log_weight + part2.log_weight - before.log_weight
         yield Variant((_zoomed(stated[0], part1), _zoomed(stated[1], part2)), odds)
 
 

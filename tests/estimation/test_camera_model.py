@@ -46,7 +46,7 @@ CASES = {
     "first zoomed": (
         (pinhole(1.3 * 1280, SIZE, LENS), pinhole(1280, SIZE, LENS)),
         "two",
-        {"count": 200, "sigma_px": 1.0, "outliers": 0.5},
+        {"count": 600, "outliers": 0.5},
     ),
 }
 SAID = {
