@@ -17,13 +17,7 @@ import cv2
 import numpy as np
 
 from dgc_pose.cameras.camera import image_size
-from dgc_pose.cameras.prior import (
-    FAR_OFF,
-    USUAL_K,
-    from_middle,
-    has_usual_pixels,
-    improbability,
-)
+from dgc_pose.cameras.prior import FAR_OFF, USUAL_K, from_middle, has_usual_pixels, improbability
 from dgc_pose.estimation.camera_changes import Cameras, are_stated, opened
 from dgc_pose.estimation.camera_fit import (
     MOST_ERROR,
@@ -34,19 +28,12 @@ from dgc_pose.estimation.camera_fit import (
     rough_pose,
     start_at,
 )
-from dgc_pose.estimation.camera_model import (
-    EXPLAINED_BY_K,
-    other_models,
-)
-from dgc_pose.estimation.intrinsics_prior import (
-    FOCALS,
-    SIZE,
-    IntrinsicsPrior,
-)
+from dgc_pose.estimation.camera_model import EXPLAINED_BY_K, other_models
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.model_fit import ModelFit, Quadratic, assumed_fit, joined
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
-from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.estimation.problem import TwoViewProblem, normalised_pixel
 from dgc_pose.estimation.robust_fit import draw, run_seeds
 from dgc_pose.geometry.epipolar import unit_rays
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -179,8 +166,11 @@ class _Sample:
 
     def _width_of(self, joint: JointFit) -> float:
         """The width of the losses in the unit of a problem, whose threshold may be another."""
-        first, second = joint.problem.cameras
-        return self.width * self.pixels * (1 / first.focal + 1 / second.focal) / 2
+        return self.width * self.pixels * normalised_pixel(joint.problem.cameras)
+
+    def _joint_of(self, cameras: Cameras) -> JointFit:
+        """The fit of other cameras to the sample."""
+        return JointFit(self.joint.problem.of_cameras(cameras))
 
     def compared(self, assumed: ModelFit, others: Sequence[ModelFit]) -> list[ModelFit]:
         """The assumed model and the others, each of which is fitted while its estimate is the
@@ -198,20 +188,20 @@ class _Sample:
             or explained <= EXPLAINED_BY_K
             or (are_stated(assumed.cameras) and not usual)
         ):
-            joint = JointFit(self.joint.problem.of_cameras(opened(assumed.cameras)))
+            joint = self._joint_of(opened(assumed.cameras))
             wide = rough_pose(joint)
             if wide is not None:
                 far = self.quadratic(joint, wide)
                 fits[1:] = [joined(fit, far.estimate(fit)) for fit in fits[1:]]
-        for number, fit in enumerate(fits):
+        for number, fit in enumerate(fits[1:], start=1):
             is_searched = is_contested or fit.model.is_searched(
                 fit.log_odds, explained=explained, usual=usual
             )
-            if is_searched and number:
+            if is_searched:
                 fits[number] = self.fitted(fit, search=True)
         best = self.settled(fits)
         if best.pose is not None and best is not fits[0]:  # others may have a fit near to it
-            joint = JointFit(self.joint.problem.of_cameras(best.cameras))
+            joint = self._joint_of(best.cameras)
             there = self.quadratic(joint, best.pose)
             fits[1:] = [
                 fit if fit is best else joined(fit, there.estimate(fit)) for fit in fits[1:]
@@ -238,7 +228,7 @@ class _Sample:
         assert picture.pose is not None
         if picture.focal_std > _DETERMINED:
             return False
-        joint = JointFit(self.joint.problem.of_cameras(picture.cameras))
+        joint = self._joint_of(picture.cameras)
         off = joint.parameters(picture.pose)[FOCALS]
         return all(
             has_usual_pixels(K)
@@ -252,7 +242,7 @@ class _Sample:
     def fitted(self, fit: ModelFit, *, search: bool = False) -> ModelFit:
         """The model with the likeliest of its fits, from its estimate or from the pose of the
         assumed cameras. search: whether also from RANSAC."""
-        joint = JointFit(self.joint.problem.of_cameras(fit.cameras))
+        joint = self._joint_of(fit.cameras)
         starts = [*fit.starts]
         if search or not starts:
             starts.append(self._turned(fit.cameras, joint))
@@ -261,8 +251,10 @@ class _Sample:
             starts.append(run)
         failed = replace(fit, pose=None, log_evidence=-math.inf, is_fitted=True)
         if len(starts) > 1:
-            starts = [joint.fitted(start, _LIMITS[:1], ROUGH_ITERATIONS) for start in starts]
-        best = max(starts, key=lambda pose: self.valued(failed, pose, joint).log_evidence)
+            rough = [joint.fitted(start, _LIMITS[:1], ROUGH_ITERATIONS) for start in starts]
+            best = max(rough, key=lambda pose: self.valued(failed, pose, joint).log_evidence)
+        else:
+            best = starts[0]
         found = self.valued(failed, joint.fitted(best, _LIMITS), joint)
         return replace(found, starts=() if found.pose is None else (found.pose,))
 

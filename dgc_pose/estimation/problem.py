@@ -83,7 +83,7 @@ class TwoViewProblem:
         )
         return cls(
             *(matches, (camera1, camera2), options, points1, points2, index),
-            threshold=pixels * (1 / camera1.focal + 1 / camera2.focal) / 2,
+            threshold=pixels * normalised_pixel((camera1, camera2)),
             cells=(cell_side(camera1), cell_side(camera2)),
             warnings=tuple(
                 f"{count} matches dropped: {why}" for why, count in dropped.items() if count
@@ -114,8 +114,7 @@ class TwoViewProblem:
     @property
     def threshold_px(self) -> float:
         """The threshold in pixels of the originals."""
-        first, second = self.cameras
-        return self.threshold / ((1 / first.focal + 1 / second.focal) / 2)
+        return self.threshold / normalised_pixel(self.cameras)
 
     @property
     def confidence(self) -> np.ndarray:
@@ -126,6 +125,12 @@ class TwoViewProblem:
     def lenses(self) -> tuple[Distortion | None, Distortion | None]:
         """The distortions that are undone."""
         return self.cameras[0].distortion, self.cameras[1].distortion
+
+
+def normalised_pixel(cameras: tuple[Camera, Camera]) -> float:
+    """A pixel in the unit of normalised points: the mean over both cameras."""
+    first, second = cameras
+    return (1 / first.focal + 1 / second.focal) / 2
 
 
 @dataclass(frozen=True, eq=False)
