@@ -26,7 +26,6 @@ from dgc_pose.matching import Matcher, MatchResult
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)
 PARTS: tuple[Part, ...] = ("fit", "report")
-BLANK = Image(np.zeros((8, 8, 3), np.uint8))
 FOCAL_ERROR = {"slope": 0.0, "intercept": 0.0}
 SAME_PLACE = {"slope": 0.0, "intercept": 30.0}
 
@@ -45,15 +44,16 @@ class _Scenes(Matcher):
 
 
 def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[PlanEntry, list[PlannedPair]]:
-    """Every second pair has a scene; the matches of the others are random."""
+    """Every second pair has a scene, some of them a plane; the matches of the others are random."""
     source = PlanEntry(part, part, "list")
 
     def make(number: int) -> PosedPair:
-        kind = "general" if number % 2 else "random"
+        kind = ("random", "general", "random", "planar")[number % 4]
         scene = two_view_scene(kind, seed=number, count=150, outliers=0.2 + 0.004 * number)
         matcher.matches = dataclasses.replace(scene.matches, key_points=True)
-        t = scene.t if kind == "general" else np.array([0.0, 0, 1])
-        return PosedPair(BLANK, BLANK, *scene.cameras, scene.R, t)
+        t = scene.t if kind != "random" else np.array([0.0, 0, 1])
+        blank = [Image(np.zeros((*camera.size[::-1], 3), np.uint8)) for camera in scene.cameras]
+        return PosedPair(*blank, *scene.cameras, scene.R, t)
 
     own = [PlannedPair(source, k, f"{part} {k % 3}", lambda k=k: make(k)) for k in range(count)]
     return source, own
