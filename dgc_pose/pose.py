@@ -13,18 +13,16 @@ from numpy.typing import ArrayLike
 
 from dgc_pose.cameras.calibration import pair_cameras
 from dgc_pose.cameras.camera import Camera, TwoViews
-from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.scale import ScaleSource, with_length
-from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.epipolar import depths, homogeneous
-from dgc_pose.geometry.pixels import exif_turn
-from dgc_pose.images.image import Image, flipped, load_pair
+from dgc_pose.images.image import Image, load_pair
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import DEFAULT_WEIGHTS, CorrespondenceMap, Matcher, MatchResult
 from dgc_pose.metrics import epipolar_residuals_px
+from dgc_pose.mirror import if_mirrored
 from dgc_pose.system.options import check_type
 from dgc_pose.system.parallel import one_blas_thread
 
@@ -48,7 +46,6 @@ STEPS: Mapping[Effort, Sequence[Step]] = {
 # The search for matches ends if all hypotheses together are less probable than the first number;
 # or if they are at least as probable as the second and the likeliest has the third as its share.
 _MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
-_LIKELY = 0.9  # image 2 is mirrored if its mirror image has a pose of at least this probability
 _DOUBT = -1.0  # log-odds of another camera given the matches, above which they are refined
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # expected errors above which `auto` runs "guided" even for a certain pose
@@ -131,6 +128,7 @@ def solve_pair(
         check_type(value, kind, name)
     maps, markers = scale.maps((image1, image2)), scale.markers((image1, image2))
     pose: RelativePose | None = None
+    coarse: RelativePose | None = None
     found: MatchResult | None = None
     seconds = {} if start is None else {"load": begun - start}
     estimating = 0.0
@@ -151,10 +149,12 @@ def solve_pair(
         matched = time.perf_counter()
         found = result
         pose = estimate_pose(found.matches, *cameras, options, map_matches=found.map_matches)
+        coarse = pose if step == "coarse" else coarse
         seconds[step] = matched - before
         estimating += time.perf_counter() - matched
     assert pose is not None and found is not None
-    pose = _mirrored(image1, image2, cameras, matcher, pose, options) or pose
+    asked = image1, image2, cameras, matcher, options, found.matches
+    pose = if_mirrored(*asked, pose, coarse) or pose
     pose = with_length(pose, found.matches, scale, maps, markers)
     pose = replace(pose, seconds={**seconds, "estimate": estimating})
     return PairResult(image1, image2, *cameras, found.matches, found.correspondence_map, pose)
@@ -211,55 +211,6 @@ def in_doubt(pose: RelativePose) -> bool:
     share = pose.hypotheses[0].share
     of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
     return of_others > _MIN_SEARCHED and not _is_clear(pose)
-
-
-def mirror_image(image: Image, camera: Camera, axis: int = 1) -> tuple[Image, Camera] | None:
-    """The mirror image, see `flipped`, and its camera; None if the camera cannot be mirrored."""
-    try:
-        return flipped(image, axis), camera.turned(exif_turn(2 if axis else 4), image.size)
-    except InputError:
-        return None
-
-
-def _mirrored(
-    image1: Image,
-    image2: Image,
-    cameras: tuple[Camera, Camera],
-    matcher: Matcher,
-    pose: RelativePose,
-    options: EstimationOptions,
-) -> RelativePose | None:
-    """Reject image 2 as mirrored if its pose failed, and a coarse pass gives its mirror image a
-    likely pose that is at least as probable. Otherwise return None.
-
-    The mirror image is flipped left to right, or top to bottom if the pose is upside down.
-    """
-    if pose.success or pose.any_probability is None:
-        return None
-    if pose.contradicts_K:
-        return None
-    if pose.status in ("rotation_only", "same_picture"):
-        return None
-    flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
-    mirror = mirror_image(image2, cameras[1], 0 if flips else 1)
-    if mirror is None:
-        return None
-    result = matcher.coarse(image1, mirror[0])
-    matcher.cache.forget(mirror[0])  # no other pair uses it
-    if result is None:
-        return None
-    of_mirror_image = estimate_pose(
-        result.matches, cameras[0], mirror[1], options, map_matches=result.map_matches
-    )
-    probability = (of_mirror_image.one_place_probability or 0.0) if of_mirror_image.success else 0.0
-    if probability < max(_LIKELY, pose.any_probability):
-        return None
-    reason = (
-        f"the mirror image of image 2 has a pose with probability {percent_text(probability)}, "
-        "and image 2 has no pose as likely"
-    )
-    inliers = np.zeros_like(pose.inliers)
-    return RelativePose("mirrored", reason, inliers, pose.num_matches, warnings=pose.warnings)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,7 @@ from dgc_pose import (
     solve_pair,
 )
 from dgc_pose.cameras.camera import TwoViews
-from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
+from dgc_pose.cameras.pair_list import bundled_photographs
 from dgc_pose.estimation.options import Effort
 from dgc_pose.estimation.problem import Hypothesis
 from dgc_pose.images.cache import ImageCache
@@ -136,8 +135,12 @@ OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0
         ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
         # The camera is what is wrong.
         ("auto", [_refused(0.4, camera_model="focal")], ["coarse", "full", "guided"]),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided"]),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
+        (
+            "auto",
+            [ROTATION | {"hypotheses": (_of_share(0.8),)}],
+            ["coarse", "full", "guided", "mirrored"],
+        ),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full", "mirrored"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
         ("thorough", [CERTAIN], ["full"]),
         ("thorough", [LOOSE, CERTAIN], ["full", "guided"]),
@@ -171,78 +174,6 @@ def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPat
         assert views.camera2 is second
         assert fitted.focal_source == "matches" and fitted.focal_std < 0.05
         assert abs(fitted.focal / EXACT.focal - 1) < 3 * fitted.focal_std
-
-
-@pytest.mark.parametrize(
-    ("own", "answer", "status"),
-    [
-        (_refused(0.4), _doubt(0.91), "mirrored"),
-        (_refused(0.4), _doubt(0.89), "improbable"),
-        (_refused(0.4) | {"any_probability": 0.98}, _doubt(0.97), "improbable"),
-        (_refused(0.4), _refused(0.99), "improbable"),
-    ],
-)
-def test_a_likely_pose_of_the_mirror_image_is_that_of_a_mirrored_one(
-    monkeypatch: pytest.MonkeyPatch, own: Mapping[str, Any], answer: Mapping[str, Any], status: str
-) -> None:
-    """If it is more probable than that of the image as it is."""
-    estimated = _with(monkeypatch, own, own, own, answer)
-    matcher = _Steps(of_mirror_image=True)
-    result = solve_pair(*PICTURES, (EXACT, EXACT), matcher, OPTIONS)
-    pose = result.pose
-    assert matcher.steps == ["coarse", "full", "guided", "mirrored"]
-    assert pose.status == status and len(pose.inliers) == len(result.matches)
-    assert result.matches is estimated[2]
-    if status == "mirrored":
-        assert not pose.success and "mirror image" in pose.reason
-        assert pose.R is None and pose.probability == 0 and not pose.inliers.any()
-
-
-@pytest.mark.parametrize("upside_down", [False, True])
-def test_the_mirror_image_is_that_of_the_camera_turned_likewise(
-    monkeypatch: pytest.MonkeyPatch, upside_down: bool
-) -> None:
-    """Left to right; or top to bottom, of a pose that is upside down."""
-    R = np.diag([-1.0, -1.0, 1.0]) if upside_down else np.eye(3)
-    cameras: list[Camera] = []
-
-    def estimate(matches: Matches, *arguments: Any, **options: Any) -> RelativePose:
-        cameras.append(arguments[1])
-        pose = estimate_pose(matches, EXACT, EXACT, OPTIONS)
-        own = _refused(0.4) | {"hypotheses": (replace(_of_share(1.0), R=R),)}
-        return replace(pose, **own)
-
-    monkeypatch.setattr("dgc_pose.pose.estimate_pose", estimate)
-    lens = Distortion("OPENCV", (-0.1, 0.02, 0.01, -0.02))
-    camera = Camera(np.array([[300.0, 0, 170], [0, 290, 110], [0, 0, 1]]), dense_scene.SIZE, lens)
-    options = replace(OPTIONS, effort="fast")
-    solve_pair(*PICTURES, (EXACT, camera), _Steps(of_mirror_image=True), options)
-    first, mirrored = cameras
-    assert first is camera and mirrored.size == camera.size
-    flip = np.array([1, -1]) if upside_down else np.array([-1, 1])
-    offset = np.where(flip < 0, np.array(dense_scene.SIZE) - 1, 0)
-    rays = np.random.default_rng(0).uniform(-0.3, 0.3, (20, 2))
-    seen = offset + flip * camera.project(rays)
-    np.testing.assert_allclose(mirrored.project(flip * rays), seen, atol=1e-6)
-
-
-def test_a_lens_without_a_mirror_image_is_not_mirrored(monkeypatch: pytest.MonkeyPatch) -> None:
-    _with(monkeypatch, _refused(0.4))
-    lens = Distortion("THIN_PRISM_FISHEYE", (0.01,) * 8)
-    matcher = _Steps(of_mirror_image=True)
-    pose = solve_pair(*PICTURES, (EXACT, replace(EXACT, distortion=lens)), matcher, OPTIONS).pose
-    assert pose.status == "improbable" and matcher.steps == ["coarse", "full", "guided"]
-
-
-def test_a_mirrored_photograph_is_recognised() -> None:
-    """The bundled pair: the second image as selfie cameras store it."""
-    pair = rendered_pair()
-    second = load_image(pair.path2)
-    K2 = pair.camera2.K.copy()
-    K2[0, 2] = second.size[0] - 1 - K2[0, 2]
-    mirrored = np.ascontiguousarray(np.flip(second.pixels, 1))
-    pose = estimate_relative_pose(pair.path1, mirrored, pair.camera1, K2)
-    assert pose.status == "mirrored", pose
 
 
 def test_features_are_kept_of_the_two_images_and_not_of_the_mirror_image() -> None:

@@ -21,6 +21,7 @@ import numpy as np
 
 from dgc_pose.estimation.camera_changes import turning
 from dgc_pose.estimation.camera_fit import SEARCH_RUNS, JointFit, JointPose, joint_pose
+from dgc_pose.estimation.evidence import around_plane
 from dgc_pose.estimation.intrinsics_prior import pair_with_parameters
 from dgc_pose.estimation.model_comparison import likeliest_model
 from dgc_pose.estimation.model_fit import ModelFit, assumed_fit
@@ -61,6 +62,7 @@ class Candidates:
     model: ModelFit  # its cameras have the fitted focal lengths
     hypotheses: Sequence[Hypothesis]  # the likeliest first
     homography_ratio: float  # share of the best one's inliers that one homography explains
+    around_plane: float  # how much around this plane contradicts the pose; 0 without a plane
     second: Hypothesis | None  # another motion, among the outliers of the likeliest
     still: StillCamera  # the motion without a translation
     logistic: ProbabilityModel | None  # None if none is fitted for such matches
@@ -115,8 +117,9 @@ def candidates(
         left = _left_over(problem, best, share)
     second = _second_motion(problem, best, left, share * best.num_inliers)
     still = _still_camera(stated, turned, problem, best)
+    around = around_plane(problem, best, H) if on_plane and H is not None else 0.0
     return Candidates(
-        *(problem, map_problem, fitted, model, hypotheses, homography_ratio, second, still),
+        *(problem, map_problem, fitted, model, hypotheses, homography_ratio, around, second, still),
         logistic,
     )
 

@@ -3,17 +3,19 @@
 import math
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from dgc_pose.estimation.camera_model import ModelName
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
-from dgc_pose.estimation.robust_fit import MINIMAL
+from dgc_pose.estimation.robust_fit import MINIMAL, TRANSFER_LIMIT
 from dgc_pose.geometry.epipolar import (
     epipolar_angles,
     sampson_distance,
     triangulation_angles_deg,
     unit_rays,
 )
+from dgc_pose.geometry.homography import transfer_error
 from dgc_pose.geometry.rotation import aligning_rotation, rotation_angle_deg
 from dgc_pose.system.parallel import slices
 
@@ -53,6 +55,8 @@ class Evidence:
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         confidence: Median confidence of the inliers.
         homography_ratio: Share of inliers that one homography explains.
+        around_plane: Grid cells around this plane whose matches contradict the pose, over the cells
+            of the plane, see `around_plane`; 0 without a plane.
         raw_rotation_90_deg: Bound of the error of R in nine cases of ten, by its covariance, not
             calibrated; None if unknown.
         raw_translation_90_deg: The same for the direction of t.
@@ -104,6 +108,7 @@ class Evidence:
     still_ratio: float = 0.0
     num_second_inliers: int = 0
     second_rotation_deg: float = 0.0
+    around_plane: float = 0.0
     camera_model: ModelName = "assumed"
     camera_agreement: float = 1.0
     camera_doubt: float = -math.inf
@@ -170,6 +175,24 @@ def measured(
         map_agreement=pose.agreement(map_problem),
         map_chance=pose.agreement(wrong),
     )
+
+
+def around_plane(problem: TwoViewProblem, pose: Hypothesis, H: np.ndarray) -> float:
+    """How much around a plane contradicts its pose: the grid cells of image 1 with matches outside
+    of the plane's region in both images and without an inlier, less those with an inlier, over the
+    cells of the plane. H: homography (3, 3) of the plane."""
+    limit = TRANSFER_LIMIT * problem.threshold
+    on_plane = transfer_error(problem.points1, problem.points2, H) < limit
+    outside = np.ones(len(problem), bool)
+    for points, cell in zip((problem.points1, problem.points2), problem.cells, strict=True):
+        in_cells = (points / cell).astype(np.float32)
+        region = cv2.convexHull(in_cells[on_plane])
+        inwards = [cv2.pointPolygonTest(region, point, True) for point in in_cells.tolist()]
+        outside &= np.array(inwards) < -1.0  # cells
+    cells = np.floor(problem.points1 / problem.cells[0]).astype(int)
+    around = len(np.unique(cells[outside], axis=0))
+    agreeing = len(np.unique(cells[outside & pose.inliers], axis=0))
+    return max(around - 2 * agreeing, 0) / max(len(np.unique(cells[on_plane], axis=0)), 1)
 
 
 def rotation_corrected(context_ratio: float, R: np.ndarray) -> float:

@@ -273,6 +273,7 @@ def gathered(found: Candidates, known: Uncertainty) -> Evidence:
         rotation=rotation,
         still_ratio=still_ratio,
         homography_ratio=found.homography_ratio,
+        around_plane=found.around_plane,
         raw_rotation_90_deg=errors[0],
         raw_translation_90_deg=errors[1],
         raw_focal_90_percent=known.focal_90_percent,

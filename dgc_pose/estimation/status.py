@@ -46,7 +46,7 @@ STATUSES: Mapping[Status, StatusFacts] = {
     "undetermined": StatusFacts("the inliers do not determine the rotation", of_cameras=True),
     "improbable": StatusFacts("all evidence together makes the pose improbable", of_cameras=True),
     "ambiguous": StatusFacts("two or more poses explain the matches"),
-    "mirrored": StatusFacts("the mirror image of image 2 has a likely pose, and image 2 has not"),
+    "mirrored": StatusFacts("the mirror image of image 2 agrees with image 1 far better"),
     "same_picture": StatusFacts("the images are one picture, or share an overlay"),
     "panorama": StatusFacts("an image is a panorama"),
 }

@@ -34,16 +34,15 @@ from dgc_pose.colmap.reconstruction import (
     write_models,
 )
 from dgc_pose.errors import ArgumentName, InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.folder import frames_folder
-from dgc_pose.images.image import Image, load_image
+from dgc_pose.images.image import load_image
 from dgc_pose.localization.locate import Locator
 from dgc_pose.localization.location import Location
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.model import Model
-from dgc_pose.pose import mirror_image, solve_pair
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
 from dgc_pose.rigs.files import FILES
 from dgc_pose.rigs.frames import camera_frames, still_picture
@@ -238,7 +237,7 @@ def _located(
         for name, picture in pictures.items():
             itself = [picture.name] if own else []
             location = locator.locate(picture, exact.get(name), excluded=itself, whole=True)
-            each[-1][name] = _checked(location, name, picture, locator)
+            each[-1][name] = _checked(location, name, locator)
             progress("cameras", sum(map(len, each)), len(locators) * len(pictures))
     best = int(np.argmax([sum(of.success for of in located.values()) for located in each]))
     cameras = dict(each[best])
@@ -250,43 +249,18 @@ def _located(
     return locators[best].model, cameras
 
 
-def _checked(location: Location, name: str, picture: Path, locator: Locator) -> Location:
-    """The location if enough pictures of the model agree and the picture is not mirrored; otherwise
-    "nowhere", with the reason and, unless mirrored, the most similar picture."""
+def _checked(location: Location, name: str, locator: Locator) -> Location:
+    """The location if enough pictures of the model agree; otherwise "nowhere", with the reason and
+    the most similar picture."""
     matched, reason = location.database_images, location.reason
-    agreeing = [image for image in matched if image.agrees]
-    if location.success and len(agreeing) >= min(_LEAST_AGREEING, len(locator.model.poses) - 1):
-        if not _is_mirrored(location, picture, locator):
-            return location
-        reason = "its mirror image has more inliers than the picture itself"
-        return Location("nowhere", reason, matched)
     if location.success:
-        reason = f"its pose agrees with {len(agreeing)} of {len(matched)} pictures"
+        agreeing = sum(image.agrees for image in matched)
+        if agreeing >= min(_LEAST_AGREEING, len(locator.model.poses) - 1):
+            return location
+        reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
     if matched:
         reason += f"; pictures between {name} and {matched[0].name} would connect it"
     return Location("nowhere", reason, matched, warnings=location.warnings)
-
-
-def _is_mirrored(location: Location, picture: Path, locator: Locator) -> bool:
-    """Whether a camera's mirrored picture has more inliers than the picture itself, with the best
-    agreeing picture of the model. In a symmetric scene, a mirrored stream may have a pose."""
-    assert location.camera is not None
-    image, options = load_image(picture), replace(locator.options, effort="fast")
-    agreeing = [of for of in location.database_images if of.agrees]
-    name = max(agreeing, key=lambda of: int(of.inliers.sum())).name
-
-    def solved(view: Image, camera: Camera) -> RelativePose:
-        """The pose of `view` relative to the picture `name`."""
-        cameras = locator.model.cameras[name], camera
-        pose = solve_pair(locator.image(name), view, cameras, locator.matcher, options).pose
-        locator.matcher.cache.forget(view)
-        return pose
-
-    mirror = mirror_image(image, location.camera)
-    mirrored = None if mirror is None else solved(*mirror)
-    if mirrored is None or not mirrored.success:
-        return False
-    return mirrored.num_inliers > solved(image, location.camera).num_inliers
 
 
 def _spread(whole: pycolmap.Reconstruction) -> float:

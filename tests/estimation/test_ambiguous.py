@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scenes import SCENE_KINDS, TwoViewScene, poster_scene, two_view_scene
+from scenes import SCENE_KINDS, SIZE1, SIZE2, TwoViewScene, poster_scene, two_view_scene
 
 from dgc_pose.estimation import EstimationOptions, RelativePose, candidates, estimate_pose
 from dgc_pose.estimation.probability import ErrorModel, FittedModels, ProbabilityModel, SamePlace
@@ -117,6 +117,25 @@ def test_a_plane_that_may_have_moved_is_ambiguous(seed: int, key_points: bool) -
     assert min(max(scene.errors_deg(other)) for other in pose.alternatives) < 2
     for other in pose.alternatives:
         assert other.inliers.shape == other.in_front.shape == (pose.num_matches,)
+
+
+@pytest.mark.parametrize(("around", "status"), [(0, "planar"), (8, "planar"), (40, "ambiguous")])
+def test_a_plane_amid_matches_that_contradict_it_may_have_moved(around: int, status: str) -> None:
+    """A board held before a scene, whose matches are too few and too wrong for a motion."""
+    plane = two_view_scene("planar", count=2500, outliers=0.0, rotation_deg=15)
+    (width1, height1), (width2, height2) = SIZE1, SIZE2
+    held = (np.abs(plane.points1 / SIZE1 - 0.5) < 0.25).all(1)
+    rng = np.random.default_rng(1)
+    edge1, edge2 = (
+        np.column_stack([rng.uniform(0, width, around), rng.choice([0.02, 0.98], around) * height])
+        for width, height in ((width1, height1), (width2, height2))
+    )
+    points1 = np.vstack([plane.points1[held], edge1])
+    points2 = np.vstack([plane.points2[held], edge2])
+    matches = Matches(points1, points2, np.ones(len(points1)), 0.5, False, WEIGHTS)
+    pose = estimate_pose(matches, *plane.cameras)
+    assert pose.status == status, pose
+    assert pose.success or "may have moved" in pose.reason
 
 
 @pytest.mark.usefixtures("known_models")

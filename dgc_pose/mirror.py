@@ -1,0 +1,115 @@
+"""Whether an image is mirrored, as selfie cameras, webcams and scanned slides store them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import Delaunay, QhullError
+
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import InputError
+from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.geometry.pixels import exif_turn
+from dgc_pose.images.image import Image, flipped
+from dgc_pose.matches import Matches
+from dgc_pose.matching import Matcher
+
+_EXPLAINED = 0.8  # share of the matches that are inliers from which nobody asks
+# Share of mirrored triangles below which nobody asks, and the longest side of such triangles, over
+# the longer side of the image.
+_FEW_TRIANGLES, _SMALL = 0.012, 0.15
+# Inliers of the mirror image over those of the image, in coarse passes, above which the image is
+# mirrored; below the inverse it is not (docs/experiments.md).
+_RATIO = 1.25
+
+
+def if_mirrored(
+    image1: Image,
+    image2: Image,
+    cameras: tuple[Camera, Camera],
+    matcher: Matcher,
+    options: EstimationOptions,
+    matches: Matches,
+    pose: RelativePose,
+    coarse: RelativePose | None,
+) -> RelativePose | None:
+    """The verdict that image 2 is mirrored, or that it may be, as in a scene that is its own mirror
+    image; None for neither. pose: of the matches. coarse: the pose after a coarse pass, if it gave
+    matches.
+
+    A pose is not questioned if hardly a triangle of its inliers is mirrored, or if it explains most
+    matches and the coarse pass gave some; and where the matches contradict K, nobody is called
+    mirrored. The mirror image is flipped left to right; if the pose is upside down, also top to
+    bottom.
+    """
+    if pose.contradicts_K or pose.status == "same_picture":
+        return None
+    has_coarse_pass = options.effort != "thorough"
+    if pose.success:
+        is_explained = pose.num_inliers >= _EXPLAINED * pose.num_matches
+        if is_explained and (coarse is not None or not has_coarse_pass):
+            return None
+        if mirrored_triangles(matches.subset(pose.inliers), image1.size) < _FEW_TRIANGLES:
+            return None
+    flips = bool(pose.hypotheses) and pose.hypotheses[0].R[1, 1] < 0
+    mirrored = 0
+    for axis in (1, 0) if flips else (1,):
+        mirror = _mirror_image(image2, cameras[1], axis)
+        if mirror is None:
+            return None
+        other = _coarse_pose(image1, mirror[0], (cameras[0], mirror[1]), matcher, options)
+        matcher.cache.forget(mirror[0])  # no other pair uses it
+        if other is not None and (other.success or other.status == "same_picture"):
+            agreeing = other.num_inliers if other.success else other.num_matches
+            mirrored = max(mirrored, agreeing)
+    if not mirrored:
+        return None
+    if not has_coarse_pass:
+        coarse = _coarse_pose(image1, image2, cameras, matcher, options)
+    own = 0 if coarse is None else coarse.num_inliers
+    counts = f"{mirrored} inliers in a coarse pass, and image 2 has {own}"
+    none = np.zeros_like(pose.inliers)
+    if mirrored > _RATIO * own:
+        reason = f"the mirror image of image 2 has {counts}"
+        return RelativePose("mirrored", reason, none, pose.num_matches, warnings=pose.warnings)
+    if pose.success and own < _RATIO * mirrored:
+        reason = f"image 2 may be mirrored: its mirror image has {counts}"
+        return RelativePose("ambiguous", reason, none, pose.num_matches, warnings=pose.warnings)
+    return None
+
+
+def mirrored_triangles(matches: Matches, size: tuple[int, int]) -> float:
+    """The share of the small triangles of neighbouring matches in image 1, of this size (width,
+    height), that are mirrored in image 2; 0 without any."""
+    points1, rows = np.unique(matches.points1, axis=0, return_index=True)
+    points2 = matches.points2[rows]
+    try:
+        corners = Delaunay(points1).simplices
+    except (QhullError, ValueError):  # too few points, or all on a line
+        return 0.0
+    sides1, sides2 = (
+        np.diff(points[corners[:, [0, 1, 2, 0]]], axis=1) for points in (points1, points2)
+    )  # (T, 3, 2)
+    is_small = np.linalg.norm(sides1, axis=2).max(axis=1) < _SMALL * max(size)
+    turns = np.linalg.det(sides1[is_small, :2]) * np.linalg.det(sides2[is_small, :2])
+    return float((turns < 0).mean()) if len(turns) else 0.0
+
+
+def _mirror_image(image: Image, camera: Camera, axis: int) -> tuple[Image, Camera] | None:
+    """The mirror image, see `flipped`, and its camera; None if the camera cannot be mirrored."""
+    try:
+        return flipped(image, axis), camera.turned(exif_turn(2 if axis else 4), image.size)
+    except InputError:
+        return None
+
+
+def _coarse_pose(
+    image1: Image,
+    image2: Image,
+    cameras: tuple[Camera, Camera],
+    matcher: Matcher,
+    options: EstimationOptions,
+) -> RelativePose | None:
+    found = matcher.coarse(image1, image2)
+    if found is None:
+        return None
+    return estimate_pose(found.matches, *cameras, options, map_matches=found.map_matches)
