@@ -56,6 +56,10 @@ _LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
 # Deviations of ln f of a scaled copy of the photograph of K, and of the principal point from the
 # middle of a part of it, over the longer side.
 _CUT_FOCAL_STD, _CUT_CENTRE_STD = 0.2, 0.2
+# Corrected verticals, or a shift lens: prior log-odds, deviation of the principal point over the
+# longer side, and of ln f, because the corrected picture is cut.
+_LOG_ODDS_OF_SHIFT = -11.0
+_SHIFT_CENTRE_STD, _SHIFT_FOCAL_STD = 0.1, 0.2
 _LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
 _OTHER_FOCAL = 0.02  # least relative difference of two K, or of two focal lengths
 
@@ -328,9 +332,28 @@ def _with_K_of(camera: Camera, other: Camera) -> Camera:
     )
 
 
+def _shifted(stated: Cameras) -> Iterator[Variant]:
+    """The principal point of one image, or of both, far from that of K."""
+    first, second = _loosened(stated, one=False)
+    shifted1, shifted2 = (
+        replace(
+            camera,
+            focal_std=max(camera.focal_std, _SHIFT_FOCAL_STD),
+            centre_std=max(camera.centre_std, _SHIFT_CENTRE_STD * max(image_size(camera))),
+        )
+        for camera in (first, second)
+    )
+    yield Variant((shifted1, second), _LOG_ODDS_OF_SHIFT)
+    yield Variant((first, shifted2), _LOG_ODDS_OF_SHIFT)
+    yield Variant((shifted1, shifted2), _LOG_ODDS_OF_SHIFT)
+
+
 def centre(stated: Cameras) -> Iterator[Variant]:
-    """A principal point near that of K; or anywhere, as of a part of the photograph of K."""
+    """A principal point near that of K; far from it, as of corrected verticals; or anywhere, as of a
+    part of the photograph of K."""
     yield from _near_centre(stated)
+    if _have_K_and_pictures(stated):
+        yield from _shifted(stated)
     if _may_be_cut(stated):
         loose = _loosened((_centred(stated[0]), _centred(stated[1])), one=False)
         first, second = (

@@ -7,8 +7,10 @@ import math
 import numpy as np
 
 from dgc_pose.cameras.camera import Camera, image_size
+from dgc_pose.cameras.prior import from_middle
 
 _MIN_SHIFT = 0.005  # least one of a principal point, over the longer side, that is worth a warning
+_FAR_SHIFT = 0.06  # distance from the middle, over the longer side, from which it has a cause
 _MIN_FOCAL_ERROR = 0.08  # least error of ln f that is worth a warning
 
 
@@ -49,7 +51,10 @@ def unlensed(before: Camera, camera: Camera) -> str:
 def centre_text(camera: Camera) -> str:
     """The principal point and its deviation."""
     x, y = camera.K[:2, 2]
-    return f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
+    text = f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
+    if from_middle(camera) < _FAR_SHIFT:
+        return text
+    return f"{text}, as of corrected verticals or a shift lens"
 
 
 def centre(before: Camera, camera: Camera) -> str:

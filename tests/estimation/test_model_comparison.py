@@ -285,6 +285,17 @@ def test_a_part_of_the_photograph_of_K(seed: int) -> None:
     assert pose.warnings[0].startswith("image 2: the matches agree with a principal point of (")
 
 
+@pytest.mark.parametrize("corrected", [(True, False), (True, True)])
+def test_corrected_verticals(corrected: tuple[bool, bool]) -> None:
+    """A level view of what a camera saw that looked up: the principal point is far along y."""
+    plain, level = pinhole(1300, (1536, 1024)), pinhole(1400, (1536, 1024), centre=(0, -240))
+    scene = camera_scene(*(level if is_level else plain for is_level in corrected), weights=NETWORK)
+    pose = scene.estimate(plain, plain)
+    assert pose.success and pose.evidence.camera_model == "centre" and _is_honest(pose, scene)
+    said = [line for line in pose.warnings if "corrected verticals or a shift lens" in line]
+    assert len(said) == 1 and said[0].startswith("the matches" if all(corrected) else "image 1")
+
+
 def test_a_telescope_whose_focal_length_the_matches_confirm_is_kept() -> None:
     telescope = pinhole(5.0 * 1200, (1200, 900))
     away = {"depths": (14.0, 40.0), "centre": (6.0, 0.5, 3.0), "turn_deg": (1.0, 12.0, 4.0)}
