@@ -349,8 +349,8 @@ def _shifted(stated: Cameras) -> Iterator[Variant]:
 
 
 def centre(stated: Cameras) -> Iterator[Variant]:
-    """A principal point near that of K; far from it, as of corrected verticals; or anywhere, as of a
-    part of the photograph of K."""
+    """A principal point near that of K; far from it, as of corrected verticals; or anywhere, as of
+    a part of the photograph of K."""
     yield from _near_centre(stated)
     if _have_K_and_pictures(stated):
         yield from _shifted(stated)
