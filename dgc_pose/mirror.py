@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
@@ -17,8 +17,9 @@ _EXPLAINED = 0.8  # share of the matches that are inliers from which nobody asks
 # Share of mirrored triangles below which nobody asks, and the longest side of such triangles, over
 # the longer side of the image.
 _FEW_TRIANGLES, _SMALL = 0.012, 0.15
-# Inliers of the mirror image over those of the image, in coarse passes, above which the image is
-# mirrored; below the inverse it is not (docs/experiments.md).
+_SURE = 0.9  # least probability of the mirror image's pose where the image itself has none
+# Matches that agree of the mirror image over those of the image, in coarse passes, above which the
+# image is mirrored; below the inverse it is not (docs/experiments.md).
 _RATIO = 1.25
 
 
@@ -41,12 +42,12 @@ def if_mirrored(
     mirrored. The mirror image is flipped left to right; if the pose is upside down, also top to
     bottom.
     """
-    if pose.contradicts_K or pose.status == "same_picture":
+    if pose.contradicts_K or pose.status in ("same_picture", "panorama"):
         return None
-    has_coarse_pass = options.effort != "thorough"
-    if pose.success:
+    without_coarse_step = options.effort == "thorough"
+    if pose.R is not None:
         is_explained = pose.num_inliers >= _EXPLAINED * pose.num_matches
-        if is_explained and (coarse is not None or not has_coarse_pass):
+        if is_explained and (coarse is not None or without_coarse_step):
             return None
         if mirrored_triangles(matches.subset(pose.inliers), image1.size) < _FEW_TRIANGLES:
             return None
@@ -58,15 +59,15 @@ def if_mirrored(
             return None
         other = _coarse_pose(image1, mirror[0], (cameras[0], mirror[1]), matcher, options)
         matcher.cache.forget(mirror[0])  # no other pair uses it
-        if other is not None and (other.success or other.status == "same_picture"):
-            agreeing = other.num_inliers if other.success else other.num_matches
-            mirrored = max(mirrored, agreeing)
+        if other is not None and _is_likely(other, _SURE if pose.R is None else 0.0):
+            mirrored = max(mirrored, _agreeing(other))
     if not mirrored:
         return None
-    if not has_coarse_pass:
+    if without_coarse_step:
         coarse = _coarse_pose(image1, image2, cameras, matcher, options)
-    own = 0 if coarse is None else coarse.num_inliers
-    counts = f"{mirrored} inliers in a coarse pass, and image 2 has {own}"
+    # A coarse pass gives no matches of images that differ much in scale or are rotated.
+    own = _agreeing(pose if coarse is None and pose.R is not None else coarse)
+    counts = f"{mirrored} matches that agree, and image 2 has {own}"
     none = np.zeros_like(pose.inliers)
     if mirrored > _RATIO * own:
         reason = f"the mirror image of image 2 has {counts}"
@@ -77,17 +78,41 @@ def if_mirrored(
     return None
 
 
+def _is_likely(pose: RelativePose, least: float) -> bool:
+    """Whether a mirror image has a pose of this probability, or is the other image."""
+    if pose.status == "same_picture":
+        return True
+    probability = pose.one_place_probability
+    return pose.success and (probability is None or probability >= least)
+
+
+def _agreeing(pose: RelativePose | None) -> int:
+    """The number of matches that agree with a pose, or with one picture."""
+    if pose is None:
+        return 0
+    return pose.num_matches if pose.status == "same_picture" else pose.num_inliers
+
+
 def mirrored_triangles(matches: Matches, size: tuple[int, int]) -> float:
     """The share of the small triangles of neighbouring matches in image 1, of this size (width,
     height), that are mirrored in image 2; 0 without any."""
-    points1, rows = np.unique(matches.points1, axis=0, return_index=True)
-    points2 = matches.points2[rows]
-    try:
-        corners = Delaunay(points1).simplices
-    except (QhullError, ValueError):  # too few points, or all on a line
+    if not len(matches):
         return 0.0
+    low, high = (f(matches.points1, axis=0).astype(int) for f in (np.min, np.max))
+    rows = {
+        tuple(point): row for row, point in enumerate(matches.points1.astype(np.float32).tolist())
+    }
+    mesh = cv2.Subdiv2D((*(low - 2).tolist(), *(high - low + 5).tolist()))
+    for point in rows:
+        mesh.insert(point)
+    triangles = np.asarray(mesh.getTriangleList()).reshape(-1, 3, 2).tolist()
+    corners = [[rows.get(tuple(point), -1) for point in triangle] for triangle in triangles]
+    corners = [triangle for triangle in corners if min(triangle) >= 0]  # not of the mesh's own
+    if not corners:
+        return 0.0
+    closed = np.array(corners)[:, [0, 1, 2, 0]]
     sides1, sides2 = (
-        np.diff(points[corners[:, [0, 1, 2, 0]]], axis=1) for points in (points1, points2)
+        np.diff(points[closed], axis=1) for points in (matches.points1, matches.points2)
     )  # (T, 3, 2)
     is_small = np.linalg.norm(sides1, axis=2).max(axis=1) < _SMALL * max(size)
     turns = np.linalg.det(sides1[is_small, :2]) * np.linalg.det(sides2[is_small, :2])

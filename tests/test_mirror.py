@@ -96,11 +96,16 @@ OTHER_K = FAILED | {"evidence": replace(GOOD_EVIDENCE, camera_model="focal")}
         (0.6, {}, 300, 300, "auto", "ambiguous", ["mirrored"]),
         (0.6, {}, 600, 200, "auto", None, ["mirrored"]),
         (0.6, {}, 200, 0, "auto", None, ["mirrored"]),
-        (0.6, {}, 0, 200, "auto", "mirrored", ["mirrored"]),
+        (0.01, {}, 0, 600, "auto", "mirrored", ["mirrored"]),
+        (0.6, {}, 0, 600, "auto", None, ["mirrored"]),  # a full pass has more
         (0.0, FAILED, 200, 600, "auto", "mirrored", ["mirrored"]),
         (0.0, FAILED, 300, 300, "auto", None, ["mirrored"]),  # has no pose in any case
         (0.9, {}, 200, 600, "auto", None, []),  # most matches are explained
-        (0.9, {}, 0, 600, "auto", "mirrored", ["mirrored"]),  # but a coarse pass found none
+        (0.9, {}, 0, 600, "auto", None, ["mirrored"]),  # but a coarse pass found none
+        (0.0, FAILED, 0, 600, "auto", "mirrored", ["mirrored"]),
+        (0.0, FAILED | {"status": "panorama"}, 0, 600, "auto", None, []),
+        (0.6, {"status": "rotation_only", "t": None}, 200, 600, "auto", "mirrored", ["mirrored"]),
+        (0.9, {"status": "rotation_only", "t": None}, 200, 600, "auto", None, []),
         (0.0, OTHER_K, 200, 600, "auto", None, []),  # the camera is what is wrong
         (0.0, {"status": "same_picture"}, 200, 600, "auto", None, []),
         (0.6, {}, 200, 600, "thorough", "mirrored", ["mirrored", "own"]),

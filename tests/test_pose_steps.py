@@ -33,12 +33,11 @@ from dgc_pose.matching import MatchResult
 
 class _Steps(dense_scene.MapMatcher):
     """The map's matches: every fourth of them by the coarse step, every third by the refined one,
-    every second in full, and all with the guided ones. Of the mirror image of image 2 every fourth
-    or none. It keeps the steps that were done."""
+    every second in full, and all with the guided ones; none with the mirror image of image 2. It
+    keeps the steps that were done."""
 
-    def __init__(self, *, of_mirror_image: bool = False) -> None:
+    def __init__(self) -> None:
         super().__init__(dense_scene.true_map(error_px=0.2))
-        self.of_mirror_image = of_mirror_image
         self.steps: list[str] = []
         self.views: Sequence[TwoViews] = ()
 
@@ -51,7 +50,7 @@ class _Steps(dense_scene.MapMatcher):
     def coarse(self, image1: Image, image2: Image) -> MatchResult | None:
         is_mirrored = image2 is not PICTURES[1]
         result = self.every("mirrored" if is_mirrored else "coarse", 4)
-        return None if is_mirrored and not self.of_mirror_image else result
+        return None if is_mirrored else result
 
     def refined(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
         return self.every("refine", 3)
@@ -135,12 +134,8 @@ OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0
         ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
         # The camera is what is wrong.
         ("auto", [_refused(0.4, camera_model="focal")], ["coarse", "full", "guided"]),
-        (
-            "auto",
-            [ROTATION | {"hypotheses": (_of_share(0.8),)}],
-            ["coarse", "full", "guided", "mirrored"],
-        ),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full", "mirrored"]),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided"]),
+        ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
         ("thorough", [CERTAIN], ["full"]),
         ("thorough", [LOOSE, CERTAIN], ["full", "guided"]),

@@ -113,7 +113,8 @@ class Worker:
         if row.pose is None or all(self.job.cameras[name].exact for name in names):
             return pair
         both = camera1, camera2 = cameras[names[0]], cameras[names[1]]
-        if row.status == "mirrored":  # wrong cameras may be the cause
+        may_be_mirrored = row.status == "ambiguous" and row.pose.evidence is None
+        if row.status == "mirrored" or may_be_mirrored:  # wrong cameras may be the cause
             exact = camera1.exact and camera2.exact
             return pair if exact else self._matched(names, cameras)
         # Errors of two cameras are independent, and so are those of images without an identity.

@@ -51,10 +51,7 @@ def unlensed(before: Camera, camera: Camera) -> str:
 def centre_text(camera: Camera) -> str:
     """The principal point and its deviation."""
     x, y = camera.K[:2, 2]
-    text = f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
-    if from_middle(camera) < _FAR_SHIFT:
-        return text
-    return f"{text}, as of corrected verticals or a shift lens"
+    return f"({x:.0f}, {y:.0f}) +- {camera.centre_std:.0f} px"
 
 
 def centre(before: Camera, camera: Camera) -> str:
@@ -63,7 +60,9 @@ def centre(before: Camera, camera: Camera) -> str:
     shift = np.abs(camera.K[:2, 2] - before.K[:2, 2]).max()
     if shift <= _MIN_SHIFT * max(image_size(before)):
         return ""
-    return f"a principal point of {centre_text(camera)}, and K states ({x:.0f}, {y:.0f})"
+    is_far = from_middle(camera) > _FAR_SHIFT > from_middle(before)
+    cause = ", as of corrected verticals, a shift lens or a crop" if is_far else ""
+    return f"a principal point of {centre_text(camera)}{cause}, and K states ({x:.0f}, {y:.0f})"
 
 
 def picture(before: Camera, camera: Camera) -> str:

@@ -55,8 +55,8 @@ class Evidence:
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         confidence: Median confidence of the inliers.
         homography_ratio: Share of inliers that one homography explains.
-        around_plane: Grid cells around this plane whose matches contradict the pose, over the cells
-            of the plane, see `around_plane`; 0 without a plane.
+        around_plane: How much the matches around this plane contradict the pose, see
+            `around_plane`; 0 without a plane.
         raw_rotation_90_deg: Bound of the error of R in nine cases of ten, by its covariance, not
             calibrated; None if unknown.
         raw_translation_90_deg: The same for the direction of t.
@@ -182,7 +182,9 @@ def around_plane(problem: TwoViewProblem, pose: Hypothesis, H: np.ndarray) -> fl
     of the plane's region in both images and without an inlier, less those with an inlier, over the
     cells of the plane. H: homography (3, 3) of the plane."""
     limit = TRANSFER_LIMIT * problem.threshold
-    on_plane = transfer_error(problem.points1, problem.points2, H) < limit
+    on_plane = pose.inliers & (transfer_error(problem.points1, problem.points2, H) < limit)
+    if not on_plane.any():
+        return 0.0
     outside = np.ones(len(problem), bool)
     for points, cell in zip((problem.points1, problem.points2), problem.cells, strict=True):
         in_cells = (points / cell).astype(np.float32)
@@ -192,7 +194,7 @@ def around_plane(problem: TwoViewProblem, pose: Hypothesis, H: np.ndarray) -> fl
     cells = np.floor(problem.points1 / problem.cells[0]).astype(int)
     around = len(np.unique(cells[outside], axis=0))
     agreeing = len(np.unique(cells[outside & pose.inliers], axis=0))
-    return max(around - 2 * agreeing, 0) / max(len(np.unique(cells[on_plane], axis=0)), 1)
+    return max(around - 2 * agreeing, 0) / len(np.unique(cells[on_plane], axis=0))
 
 
 def rotation_corrected(context_ratio: float, R: np.ndarray) -> float:

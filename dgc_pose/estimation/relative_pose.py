@@ -27,7 +27,7 @@ from dgc_pose.estimation.problem import MIN_MATCHES, Hypothesis, TwoViewProblem,
 from dgc_pose.estimation.result import RelativePose
 from dgc_pose.estimation.status import STATUSES, Status
 from dgc_pose.estimation.still_camera import StillCamera
-from dgc_pose.estimation.verdict import by_chance, judge
+from dgc_pose.estimation.verdict import by_chance, is_amid_others, judge
 from dgc_pose.geometry.pixels import rescale
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.matches import Matches
@@ -322,6 +322,8 @@ def _judged(
         total = sum(h.share for h in own)
         poses = [replace(h, share=0.5 * h.share / total) for h in own]
         poses = sorted([*poses, replace(second, share=0.5)], key=lambda h: -h.share)
+    if ambiguous and probability is not None and is_amid_others(evidence):
+        probability /= 2  # the plane may have moved as well as not
     if probability is not None:
         poses = [replace(h, probability=same_place * probability * h.share) for h in poses]
     # Without a claimed pose there are no alternatives.

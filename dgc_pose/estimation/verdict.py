@@ -38,7 +38,7 @@ _MAX_ERROR_DEG = 24.0
 _MAX_FOCAL_PERCENT = 4.0
 _NOTHING_BUT_PLANE = 0.95  # homography ratio above which the data of the fit have no right pose
 # Cells around a plane that contradict its pose, over those of the plane, above which it may have
-# moved: 0.18 to 0.46 if it had, 0.03 at a fortress, a plane (docs/experiments.md).
+# moved: 0.17 to 0.46 if it had, 0.03 on a plane that had not (docs/experiments.md).
 _MAX_AROUND_PLANE = 0.1
 _SAME_ROTATION_DEG = 3.0  # up to this angle, the rotations of two motions do not contradict
 _SMALL_ANGLE_DEG = 1.0  # median triangulation angle below which there is a warning
@@ -187,19 +187,26 @@ def _implausible(evidence: Evidence) -> Verdict | None:
     return None
 
 
+def is_amid_others(evidence: Evidence) -> bool:
+    """Whether the inliers lie on a plane, and the matches around it fit no motion, not its either.
+    Wrong key points lie anywhere."""
+    on_plane = evidence.homography_ratio >= PLANAR_SHARE and not evidence.key_points
+    is_contradicted = evidence.around_plane >= _MAX_AROUND_PLANE
+    return on_plane and is_contradicted and not evidence.num_second_inliers
+
+
 def _moved_plane(evidence: Evidence) -> Verdict | None:
     """The verdict that either of two motions may be the camera's, if so: the plane that the matches
     lie on may have moved, or a part of the scene."""
-    plane = evidence.homography_ratio >= PLANAR_SHARE
-    if not evidence.num_second_inliers:
-        # Wrong key points lie anywhere.
-        if not plane or evidence.key_points or evidence.around_plane < _MAX_AROUND_PLANE:
-            return None
+    if is_amid_others(evidence):
         reason = (
             f"the {evidence.num_inliers} inliers lie on a plane, and the matches around it do not "
             "fit its motion: the plane may have moved"
         )
         return Verdict("ambiguous", reason)
+    if not evidence.num_second_inliers:
+        return None
+    plane = evidence.homography_ratio >= PLANAR_SHARE
     lie = "lie on a plane" if plane else "fit a motion"
     reason = (
         f"the {evidence.num_inliers} inliers {lie}, and {evidence.num_second_inliers} of "

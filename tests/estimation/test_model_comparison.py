@@ -292,7 +292,7 @@ def test_corrected_verticals(corrected: tuple[bool, bool]) -> None:
     scene = camera_scene(*(level if is_level else plain for is_level in corrected), weights=NETWORK)
     pose = scene.estimate(plain, plain)
     assert pose.success and pose.evidence.camera_model == "centre" and _is_honest(pose, scene)
-    said = [line for line in pose.warnings if "corrected verticals or a shift lens" in line]
+    said = [line for line in pose.warnings if "corrected verticals, a shift lens or a crop" in line]
     assert len(said) == 1 and said[0].startswith("the matches" if all(corrected) else "image 1")
 
 
