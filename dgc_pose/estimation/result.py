@@ -68,7 +68,8 @@ class RelativePose:
             `any_probability`.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
             well, the likeliest first: from a plane, repeated structure, mirrored depth or another
-            motion. With "ambiguous" all poses; with any other failure none.
+            motion. With "ambiguous" all poses, none if an image may be mirrored; with any other
+            failure none.
         hypotheses: All poses that were considered, also those that explain fewer matches, this one
             first. The inliers of hypotheses and alternatives are over the `num_matches` used.
         cameras: Cameras of the hypotheses, also of a rejected pose; None without hypotheses.
