@@ -55,8 +55,6 @@ class Evidence:
         threshold_cells: The threshold over the side of a grid cell, mean of both images.
         confidence: Median confidence of the inliers.
         homography_ratio: Share of inliers that one homography explains.
-        around_plane: How much the matches around this plane contradict the pose, see
-            `around_plane`; 0 without a plane.
         raw_rotation_90_deg: Bound of the error of R in nine cases of ten, by its covariance, not
             calibrated; None if unknown.
         raw_translation_90_deg: The same for the direction of t.
@@ -73,6 +71,8 @@ class Evidence:
         num_second_inliers: Inliers of another motion among the outliers, more than chance explains;
             0 without one.
         second_rotation_deg: Angle between the rotation of this motion and `rotation`.
+        around_plane: How much the matches around the plane of the inliers contradict the pose, as
+            a share of its grid cells; 0 without a plane.
         camera_model: The camera that the matches agree with, see `camera_model`.
         camera_agreement: Probability that the pose is within 10 degrees of the right camera's pose,
             if each camera has a right pose.
