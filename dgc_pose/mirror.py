@@ -8,6 +8,7 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
+from dgc_pose.estimation.status import Status
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.image import Image, flipped
 from dgc_pose.matches import Matches
@@ -68,14 +69,17 @@ def if_mirrored(
     # A coarse pass gives no matches of images that differ much in scale or are rotated.
     own = _agreeing(pose if coarse is None and pose.R is not None else coarse)
     counts = f"{mirrored} matches that agree, and image 2 has {own}"
-    none = np.zeros_like(pose.inliers)
+    status: Status
     if mirrored > _RATIO * own:
+        status = "mirrored"
         reason = f"the mirror image of image 2 has {counts}"
-        return RelativePose("mirrored", reason, none, pose.num_matches, warnings=pose.warnings)
-    if pose.success and own < _RATIO * mirrored:
+    elif pose.success and own < _RATIO * mirrored:
+        status = "ambiguous"
         reason = f"image 2 may be mirrored: its mirror image has {counts}"
-        return RelativePose("ambiguous", reason, none, pose.num_matches, warnings=pose.warnings)
-    return None
+    else:
+        return None
+    none = np.zeros_like(pose.inliers)
+    return RelativePose(status, reason, none, pose.num_matches, warnings=pose.warnings)
 
 
 def _is_likely(pose: RelativePose, least: float) -> bool:
@@ -98,7 +102,8 @@ def mirrored_triangles(matches: Matches, size: tuple[int, int]) -> float:
     height), that are mirrored in image 2; 0 without any."""
     if not len(matches):
         return 0.0
-    low, high = (f(matches.points1, axis=0).astype(int) for f in (np.min, np.max))
+    low = matches.points1.min(axis=0).astype(int)
+    high = matches.points1.max(axis=0).astype(int)
     rows = {
         tuple(point): row for row, point in enumerate(matches.points1.astype(np.float32).tolist())
     }

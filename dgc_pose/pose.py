@@ -149,12 +149,13 @@ def solve_pair(
         matched = time.perf_counter()
         found = result
         pose = estimate_pose(found.matches, *cameras, options, map_matches=found.map_matches)
-        coarse = pose if step == "coarse" else coarse
+        if step == "coarse":
+            coarse = pose
         seconds[step] = matched - before
         estimating += time.perf_counter() - matched
     assert pose is not None and found is not None
-    asked = image1, image2, cameras, matcher, options, found.matches
-    pose = if_mirrored(*asked, pose, coarse) or pose
+    verdict = if_mirrored(image1, image2, cameras, matcher, options, found.matches, pose, coarse)
+    pose = pose if verdict is None else verdict
     pose = with_length(pose, found.matches, scale, maps, markers)
     pose = replace(pose, seconds={**seconds, "estimate": estimating})
     return PairResult(image1, image2, *cameras, found.matches, found.correspondence_map, pose)

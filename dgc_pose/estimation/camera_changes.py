@@ -56,10 +56,10 @@ _LOG_ODDS_OF_CUT = -0.5  # prior log-odds of the middle if K is far from it
 # Deviations of ln f of a scaled copy of the photograph of K, and of the principal point from the
 # middle of a part of it, over the longer side.
 _CUT_FOCAL_STD, _CUT_CENTRE_STD = 0.2, 0.2
-# Corrected verticals, or a shift lens: prior log-odds, deviation of the principal point over the
-# longer side, and of ln f, because the corrected picture is cut.
+# Corrected verticals, which are cut too, or a shift lens: prior log-odds, and the deviation of the
+# principal point over the longer side.
 _LOG_ODDS_OF_SHIFT = -11.0
-_SHIFT_CENTRE_STD, _SHIFT_FOCAL_STD = 0.1, 0.2
+_SHIFT_CENTRE_STD = 0.1
 _LOG_ODDS_OF_PICTURE = -9.0  # of a usual K that says nothing of its picture
 _OTHER_FOCAL = 0.02  # least relative difference of two K, or of two focal lengths
 
@@ -338,7 +338,7 @@ def _shifted(stated: Cameras) -> Iterator[Variant]:
     shifted1, shifted2 = (
         replace(
             camera,
-            focal_std=max(camera.focal_std, _SHIFT_FOCAL_STD),
+            focal_std=max(camera.focal_std, _CUT_FOCAL_STD),
             centre_std=max(camera.centre_std, _SHIFT_CENTRE_STD * max(image_size(camera))),
         )
         for camera in (first, second)

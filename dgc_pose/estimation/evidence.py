@@ -156,9 +156,7 @@ def measured(
         parallax=_parallax(motion[explained], across, _MIN_ERROR * threshold),
         median_triangulation_angle_deg=_median(angles),
         collinear=min(_width(inliers.points1), _width(inliers.points2)) < 2 * threshold,
-        occupied_cells=min(
-            len(np.unique(np.floor(cells).astype(int), axis=0)) for cells in in_cells
-        ),
+        occupied_cells=min(map(_occupied, in_cells)),
         key_points=problem.matches.key_points,
         residual=_median(sampson_distance(inliers.points1, inliers.points2, pose.E)) / threshold,
         threshold_cells=threshold * float(np.mean(1 / np.array(problem.cells))),
@@ -191,10 +189,15 @@ def around_plane(problem: TwoViewProblem, pose: Hypothesis, H: np.ndarray) -> fl
         region = cv2.convexHull(in_cells[on_plane])
         inwards = [cv2.pointPolygonTest(region, point, True) for point in in_cells.tolist()]
         outside &= np.array(inwards) < -1.0  # cells
-    cells = np.floor(problem.points1 / problem.cells[0]).astype(int)
-    around = len(np.unique(cells[outside], axis=0))
-    agreeing = len(np.unique(cells[outside & pose.inliers], axis=0))
-    return max(around - 2 * agreeing, 0) / len(np.unique(cells[on_plane], axis=0))
+    in_cells1 = problem.points1 / problem.cells[0]
+    around = _occupied(in_cells1[outside])
+    agreeing = _occupied(in_cells1[outside & pose.inliers])
+    return max(around - 2 * agreeing, 0) / _occupied(in_cells1[on_plane])
+
+
+def _occupied(in_cells: np.ndarray) -> int:
+    """The number of grid cells with points (N, 2), in units of a cell."""
+    return len(np.unique(np.floor(in_cells).astype(int), axis=0))
 
 
 def rotation_corrected(context_ratio: float, R: np.ndarray) -> float:
