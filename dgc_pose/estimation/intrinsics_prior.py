@@ -109,10 +109,9 @@ def renormalised_pair(
 
 
 def renormalised_slopes(
-    points: np.ndarray, lens: Distortion | None, parameters: np.ndarray
+    points: np.ndarray, lens: Distortion | None, parameters: np.ndarray, undone: np.ndarray
 ) -> np.ndarray:
-    """The derivatives (N, 2, SIZE) of `renormalised` by the parameters."""
-    undone = renormalised(points, lens, parameters)
+    """The derivatives (N, 2, SIZE) of `renormalised` by the parameters. undone: its result."""
     axes = [np.tile(axis[:, None], len(points)) for axis in np.eye(2)]
     rows = [by_parameters(points, lens, parameters, undone, axis).T for axis in axes]
     return np.stack(rows, axis=1)

@@ -38,7 +38,7 @@ _LOG_FOCAL_REACH = 1.5  # ln f of camera 1 is tried so far to either side
 _LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # the first step, and the last
 _SAMPLED = 300  # matches of the fit of a turn
 # Largest errors in each round of the fit of a turn, over the limit; and the share of the sample
-# that must be within each of them, and the least number.
+# that must be within the first of them, and after its fit within the limit, and the least number.
 _LIMITS, _MIN_SHARE, _MIN_COUNT = (20.0, 5.0, 1.0, 1.0), 0.2, 10
 _ITERATIONS = 10  # of a round
 _RAYLEIGH = 1.1774 * 1.4826  # median length of Gaussian errors along two axes, over that along one
@@ -74,47 +74,56 @@ class _TurnFit:
     problem: TwoViewProblem
     prior: IntrinsicsPrior
 
-    def errors(self, turn: _Turn) -> np.ndarray:
-        """Transfer errors (N, 2) in image 2, in the problem's unit; infinite beyond the horizon."""
+    def distances(self, turn: _Turn) -> np.ndarray:
+        """The lengths (N,) of the errors; infinite beyond the horizon."""
+        return _lengths(self._errors(turn, *self._seen(turn)))
+
+    def errors_and_slopes(self, turn: _Turn) -> tuple[np.ndarray, np.ndarray]:
+        """Transfer errors (N, 2) in image 2, in the problem's unit, and their derivatives
+        (N, 2, 3 + M), which are finite where the errors are."""
+        points1, points2, turned = self._seen(turn)
+        error = self._errors(turn, points1, points2, turned)
         parameters = self.prior.basis @ turn.z
-        points1, points2 = renormalised_pair(self.problem, parameters)
-        turned = homogeneous(points1) @ turn.R.T
+        lens1, lens2 = self.problem.lenses
+        by_turned = np.zeros((len(turned), 2, 3))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            by_turned[:, [0, 1], [0, 1]] = 1 / turned[:, 2:]
+            by_turned[:, :, 2] = -turned[:, :2] / turned[:, 2:] ** 2
+            by_rotation = np.stack([turned @ skew(axis).T for axis in np.eye(3)], axis=2)
+            by_camera1 = renormalised_slopes(
+                self.problem.points1, lens1, parameters[:SIZE], points1
+            )
+            by_camera2 = renormalised_slopes(
+                self.problem.points2, lens2, parameters[SIZE:], points2
+            )
+            by_cameras = np.concatenate([by_turned @ turn.R[:, :2] @ by_camera1, -by_camera2], 2)
+            by_cameras[:, :, SIZE] += turned[:, :2] / turned[:, 2:] - points2  # of the unit
+            slopes = np.concatenate([by_turned @ by_rotation, by_cameras @ self.prior.basis], 2)
+        return error, slopes * np.exp(parameters[SIZE])
+
+    def _seen(self, turn: _Turn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The points (N, 2) of both images by the cameras of a turn, and those of image 1 turned,
+        (N, 3)."""
+        points1, points2 = renormalised_pair(self.problem, self.prior.basis @ turn.z)
+        return points1, points2, homogeneous(points1) @ turn.R.T
+
+    def _errors(
+        self, turn: _Turn, points1: np.ndarray, points2: np.ndarray, turned: np.ndarray
+    ) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):
             error = turned[:, :2] / turned[:, 2:] - points2
         error = np.where(turned[:, 2:] > 0, error, np.inf)
-        return np.nan_to_num(error * np.exp(parameters[SIZE]), nan=np.inf)
-
-    def distances(self, turn: _Turn) -> np.ndarray:
-        """The lengths (N,) of the errors."""
-        return _lengths(self.errors(turn))
-
-    def slopes(self, turn: _Turn) -> np.ndarray:
-        """The derivatives (N, 2, 3 + M) of the errors, which must be finite."""
-        parameters = self.prior.basis @ turn.z
-        points1, points2 = renormalised_pair(self.problem, parameters)
-        turned = homogeneous(points1) @ turn.R.T
-        by_turned = np.zeros((len(turned), 2, 3))
-        by_turned[:, [0, 1], [0, 1]] = 1 / turned[:, 2:]
-        by_turned[:, :, 2] = -turned[:, :2] / turned[:, 2:] ** 2
-        by_rotation = np.stack([turned @ skew(axis).T for axis in np.eye(3)], axis=2)
-        lens1, lens2 = self.problem.lenses
-        of_points1 = renormalised_slopes(self.problem.points1, lens1, parameters[:SIZE])
-        of_points2 = renormalised_slopes(self.problem.points2, lens2, parameters[SIZE:])
-        of_cameras = np.concatenate([by_turned @ turn.R[:, :2] @ of_points1, -of_points2], axis=2)
-        of_cameras[:, :, SIZE] += turned[:, :2] / turned[:, 2:] - points2  # of the unit
-        slopes = np.concatenate([by_turned @ by_rotation, of_cameras @ self.prior.basis], axis=2)
-        return slopes * np.exp(parameters[SIZE])
+        return np.nan_to_num(error * np.exp((self.prior.basis @ turn.z)[SIZE]), nan=np.inf)
 
     def fitted(self, turn: _Turn, width: float) -> _Turn:
         """The turn of least Cauchy loss, from one with finite errors."""
 
         def linearised(turn: _Turn) -> tuple[float, np.ndarray, np.ndarray]:
-            error = self.errors(turn)
+            error, slopes = self.errors_and_slopes(turn)
             distance = _lengths(error)
             cost = float(cauchy_losses(distance, width).sum() + turn.z @ turn.z / 2)
             if not math.isfinite(cost):  # a step that is refused
                 return cost, np.eye(3 + len(turn.z)), np.zeros(3 + len(turn.z))
-            slopes = self.slopes(turn)
             weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (distance / width) ** 2)
             hessian = np.einsum("n,nip,niq->pq", weights, slopes, slopes)
             gradient = np.einsum("n,nip,ni->p", weights, slopes, error)
@@ -126,8 +135,9 @@ class _TurnFit:
 
     def covariance(self, turn: _Turn, width: float) -> np.ndarray | None:
         """The covariance (3, 3) of the rotation vector, as of a pose (`covariance`)."""
-        error = self.errors(turn).ravel()
-        slopes = self.slopes(turn).reshape(len(error), -1)
+        error, slopes = self.errors_and_slopes(turn)
+        error = error.ravel()
+        slopes = slopes.reshape(len(error), -1)
         count = slopes.shape[1]
         variance = CORRELATED * (width / EFFICIENT) ** 2
         information = variance * np.diag([0.0] * 3 + [1.0] * len(turn.z))
@@ -155,10 +165,11 @@ def turned_camera(stated: TwoViewProblem) -> StillCamera:
     sample = draw(stated, stated.options.seed, _SAMPLED)
     turn = _Turn(robust_rotation(sample), np.zeros(len(prior)))
     fit = _TurnFit(sample, prior)
-    for widest in _LIMITS:
+    for number, widest in enumerate(_LIMITS):
         distance = fit.distances(turn)
         near = distance < widest * limit
-        if near.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
+        explained = near if number == 0 else distance < limit  # the first fit reaches a turn
+        if explained.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
             return StillCamera(turn.R, 0)
         width = loss_width(distance[near], widest * limit)
         turn = _TurnFit(sample.subset(near), prior).fitted(turn, width)

@@ -166,7 +166,8 @@ class PointCorrespondences:
         by_local = np.hstack([1 / z, none, -x / z**2, none, 1 / z, -y / z**2]).reshape(-1, 2, 3)
         by_rotation = np.cross(local[:, None], by_local)
         by_centre = -by_local @ pose.R
-        by_camera = -renormalised_slopes(self.seen, self.lens, pose.parameters)
+        undone = renormalised(self.seen, self.lens, pose.parameters)
+        by_camera = -renormalised_slopes(self.seen, self.lens, pose.parameters, undone)
         growth = math.exp(pose.parameters[0])
         by_camera[:, :, 0] += offset / growth
         by_camera = by_camera @ prior.basis[SIZE:]

@@ -8,11 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
 import cv2
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from dgc_pose.errors import ArgumentName, DgcPoseError
 
@@ -29,10 +30,16 @@ def one_blas_thread() -> Iterator[None]:
     Only in the main thread: two threads could undo each other's settings.
     """
     if threading.current_thread() is threading.main_thread():
-        with threadpool_limits(limits=1, user_api="blas"):
+        with _blas().limit(limits=1):
             yield
     else:
         yield
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """NumPy's BLAS. The search among the loaded libraries takes more than a millisecond."""
+    return ThreadpoolController().select(user_api="blas")
 
 
 def usable_cpus() -> int:
