@@ -15,7 +15,7 @@ from dgc_pose.estimation.camera_fit import JointPose
 from dgc_pose.estimation.camera_model import other_models
 from dgc_pose.estimation.intrinsics_prior import FOCALS, IntrinsicsPrior
 from dgc_pose.estimation.model_comparison import _Sample
-from dgc_pose.estimation.model_fit import ModelFit
+from dgc_pose.estimation.model_fit import ModelFit, Quadratic
 from dgc_pose.estimation.probability import shipped_models
 from dgc_pose.estimation.problem import TwoViewProblem
 from dgc_pose.matches import Matches
@@ -331,3 +331,23 @@ def test_an_unusual_focal_length_is_confirmed_by_the_cameras_without_K(
     z = np.linalg.lstsq(prior.basis, off, rcond=None)[0]
     fit = ModelFit(model, variant.cameras, pose=replace(pose, z=z), focal_std=std)
     assert sample.confirms_K(fit) is confirms
+
+
+@pytest.mark.parametrize(
+    ("count", "times"),
+    [(100, 1.0), (250, 2.0), (500, 4.0), (1000, 3.0), (4000, 1.0)],
+)
+def test_the_doubt_is_of_as_many_matches_as_further_steps_may_find(
+    count: int, times: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+    doubt = Quadratic.doubt
+
+    def noted(near: Quadratic, assumed: ModelFit, others: list[ModelFit], weight: float) -> float:
+        asked.append(weight)
+        return doubt(near, assumed, others, weight)
+
+    monkeypatch.setattr(Quadratic, "doubt", noted)
+    scene = camera_scene(*_one(CAMERA), count=count, outliers=0.0, seed=1, weights=NETWORK)
+    scene.estimate(*_one(CAMERA))
+    assert asked == [pytest.approx(times, rel=0.02)]
