@@ -97,6 +97,8 @@ def check_options(options: Any) -> None:
 def check_type(value: Any, kind: Any, name: str) -> None:
     """Raise InputError, naming the argument, if a value is not of the type `kind`: a class, such as
     bool, int, float, str or Path, or a union or a tuple of classes."""
+    if type(value) is kind:  # as nearly always, and quickly
+        return
     kinds: tuple[Any, ...] = (kind,)
     parts = (value,)
     if get_origin(kind) in (Union, UnionType):
