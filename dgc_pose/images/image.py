@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 SAME_SHAPE = 0.01  # largest relative difference in aspect ratio between a mask or map and its image
 _LEAST_SIDE = 15  # pixels, of a patch that is aligned: a smaller image has none
 _LEAST_CONTRAST = 2.0  # standard deviation of grey levels; one colour or a covered lens has less
+_SAMPLED_SIDE = 256  # pixels of the shorter side whose contrast is measured, at least
 _LARGE = 4_000_000  # pixels; above, area means take tens of ms unless the sides are halved
 
 
@@ -99,9 +100,13 @@ def unmatchable(image: Image | Header) -> str:
 
 
 def _contrast(image: Image) -> float:
-    """The standard deviation of the grey levels of the pixels that are not masked."""
-    grey = cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)
-    return float(grey.std() if image.mask is None else grey[image.mask].std())
+    """The standard deviation of the grey levels: of a sample, or of all pixels that are not
+    masked."""
+    if image.mask is not None:
+        return float(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)[image.mask].std())
+    step = max(1, min(image.size) // _SAMPLED_SIDE)
+    sample = np.ascontiguousarray(image.pixels[::step, ::step])
+    return float(cv2.cvtColor(sample, cv2.COLOR_RGB2GRAY).std())
 
 
 def flipped(image: Image, axis: int) -> Image:
