@@ -15,7 +15,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options
-from dgc_pose.cli.process import progress_bars, to_stderr
+from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
 from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -76,6 +76,8 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
         to_stderr(f"warning: {line}")
     if len(images.names) < min_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
+    if choice.k is None and not images.cameras:
+        to_stderr("K is not stated: the focal lengths are estimated (--K auto)")
     pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
     with progress_bars() as progress:
         return run_batch(
@@ -97,8 +99,7 @@ def report(batch: Batch) -> None:
     from dgc_pose.cli.output import SOURCES
 
     summary = batch.summary
-    for name, reason in summary["bad_images"].items():
-        to_stderr(f"bad image {name}: {reason}")
+    name_bad_images(summary["bad_images"], batch.plan.names)
     if failed := [row for row in batch.rows if row.status == FAILED]:
         pairs, first = counted(len(failed), "pair"), failed[0]
         which = f"{first.name1} {first.name2}: {first.reason}"
@@ -182,10 +183,10 @@ def batch(source: str, out: Path, choice: BatchChoice) -> int:
     format, or a .csv), or a COLMAP database (.db).
 
     Writes pairs.jsonl with a row for each pair (status, R, t, expected errors, counts); matches.h5
-    with the matches in hloc's layout; and summary.json. With --K auto, it also writes cameras.csv
+    with the matches in hloc's layout; and summary.json. If K is not known, also writes cameras.csv
     with the cameras estimated from all pairs together; --K reads this file. An unusable image is
     reported and does not stop the batch. --resume continues a stopped batch. Exits with 3 if no
-    pair has a pose.
+    pair has a pose, with 2 if no image can be used.
     """
     from dgc_pose.batch.result import CAMERAS, MATCHES, PAIRS
 

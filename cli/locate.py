@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,8 +15,8 @@ from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import STDOUT, OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
 from dgc_pose.cli.output import closing_lines, row_lines
-from dgc_pose.cli.process import progress_bars, to_stderr
-from dgc_pose.errors import ArgumentName, InputError, printable
+from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
+from dgc_pose.errors import ArgumentName, ImageError, InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.status import probability_text
 from dgc_pose.images.cache import ImageCache
@@ -26,6 +27,7 @@ from dgc_pose.system.options import option
 from dgc_pose.system.texts import json_text
 
 if TYPE_CHECKING:
+    from dgc_pose.cameras.by_image import Calibration
     from dgc_pose.localization.location import Location
 
 
@@ -75,8 +77,10 @@ def locate(
     """Place photographs, the queries, in a model of known camera poses.
 
     Prints cam_from_world, x = R X + t, and the camera centre, in the frame and unit of the model,
-    with the expected errors. If a query is not located, prints the reason and exits with 3.
+    with the expected errors. If a query is not located, prints the reason and exits with 3. A query
+    that cannot be read is named, and the others are located; if none can be read, exits with 2.
     """
+    from dgc_pose.cameras.calibration import read_calibration
     from dgc_pose.localization.locate import Locator
     from dgc_pose.model import load_model, model_path
     from dgc_pose.viz import save_figure
@@ -86,33 +90,43 @@ def locate(
         raise InputError(ArgumentName("plot"), f"draws a single query, not {len(queries)}")
     if place.masks is not None and not place.masks.is_dir():
         raise InputError(ArgumentName("masks"), f"{place.masks}: no such folder")
-    for query in queries:
-        image_header(Path(query))
+    queries = [*dict.fromkeys(queries)]
+    _require_fit(read_calibration(cameras.k or "auto", "--K", cameras.details), queries)
     model = load_model(place.model, place.images)
     if place.add is not None:
         if place.add.exists() and place.add.samefile(model_path(place.model)):
             raise InputError(ArgumentName("add"), f"{place.add} is the model itself, an input")
-        model.require_addable(place.add, dict.fromkeys(queries))
+        model.require_addable(place.add, queries)
     for warning in model.warnings:
         to_stderr(f"warning: {warning}")
     locator = Locator(model, matcher.load(ImageCache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))
+    for name, why in locator.bad.items():
+        to_stderr(f"bad image {name}: {why}")
     json_file = None if place.json == STDOUT else place.json
     locations: dict[str, Location] = {}
+    bad: dict[str, str] = {}
     with staged(json_file, place.plot) as stage:
-        for query in queries:
-            location = locations[query] = locator.locate(query, cameras.k, cameras.details)
-            if place.json != STDOUT:
+        for query, location in zip(
+            queries, locator.locate_all(queries, cameras.k, cameras.details), strict=True
+        ):
+            locations[query] = location
+            if location.status == "bad_input":
+                bad[query] = location.reason
+            elif place.json != STDOUT:
                 click.echo(location_text(query, location))
+            elif not location.success:
+                to_stderr(f"{query}: {location.status}, {location.reason}")
         data = json_text({query: location.to_dict() for query, location in locations.items()})
         if json_file is not None:
             save_text(stage(json_file), data)
-        if place.plot is not None:
+        if place.plot is not None and not bad:
             figure = plot_location(model, queries[0], locations[queries[0]])
             save_figure(figure, stage(place.plot))
     if place.json == STDOUT:
         click.echo(data, nl=False)
+    name_bad_images(bad, queries)
     if place.add is not None:  # last: COLMAP models cannot hold every camera
         added = {
             Path(query): (location.camera, location.cam_from_world)
@@ -122,6 +136,22 @@ def locate(
         if added:
             model.write(place.add, added)
     return 0 if all(location.success for location in locations.values()) else NO_POSE
+
+
+def _require_fit(K: Calibration, queries: Sequence[str]) -> None:
+    """Raise InputError if K fits none of the queries."""
+    failures = list[InputError]()
+    for query in queries:
+        with suppress(ImageError):
+            header = image_header(Path(query))
+            try:
+                K.camera(Path(), query, header)
+            except InputError as error:
+                failures.append(error)
+            else:
+                return
+    if failures:
+        raise failures[0]
 
 
 def location_text(query: str, location: Location) -> str:

@@ -11,7 +11,7 @@ import click
 
 from dgc_pose.cli.guard import STDOUT
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
-from dgc_pose.cli.process import progress_bars, to_stderr
+from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
 from dgc_pose.errors import ImageError, InputError, printable
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.system.files import save_text, scratch_folder, staged
@@ -51,7 +51,9 @@ def moved(
     Without --K, the focal length is assumed.
 
     Exits with 0 if all pictures are still, 1 if one has moved, 3 if none has moved and one verdict
-    is `cannot say`. An unexpected error also exits with 1; its line begins with error.
+    is `cannot say`. A picture that cannot be read is named and has the verdict `cannot say`; if
+    none can be read, exits with 2. An unexpected error also exits with 1; its line begins with
+    error.
     """
     from dgc_pose.cameras.calibration import image_camera
     from dgc_pose.cameras.prior import with_lines
@@ -64,43 +66,59 @@ def moved(
         first = load_image(reference)
         stated = image_camera(cameras.k, first, "--K", cameras.details)
         (camera,) = with_lines([stated], [first])
-        pictures: dict[str, Path] = {}
+        pictures: dict[str, Path | str] = {}
+        bad: dict[str, str] = {}
         for number, source in enumerate(now):
             pictures |= _pictures(source, watch.frames, scratch / str(number))
         loaded = matcher.load()
-        for name, path in pictures.items():
+        for name, file in pictures.items():
             try:
-                picture = replace(load_image(path), name=name)
+                if isinstance(file, str):
+                    raise ImageError(file)
+                picture = replace(load_image(file), name=name)
                 motions[name] = camera_motion(first, picture, camera, matcher=loaded)
                 loaded.cache.forget(picture)
-            except (ImageError, InputError) as error:  # go on with the other pictures
+            except ImageError as error:  # go on with the other pictures
+                bad[name] = str(error)
+                motions[name] = CameraMotion("cannot say", bad[name])
+            except InputError as error:  # of another size
                 motions[name] = CameraMotion("cannot say", str(error))
             progress("pictures", len(motions), len(pictures))
         data = json_text({name: motion.to_dict() for name, motion in motions.items()})
         if json_file is not None:
             save_text(stage(json_file), data)
+    if watch.json == STDOUT:
+        click.echo(data, nl=False)
+    name_bad_images(bad, pictures)
     for warning in camera.warnings:
         to_stderr(f"warning: {warning}")
-    click.echo(data if watch.json == STDOUT else motions_text(motions), nl=watch.json != STDOUT)
+    if watch.json != STDOUT:
+        click.echo(motions_text(motions))
     verdicts = {motion.verdict for motion in motions.values()}
     return MOVED if "moved" in verdicts else CANNOT_SAY if "cannot say" in verdicts else 0
 
 
-def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path]:
-    """The pictures of a file, folder or video by name. folder: receives the frames of a video."""
-    from dgc_pose.images.decoding import image_header
+def _pictures(source: str, frames: int, folder: Path) -> dict[str, Path | str]:
+    """The pictures of a file, folder or video by name: the file, or why it cannot be read. folder:
+    receives the frames of a video."""
     from dgc_pose.images.folder import frames_folder, search_images
 
-    path = frames_folder(Path(source), frames, folder)
-    if not path.is_dir():
-        image_header(path)  # raises if it is not an image
-        return {source: path}
-    found = search_images(path)
+    try:
+        path = frames_folder(Path(source), frames, folder)
+        if not path.is_dir():
+            return {source: path}
+        found = search_images(path)
+    except InputError as error:
+        return {source: str(error)}
+    except OSError as error:
+        return {source: error.strerror or str(error)}
     for line in found.skipped:
         to_stderr(f"warning: {line}")
-    if not found.names:
-        raise InputError(f"{source}: no image is in this folder")
-    return {(Path(source) / name).as_posix(): path / name for name in found.names}
+    entries: dict[str, Path | str] = {name: path / name for name in found.names}
+    entries |= found.bad
+    if not entries:
+        return {source: "no image is in this folder"}
+    return {(Path(source) / name).as_posix(): entries[name] for name in sorted(entries)}
 
 
 def motions_text(motions: dict[str, CameraMotion]) -> str:

@@ -151,8 +151,8 @@ class KChoice:
 
     k: str | None = _camera(
         "Camera of all images: fx,fy,cx,cy; COLMAP's MODEL,w,h,params; a file (COLMAP, OpenCV, "
-        "ROS, Kalibr, KITTI, NeRF, .csv, JSON, 3x3 matrix); or auto: not known (auto:shared: one "
-        "camera took all images; auto:two: each has its own).",
+        "ROS, Kalibr, KITTI, NeRF, .csv, JSON, 3x3 matrix); or auto, the default: not known "
+        "(auto:shared: one camera took all images; auto:two: each has its own).",
         flag="--K",
     )
     k_size: tuple[int, int] | None = _detail(

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from io import TextIOWrapper
 from types import FrameType
@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from dgc_pose.errors import printable
+from dgc_pose.errors import InputError, printable
 
 INTERVAL_S = 60.0  # between the lines of progress in a log file
 
@@ -56,6 +56,19 @@ def command_process(*, debug: bool) -> Iterator[None]:
 def to_stderr(text: str) -> None:
     """Print one line on stderr, without control characters."""
     click.echo(printable(text), err=True)
+
+
+def name_bad_images(bad: Mapping[str, str], names: Iterable[str]) -> None:
+    """Print why images of a list are unusable, by name. Raises InputError, with the reasons, if all
+    `names` are."""
+    reasons = [
+        why if why.startswith((f"{name} ", f"{name}:")) else f"{name}: {why}"
+        for name, why in bad.items()
+    ]
+    if bad.keys() >= {*names}:
+        raise InputError("; ".join(reasons))
+    for text in reasons:
+        to_stderr(f"bad image {text}")
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

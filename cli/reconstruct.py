@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from dgc_pose.cli.batch import OUT, BatchChoice, echo_each_camera, report, work_through
+from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.options import dataclass_options
 from dgc_pose.cli.output import shared_text
 from dgc_pose.cli.process import progress_bars, to_stderr
@@ -24,16 +25,18 @@ from dgc_pose.system.files import write_text
 @click.option("--view", is_flag=True, help="Open model.html in the browser.")
 def reconstruct(
     source: str, out: Path, options: ReconstructionOptions, choice: BatchChoice, view: bool
-) -> None:
+) -> int:
     """Reconstruct cameras and points from a folder of photographs.
 
     FOLDER may also be a video, a list of pairs or a COLMAP database, as for `dgc-pose batch`.
 
     Writes sparse/ (a COLMAP model; models of further scenes in sparse/1/, ...), database.db,
-    points.ply, model.html, summary.json, and batch/ with the batch's files.
+    points.ply, model.html, summary.json, and batch/ with the batch's files. Exits with 3 if the
+    photographs give no model.
     """
     from dgc_pose.batch.source import BATCH, PAGE, STORE
     from dgc_pose.colmap import reconstruction
+    from dgc_pose.colmap.database import NoPairError
     from dgc_pose.viz.model_page import model_page
 
     names = (*reconstruction.OUTPUTS, PAGE)
@@ -47,9 +50,13 @@ def reconstruct(
     batch = work_through(source, out / BATCH, choice, reconstruction.MIN_IMAGES)
     report(batch)
     matched = time.perf_counter()
-    with progress_bars() as progress:
-        show = partial(progress, "images")
-        models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
+    try:
+        with progress_bars() as progress:
+            show = partial(progress, "images")
+            models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
+    except (NoPairError, reconstruction.MappingError) as error:
+        click.echo(f"no model: {error}")
+        return NO_POSE
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
     rejected = [row.names for row in batch.rows if row.rejected]
     write_text(out / PAGE, model_page(models[0], metric.get("unit", ""), rejected))
@@ -77,3 +84,4 @@ def reconstruct(
         to_stderr(f"not registered: {name}: {pairs}")
     if view:
         webbrowser.open((out / PAGE).resolve().as_uri())
+    return 0

@@ -14,7 +14,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.batch import OUT
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.options import dataclass_options
-from dgc_pose.cli.process import progress_bars, to_stderr
+from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import ArgumentName, InputError, printable
 from dgc_pose.estimation import EstimationOptions
@@ -68,8 +68,8 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
 
     Writes calibration.toml (anipose, Pose2Sim), camera_array.toml (caliscope), rig_config.json
     (COLMAP), stereo.yml (OpenCV, for two cameras), rig.json with the expected errors, sparse/
-    (COLMAP model of walk and cameras), points.ply and model.html. Exits with 3 if no camera could
-    be placed.
+    (COLMAP model of walk and cameras), points.ply and model.html. A camera whose picture cannot be
+    used is named and not placed. Exits with 3 if no camera could be placed.
     """
     from dgc_pose.batch.source import PAGE
     from dgc_pose.cameras.formats.recognise import read_file
@@ -110,6 +110,8 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
             progress=progress,
         )
     unit = found.metric.get("unit", "")
+    bad = {name: of.reason for name, of in found.cameras.items() if of.status == "bad_input"}
+    name_bad_images(bad, found.cameras)
     click.echo(rig_text(found))
     for path in write_rig(out, found.cameras, found.metric):
         click.echo(str(path))

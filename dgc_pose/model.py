@@ -17,7 +17,7 @@ from dgc_pose.cameras.by_image import Calibration, orientation_of
 from dgc_pose.cameras.camera import Camera, colmap_camera, matrix_camera
 from dgc_pose.cameras.formats.colmap import read_model
 from dgc_pose.cameras.formats.recognise import read_file
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import exif_turn, turn_points
 from dgc_pose.geometry.rotation import is_rotation
 from dgc_pose.images.decoding import image_header
@@ -98,12 +98,16 @@ class Model:
     def require_addable(self, out: Path, paths: Iterable[str | Path]) -> None:
         """Raise InputError if the folder `out` contains files that are not part of a model, if an
         image of these paths has the name of another one or of an image of the model (even of one
-        whose file is missing), or if its pixels as stored are a mirror image."""
+        whose file is missing), or if its pixels as stored are a mirror image. An image that
+        cannot be read is not checked: it cannot be added."""
         require_model_folder(out)
         known = self.colmap.images.values() if self.colmap else ()
         names = {*self.poses} | {image.name for image in known}
         for path in map(Path, paths):
-            orientation = image_header(path).exif.orientation
+            try:
+                orientation = image_header(path).exif.orientation
+            except ImageError:
+                continue
             if path.name in names:
                 known_name = f"has an image {path.name} already: rename {path}"
                 raise InputError(ArgumentName("add"), known_name)
@@ -150,12 +154,11 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     """The model in a file or folder, with its images in the folder `images`.
 
     source: the folder of a COLMAP model or of `dgc-pose reconstruct`; NeRF's transforms.json; or a
-    .csv with name, qw, qx, qy, qz, tx, ty, tz of cam_from_world and fx, fy, cx, cy. Skips missing
-    images with a warning.
+    .csv with name, qw, qx, qy, qz, tx, ty, tz of cam_from_world and fx, fy, cx, cy. Skips images
+    that are missing, broken or mirrored, or that their camera does not fit, with a warning.
 
-    Raises InputError if there are no poses, several models, fewer than two images, a pose that is
-    not rigid, a mirrored image, or a camera that does not fit its image; ImageError for a broken
-    image; OSError.
+    Raises InputError if there are no poses, several models, or a pose that is not rigid; InputError
+    or ImageError if fewer than two images are left; OSError.
     """
     path, root = model_path(Path(source)), Path(images)
     if not root.is_dir():
@@ -174,26 +177,35 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
     whole = Model.of_colmap(colmap, root) if colmap is not None and has_points else None
     cameras, poses, seen = {}, {}, {}
+    failures = list[DgcPoseError]()
     for stated, name in names.items():
         pose = file.poses[stated]
         if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
             raise InputError(ArgumentName("model"), f"{path}: the pose of {stated} is not rigid")
-        if name is not None:
+        if name is None:
+            continue
+        stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
+        of_image = replace(calibration, by_name=stated_camera)
+        try:
             header = image_header(root / name)
-            stated_camera = {name: file.by_name[stated]} if stated in file.by_name else {}
-            of_image = replace(calibration, by_name=stated_camera)
             camera = of_image.camera(root, name, header)
-            cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses belong to it
             # Poses for the pixels as stored are rotated with the image.
             K = of_image.stated(root, name)
             turn = exif_turn(1 if K is None else orientation_of(K, header))
             if np.linalg.det(turn) < 0:
                 raise InputError(f"{root / name}: its pixels as stored are a mirror image, by EXIF")
-            poses[name] = np.concatenate([turn @ pose[:2], pose[2:]])
-            if whole is not None and stated in whole.seen:
-                which, pixels = whole.seen[stated]
-                seen[name] = which, turn_points(pixels, turn, size_in_file(header))
-    warnings = (f"{root} lacks {count} of {path}",) if missing else ()
+        except DgcPoseError as error:  # the other images are a model too
+            failures.append(error)
+            continue
+        cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses belong to it
+        poses[name] = np.concatenate([turn @ pose[:2], pose[2:]])
+        if whole is not None and stated in whole.seen:
+            which, pixels = whole.seen[stated]
+            seen[name] = which, turn_points(pixels, turn, size_in_file(header))
+    if failures and len(poses) < 2:
+        raise failures[0]
+    lacks = [f"{root} lacks {count} of {path}"] if missing else []
+    warnings = (*lacks, *(f"not used: {failure}" for failure in failures))
     model = whole or Model(root, cameras, poses)
     return replace(model, cameras=cameras, poses=poses, seen=seen, warnings=warnings)
 

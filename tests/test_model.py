@@ -14,7 +14,7 @@ from worlds import CAMERA, IMAGE, WorldScene, world_scene, write_colmap
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.errors import DgcPoseError, InputError
+from dgc_pose.errors import DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.model import load_model, read_colmap
 
@@ -118,6 +118,16 @@ def test_what_is_no_model_is_refused_and_missing_images_are_told(
     model = load_model(_table(SCENE, single), images)
     assert "r1.jpg" not in model.poses
     assert "lacks 1 of 5 images (first: r1.jpg)" in model.warnings[0]
+    # So are those that are broken or of another size.
+    (images / "r2.jpg").write_bytes(b"no image")
+    broken = load_model(single, images)
+    assert sorted(broken.poses) == ["r0.jpg", "r3.jpg", "r4.jpg"]
+    (line,) = broken.warnings[1:]
+    assert line.startswith("not used: ") and "r2.jpg is not an image of a known format" in line
+    for name in ("r3.jpg", "r4.jpg"):
+        cv2.imwrite(str(images / name), np.zeros((5, 4), np.uint8))
+    with pytest.raises(ImageError, match="r2.jpg is not an image of a known format"):
+        load_model(single, images)
     for name in SCENE.names[2:]:
         (images / name).unlink()
     with pytest.raises(InputError, match=r"images .* lacks 4 of 5 images \(first: r1.jpg, "):

@@ -166,6 +166,8 @@ def _images(root: Path) -> list[Path]:
     content = search_images(root)
     for line in content.skipped:
         _log.warning("%s: %s", root, line)
+    for name, why in content.bad.items():
+        _log.warning("%s: %s: %s", root, name, why)
     return sorted(root / name for name in content.names)
 
 

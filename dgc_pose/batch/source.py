@@ -6,7 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, cast
@@ -23,7 +23,7 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError
 from dgc_pose.geometry.pixels import exif_turn
 from dgc_pose.images.decoding import Header, image_header
 from dgc_pose.images.folder import identical_copies, search_images, skipped_line
-from dgc_pose.images.image import load_image, mask_file, masked, size_in_file
+from dgc_pose.images.image import load_image, mask_file, masked, size_in_file, unmatchable
 from dgc_pose.system.parallel import in_threads, one_blas_thread
 
 STORE = "batch.db"  # in the folder of a batch
@@ -46,6 +46,7 @@ class Source:
     cameras: Mapping[str, Camera]  # from the source itself
     skipped: tuple[str, ...] = ()  # skipped files of a folder, a line for each reason
     masks: Path | None = None  # folder of the images' masks
+    bad: Mapping[str, str] = field(default_factory=dict)  # pictures that are not in `names`, why
 
 
 def open_source(path: Path, root: Path | None = None, masks: Path | None = None) -> Source:
@@ -70,7 +71,9 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
         source = Source(root or path.parent, listed.names, listed.pairs or None, listed.cameras)
     if len(source.names) < 2:
         what = "no image" if not source.names else "one image"
-        raise InputError("; ".join([f"{path}: {what}, and a pair needs two", *source.skipped]))
+        lines = [f"{path}: {what}, and a pair needs two", *source.skipped]
+        lines += [f"{name}: {why}" for name, why in source.bad.items()]
+        raise InputError("; ".join(lines))
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(
             _ROOT,
@@ -96,6 +99,7 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     files = {os.path.realpath(file) for n in content.names if (file := mask_file(masks, n))}
     others = {n for n in content.names if files and os.path.realpath(root / n) in files}
     names = [name for name in content.names if name not in others.union(results)]
+    bad = {name: why for name, why in content.bad.items() if not is_result(name)}
     copies = identical_copies(root, names)
     why = {
         f"results, beside {STORE}": results,
@@ -103,20 +107,21 @@ def _of_folder(root: Path, masks: Path | None) -> Source:
     }
     lines = [skipped_line("file", found, reason) for reason, found in why.items() if found]
     kept = tuple(name for name in names if name not in copies)
-    return Source(root, kept, None, {}, (*content.skipped, *lines))
+    return Source(root, kept, None, {}, (*content.skipped, *lines), bad=bad)
 
 
 def survey(
     source: Source, calibration: Calibration
 ) -> tuple[dict[str, Camera], dict[str, str], dict[str, FileState]]:
     """Three mappings by image name: the camera of the upright image, with its size; why an image is
-    unusable; and the state of its files, absent if they cannot be found.
+    unusable, for example for want of a camera that fits it; and the state of its files, absent if
+    they cannot be found.
 
-    Raises InputError if an image has no camera or a camera for another size, or if one K is given
+    Raises InputError if no image has a camera that fits it, or if one K of unknown size is given
     for images of several sizes, both as stored and upright.
     """
     cameras: dict[str, Camera] = {}
-    bad: dict[str, str] = {}
+    bad = dict(source.bad)
     states: dict[str, FileState] = {}
     headers: dict[str, Header] = {}
     for name in source.names:
@@ -131,23 +136,45 @@ def survey(
             continue
         if np.linalg.det(exif_turn(header.exif.orientation)) < 0:  # no model can hold that
             bad[name] = f"{path}: its pixels as stored are a mirror image, by EXIF"
+        elif why := unmatchable(header):
+            bad[name] = f"{path}: {why}"
         else:
             headers[name] = header
-    common = [h for n, h in headers.items() if calibration.named(source.root, n) is None]
-    stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
-    if calibration.common is not None and len(stored) > 1 and len(upright) > 1:
-        first, second, *_ = map(times, stored)
-        sizes = f"is a single K, and the images have several sizes ({first} and {second})"
-        raise InputError(ArgumentName("K"), f"{sizes}: give a file with a K for each image")
+    _require_one_size(source, calibration, headers)
+    failures = list[InputError]()
     for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)
-        if listed is not None and calibration.lacks(source.root, name):
-            where = "the list" if listed.size is None else "the database"
-            of_image = Calibration(where, {name: listed})
-        camera = of_image.camera(source.root, name, header)
-        cameras[name] = replace(camera, size=header.size)
+        try:
+            if listed is not None and calibration.lacks(source.root, name):
+                where = "the list" if listed.size is None else "the database"
+                of_image = Calibration(where, {name: listed})
+            elif calibration.is_empty:
+                of_image = Calibration(auto="files")
+            camera = of_image.camera(source.root, name, header)
+        except InputError as error:
+            failures.append(error)
+            bad[name] = str(error)
+        else:
+            cameras[name] = replace(camera, size=header.size)
+    if failures and not cameras:
+        raise failures[0]
     return _with_lines(source, cameras), bad, states
+
+
+def _require_one_size(
+    source: Source, calibration: Calibration, headers: Mapping[str, Header]
+) -> None:
+    """Raise InputError if the images of one K of unknown size have several sizes."""
+    K = calibration.common
+    if K is None or K.size is not None or calibration.details.size is not None:
+        return
+    common = [h for n, h in headers.items() if calibration.named(source.root, n) is None]
+    stored, upright = sorted({size_in_file(h) for h in common}), {h.size for h in common}
+    if len(stored) > 1 and len(upright) > 1:
+        first, second, *_ = map(times, stored)
+        sizes = f"is a single K, and the images have several sizes ({first} and {second})"
+        raise InputError(ArgumentName("K"), f"{sizes}: give a file with a K for each image")
 
 
 @one_blas_thread()

@@ -80,17 +80,20 @@ class Calibration:
             return fitted_camera(camera, self.details, image, label, shown)
         if self.auto is not None:
             return auto_camera(image, self.auto)
-        if self.parts or self.by_name:
-            *_, last = ("", *self.parts)
-            names = shortened(", ".join(self.parts))
-            other = f": choose one of {names}, as in {self.where}:{last}" if last else ""
-            raise InputError(f"{self.where} has no camera for {name}{other}")
-        K = ArgumentName("K")
-        raise InputError(f"no camera for {name}: give", K, "or", K, "auto")
+        *_, last = ("", *self.parts)
+        names = shortened(", ".join(self.parts))
+        other = f": choose one of {names}, as in {self.where}:{last}" if last else ""
+        raise InputError(f"{self.where} has no camera for {name}{other}")
 
     def stated(self, root: Path, name: str, part: str | None = None) -> Camera | None:
         """The camera of an image exactly as the text or file states it, or None."""
         return self.named(root, name) or self._of_part(root / name, part) or self.common
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing is stated, not even that the images have no K."""
+        files = self.by_name or self.parts or self.poses or self.rig
+        return self.auto is None and self.common is None and not files
 
     def lacks(self, root: Path, name: str) -> bool:
         """Whether an image needs a camera from elsewhere, such as a list of pairs."""

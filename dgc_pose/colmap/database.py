@@ -44,7 +44,8 @@ def share(
     pairs = pair_geometries(batch)
     if not pairs:
         down = sum(row.rejected for row in batch.rows)
-        first = "".join(f"; the first: {row.reason}" for row in batch.rows[:1])
+        estimated = [row for row in batch.rows if row.pose is not None] or batch.rows
+        first = "".join(f"; the first: {row.reason}" for row in estimated[:1])
         first = f"; {down} are rejected as look-alikes" if down else first
         raise NoPairError(f"{batch.folder}: no pair of this batch has an accepted pose{first}")
     root, masks = batch.plan.root, batch.plan.settings.get("masks")

@@ -25,7 +25,7 @@ class ReconstructionOptions:
     )
     refine_intrinsics: bool = option(
         False,
-        "Bundle adjustment changes focal lengths and distortion; always with --K auto.",
+        "Bundle adjustment changes focal lengths and distortion; always if K is auto.",
         section="reconstruction",
     )
     gps: bool = option(False, "Metres by the GPS positions in EXIF data.", section="reconstruction")

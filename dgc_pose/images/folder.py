@@ -2,11 +2,12 @@
 
 import os
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,6 +18,8 @@ from dgc_pose.system.files import open_file, replaced_folder
 
 _PREVIEWS = ("@eadir", "__macosx", "thumbs", "thumbnails")  # folders that devices create
 _VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
+# A file with such a name that cannot be read is a lost picture, not a file of another kind.
+_PICTURES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".bmp")
 
 
 @dataclass(frozen=True)
@@ -25,6 +28,7 @@ class FolderImages:
 
     names: tuple[str, ...]  # of the images, relative to the folder, sorted
     skipped: tuple[str, ...]  # skipped files, one line for each reason, see `skipped_line`
+    bad: Mapping[str, str]  # by name, why a file with the name of a picture cannot be read
 
 
 def search_images(folder: str | Path) -> FolderImages:
@@ -35,6 +39,7 @@ def search_images(folder: str | Path) -> FolderImages:
     """
     root = Path(folder)
     names: list[str] = []
+    bad: dict[str, str] = {}
     skipped = defaultdict[tuple[str, str], list[str]](list)  # by kind and reason
     searched: set[str] = set()
     # Links to folders come last, so that a file is named by the folder that contains it.
@@ -56,14 +61,19 @@ def search_images(folder: str | Path) -> FolderImages:
         for path in (parent / entry for entry in entries if not entry.startswith(".")):
             name = path.relative_to(root).as_posix()
             if not os.path.isdir(path):
-                why = _skip_reason(path, name)
-                (names if why is None else skipped["file", why]).append(name)
+                kind, why = _judged(path, name)
+                if kind == "image":
+                    names.append(name)
+                elif kind == "bad":
+                    bad[name] = why
+                else:
+                    skipped["file", why].append(name)
             elif path.name.lower() in _PREVIEWS:
                 skipped["folder", "previews that a device made"].append(name)
             else:
                 (links if path.is_symlink() else folders).append(path)
     lines = (skipped_line(kind, paths, why) for (kind, why), paths in skipped.items())
-    return FolderImages(tuple(sorted(names)), tuple(lines))
+    return FolderImages(tuple(sorted(names)), tuple(lines), dict(sorted(bad.items())))
 
 
 def identical_copies(root: Path, names: Collection[str]) -> set[str]:
@@ -87,20 +97,22 @@ def skipped_line(kind: str, names: Collection[str], why: str) -> str:
     return f"{len(names)} {kind}{'s' * (len(names) > 1)} skipped (first: {min(names)}): {why}"
 
 
-def _skip_reason(path: Path, name: str) -> str | None:
+def _judged(path: Path, name: str) -> tuple[Literal["image", "bad", "skipped"], str]:
+    """Whether a file is an image, a picture that cannot be read, or skipped; and the reason."""
+    is_picture = path.suffix.lower() in _PICTURES
     try:
         name.encode()
         with open_file(path, ImageError) as stream:
             image_format(stream)
     except UnicodeEncodeError:  # HDF5 and COLMAP store names as UTF-8
-        return "a name that is not UTF-8"
+        return "skipped", "a name that is not UTF-8"
     except OSError as failure:
-        return failure.strerror or str(failure)
+        return "bad" if is_picture else "skipped", failure.strerror or str(failure)
     except ImageError:
-        return "not a regular file"
+        return "skipped", "not a regular file"
     except UnreadableFormatError as error:
-        return str(error)
-    return None
+        return "bad" if is_picture else "skipped", str(error)
+    return "image", ""
 
 
 def frames_folder(path: Path, number: int, folder: Path) -> Path:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     import torch
 
 SAME_SHAPE = 0.01  # largest relative difference in aspect ratio between a mask or map and its image
+_LEAST_SIDE = 15  # pixels, of a patch that is aligned: a smaller image has none
+_LEAST_CONTRAST = 2.0  # standard deviation of grey levels; one colour or a covered lens has less
+_SAMPLED_SIDE = 256  # pixels of the shorter side whose contrast is measured, at least
 _LARGE = 4_000_000  # pixels; above, area means take tens of ms unless the sides are halved
 
 
@@ -83,6 +86,27 @@ if TYPE_CHECKING:
 def size_in_file(image: Image | Header) -> Size:
     """(width, height) of the pixels as stored, before the EXIF orientation is applied."""
     return image.size[::-1] if image.exif.orientation in EXCHANGING else image.size
+
+
+def unmatchable(image: Image | Header) -> str:
+    """Why nothing in an image can be matched: its size, or its contrast, which a header does not
+    have; "" if it may be."""
+    if min(image.size) < _LEAST_SIDE:
+        width, height = image.size
+        return f"the picture has {width} x {height} pixels, and {_LEAST_SIDE} a side are needed"
+    if isinstance(image, Image) and _contrast(image) < _LEAST_CONTRAST:
+        return "the picture has no contrast"
+    return ""
+
+
+def _contrast(image: Image) -> float:
+    """The standard deviation of the grey levels: of a sample, or of all pixels that are not
+    masked."""
+    if image.mask is not None:
+        return float(cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)[image.mask].std())
+    step = max(1, min(image.size) // _SAMPLED_SIDE)
+    sample = np.ascontiguousarray(image.pixels[::step, ::step])
+    return float(cv2.cvtColor(sample, cv2.COLOR_RGB2GRAY).std())
 
 
 def flipped(image: Image, axis: int) -> Image:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,10 +16,10 @@ from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.cameras.prior import with_lines
 from dgc_pose.colmap.tracking import points_in
-from dgc_pose.errors import InputError
+from dgc_pose.errors import DgcPoseError, ImageError, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose, reject_contradicted_K
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.image import Image, load_image, mask_file, masked
+from dgc_pose.images.image import Image, load_image, mask_file, masked, unmatchable
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import LocationSearch
 from dgc_pose.matchers import load_matcher
@@ -44,7 +44,7 @@ def locate(
     """Estimate the pose of a query photograph in a model's frame and unit.
 
     query: as an image for `estimate_relative_pose`. model: from `load_model`. K: of the query, as
-    for `estimate_relative_pose`; None if unknown. For many queries, use a `Locator`, which
+    for `estimate_relative_pose`; None if unknown. For many queries, use `Locator.locate_all`, which
     describes the model only once. Raises InputError and ImageError like `estimate_relative_pose`.
     """
     return Locator(model, matcher, options).locate(query, K)
@@ -55,6 +55,9 @@ class Locator:
 
     matcher: by default `load_matcher()`. masks: folder with the masks of the model's images and of
     the queries, NAME.jpg.png for NAME.jpg (`mask_file`).
+
+    Attributes:
+        bad: By name, why images of the model are not matched: those that `describe` found unusable.
     """
 
     def __init__(
@@ -67,21 +70,50 @@ class Locator:
         check_type(model, Model, "model")
         self.model, self.matcher = model, matcher or load_matcher()
         self.options, self.masks = options or EstimationOptions(), masks
+        self.bad: dict[str, str] = {}
         self._features: dict[str, np.ndarray] = {}
         # A cache of only three images would read the model's images again for each query.
         cache = self.matcher.cache
         self._images = ImageCache(2**29) if cache.limit_bytes is None else cache
 
     def image(self, name: str) -> Image:
-        """Read an image of the model with its mask. Raises ImageError."""
+        """Read an image of the model with its mask. Raises ImageError; InputError for its mask."""
         return self._images.read(self.model.root, name, self.masks)
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
-        """Compute the coarsest features of the model's images, for choosing database images."""
+        """Compute the coarsest features of the model's images, for choosing database images. Raises
+        ImageError or InputError if none is usable."""
+        failures = list[DgcPoseError]()
         for done, name in enumerate(self.model.poses, start=1):
-            if name not in self._features:
-                self._features[name] = self.matcher.coarse_features(self.image(name))
+            if name not in self._features and name not in self.bad:
+                try:
+                    image = self.image(name)
+                    if why := unmatchable(image):
+                        raise ImageError(f"{self.model.root / name}: {why}")
+                except (ImageError, InputError) as error:
+                    failures.append(error)
+                    self.bad[name] = str(error)
+                else:
+                    self._features[name] = self.matcher.coarse_features(image)
             progress(done, len(self.model.poses))
+        if failures and not self._features:
+            raise failures[0]
+
+    def locate_all(
+        self,
+        queries: Iterable[ImageSource],
+        K: CameraSource = None,
+        details: KDetails | None = None,
+    ) -> Iterator[Location]:
+        """Yield the location of each query, as `locate`. A query that cannot be read, or that K
+        does not fit, has the status "bad_input"."""
+        self.describe()  # what is wrong with the model is raised
+        for query in queries:
+            try:
+                location = self.locate(query, K, details)
+            except (ImageError, InputError) as error:
+                location = Location("bad_input", str(error), ())
+            yield location
 
     def locate(
         self,
@@ -98,10 +130,9 @@ class Locator:
         start, seconds = time.perf_counter(), dict[str, float]()
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
+        if why := unmatchable(image):
+            return Location("bad_input", f"{image.name}: {why}", ())
         same = [n for n in self.model.poses if _same_file(self.model.root / n, Path(image.name))]
-        names = [n for n in self.model.poses if n not in {*excluded, *same}]
-        if not names:
-            raise InputError("the model has no other image than the query")
         warnings, contradictions = list[str](), list[str]()
         if same and same[0] not in excluded:
             warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
@@ -110,6 +141,9 @@ class Locator:
         seconds["load"] = time.perf_counter() - start
         start = time.perf_counter()
         self.describe()
+        names = [name for name in self._features if name not in {*excluded, *same}]
+        if not names:
+            raise InputError("the model has no other image than the query")
         features = self.matcher.coarse_features(image)
         scores = {name: similarity(features, self._features[name]) for name in names}
         seconds["describe"] = time.perf_counter() - start

@@ -15,7 +15,8 @@ from dgc_pose.estimation.status import short_text
 from dgc_pose.matches import Matches
 
 # no_scale: R is known, and only the direction of the centre from a database image.
-LocationStatus = Literal["located", "no_scale", "nowhere"]
+# bad_input: one of several images, or its K, is unusable.
+LocationStatus = Literal["located", "no_scale", "nowhere", "bad_input"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +38,12 @@ class Location:
     """The pose of a query in a model's frame and unit.
 
     Attributes:
-        status: "located"; "no_scale", with a rotation and a direction; or "nowhere".
+        status: "located"; "no_scale", with a rotation and a direction; "nowhere"; or "bad_input" if
+            nothing in the image can be matched, or if one of several images, or its K, is unusable.
         reason: Why the query is not located; empty if it is.
         database_images: The images of the model that were matched, in this order.
-        R: Rotation (3, 3) of cam_from_world, x = R X + t; None if the status is "nowhere".
+        R: Rotation (3, 3) of cam_from_world, x = R X + t; None if the status is "nowhere" or
+            "bad_input".
         centre: Position (3,) of the camera, world, in the model's unit; None unless located.
         direction: With "no_scale", the unit direction (3,), world, from a database image to the
             query; else None.

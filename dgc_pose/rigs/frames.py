@@ -2,15 +2,15 @@
 
 import os
 import shutil
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
 from dgc_pose.images.folder import frames_folder, identical_copies, search_images, skipped_line
-from dgc_pose.images.image import load_image
+from dgc_pose.images.image import Image, load_image, unmatchable
 from dgc_pose.system.files import naming_path
 
 _FRAMES = ArgumentName("frames")
@@ -18,14 +18,14 @@ _MOST_FRAMES = 15  # read from each camera
 _CHANGE = 12.0  # grey levels; a pixel that differs more from the still picture is moving
 _STAYING = 0.7  # least share of frames in which a static pixel matches the still picture
 _LEAST_SIDE = 15  # of a static part, pixels; smaller ones are masked
-_LEAST_CONTRAST = 2.0  # standard deviation of grey levels; a covered lens has less
 
 
 def camera_frames(
     folder: Path, videos: Path, others: Collection[Path] = ()
 ) -> tuple[dict[str, list[Path]], tuple[str, ...]]:
     """The frames of each camera, by camera name; and a line about skipped entries. Each entry of
-    the folder is a camera, named by `camera_name`: an image, a video, or a folder of frames.
+    the folder is a camera, named by `camera_name`: an image, a video, or a folder of frames. An
+    image or video that cannot be read is the only frame of its camera.
 
     videos: folder for the frames of videos. others: files and folders that are not cameras. Raises
     InputError for fewer than two cameras, two cameras with one name, and two with equal files.
@@ -34,14 +34,14 @@ def camera_frames(
         raise InputError(_FRAMES, f"{folder}: no such folder")
     cameras: dict[str, list[Path]] = {}
     skipped = []
-    images = [name for name in search_images(folder).names if "/" not in name]
+    content = search_images(folder)
+    images = [name for name in content.names if "/" not in name]
     not_cameras = {path.resolve() for path in others}
     for entry in sorted(path for path in folder.iterdir() if path.name[0] != "."):
         if entry.resolve() in not_cameras:
             continue
-        within = frames_folder(entry, _MOST_FRAMES, videos / entry.name)
-        found = [within / name for name in search_images(within).names] if within.is_dir() else []
-        found = [entry] if entry.name in images else found
+        found = _frames(entry, videos / entry.name)
+        found = [entry] if entry.name in (*images, *content.bad) else found
         name = camera_name(entry)
         if not found:
             skipped.append(entry.name)
@@ -59,9 +59,43 @@ def camera_frames(
     return cameras, tuple(lines)
 
 
+def _frames(entry: Path, video: Path) -> list[Path]:
+    """The frames of a camera that is a folder or a video. video: folder for a video's frames."""
+    try:
+        folder = frames_folder(entry, _MOST_FRAMES, video)
+    except InputError:  # a video that cannot be read, nor as an image
+        return [entry]
+    if not folder.is_dir():
+        return []
+    content = search_images(folder)
+    return [folder / name for name in sorted((*content.names, *content.bad))]
+
+
 def camera_name(entry: Path) -> str:
     """The name of a camera: its folder's name, or its image's or video's without the ending."""
     return entry.name if entry.is_dir() else entry.stem
+
+
+def still_pictures(
+    cameras: Mapping[str, Sequence[Path]], folder: Path
+) -> tuple[dict[str, Path], dict[str, str], tuple[str, ...]]:
+    """The `still_picture` of each camera, without the frames that cannot be read; why other cameras
+    have none; and a line for each frame left out. cameras: their frames, by name."""
+    pictures: dict[str, Path] = {}
+    bad: dict[str, str] = {}
+    lines = list[str]()
+    for name, frames in cameras.items():
+        left = [*frames]
+        while name not in pictures and name not in bad:
+            try:
+                pictures[name] = still_picture(left, name, folder)
+            except DgcPoseError as error:
+                if error.path in left and len(left) > 1:
+                    left.remove(error.path)
+                    lines.append(str(error))
+                else:
+                    bad[name] = str(error)
+    return pictures, bad, tuple(lines)
 
 
 def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
@@ -69,16 +103,16 @@ def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
 
     A single upright frame is copied. Otherwise the picture is the upright median of the frames,
     with the mask `name`.png.png, black where things move. Raises InputError for frames of several
-    sizes and for a picture without contrast; ImageError.
+    sizes and for a picture in which nothing can be matched; ImageError.
     """
     images = [load_image(path) for path in frames]
     if len({image.size for image in images}) > 1:
-        raise InputError(_FRAMES, f"{frames[0].parent}: frames of several sizes")
+        raise InputError(f"{frames[0].parent}: frames of several sizes")
     stack = np.stack([image.pixels for image in images])
     still = np.median(stack, axis=0).astype(np.uint8)
     grey, *others = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (still, *stack))
-    if grey.std() < _LEAST_CONTRAST:
-        raise InputError(_FRAMES, f"{frames[0]}: the picture has no contrast")
+    if why := unmatchable(Image(still)):
+        raise InputError(f"{frames[0]}: {why}")
     if len(frames) == 1 and images[0].exif.orientation == 1:
         return Path(shutil.copy2(frames[0], folder / f"{name}{frames[0].suffix}"))
     offsets = [cv2.blur(other.astype(np.float32) - grey, (5, 5)) for other in others]

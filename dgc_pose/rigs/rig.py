@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
@@ -33,7 +34,7 @@ from dgc_pose.colmap.reconstruction import (
     to_metres,
     write_models,
 )
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.geometry.rotation import rotation_angle_deg
 from dgc_pose.images.cache import ImageCache
@@ -45,7 +46,7 @@ from dgc_pose.matchers import MatcherOptions
 from dgc_pose.model import Model
 from dgc_pose.rigs.adjustment import WALK, adjusted, extended, in_metres, in_model_of_batch
 from dgc_pose.rigs.files import FILES
-from dgc_pose.rigs.frames import camera_frames, still_picture
+from dgc_pose.rigs.frames import camera_frames, still_pictures
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import replaced_folder
 
@@ -105,8 +106,9 @@ def estimate_rig(
     the walk, a text as for --K. reconstruction: includes the options for metres. progress: called
     with the stage, the number done, and the total.
 
-    Raises InputError for unusable frames, K or scale, and for an existing result without `resume`
-    in `work`; MappingError if the walk gives no model; ImageError; OSError.
+    A camera whose picture is unusable has the status "bad_input"; without a model, all others have
+    "nowhere". Raises InputError if all pictures are unusable, for an unusable K or scale, and for
+    an existing result without `resume` in `work`; ImageError; OSError.
     """
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
@@ -138,10 +140,17 @@ def estimate_rig(
         (out / file).unlink(missing_ok=True)
     (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
-        files = {name: still_picture(paths, name, folder).name for name, paths in found.items()}
+        stills, bad, lines = still_pictures(found, folder)
+        if not stills:
+            raise InputError(ArgumentName("frames"), "; ".join(bad.values()))
+    files = {name: path.name for name, path in stills.items()}
+    skipped += lines
+    unusable = {name: Location("bad_input", why, ()) for name, why in bad.items()}
     pictures = {name: out / PICTURES / file for name, file in files.items()}
     if options.scale:
         *pair, metres = options.scale.split(",")
+        for name in bad.keys() & {*pair}:
+            raise InputError(ArgumentName("scale"), bad[name])
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
     if isinstance(walk, Model):
         models = [walk]
@@ -151,7 +160,7 @@ def estimate_rig(
         if walk is None:
             names = tuple(sorted(files.values()))
             source = Source(out / PICTURES, names, None, {}, masks=out / PICTURES)
-            by_file = {files[name]: camera for name, camera in exact.items()}
+            by_file = {files[name]: camera for name, camera in exact.items() if name in files}
             calibration = Calibration("K", by_file, auto="two")
             up_to_scale = replace(up_to_scale, min_images=2, refine_centres=False)
         else:
@@ -167,14 +176,15 @@ def estimate_rig(
             options=work,
             progress=progress,
         )
+        skipped += tuple(f"{name}: {why}" for name, why in batch.summary["bad_images"].items())
         try:
             models, *_ = reconstruct(batch, out, up_to_scale)
-        except (MappingError, NoPairError):
-            if walk is not None:
-                raise
+        except (MappingError, NoPairError) as error:
             reason = "the cameras' own pictures make no model; photographs between them would"
+            if walk is not None:
+                reason = f"the walk makes no model: {error}"
             none = {name: Location("nowhere", reason, ()) for name in pictures}
-            return Rig(none, warnings=skipped)
+            return Rig(none | unusable, warnings=skipped)
 
     loaded = matcher.load(ImageCache())
     locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
@@ -185,7 +195,7 @@ def estimate_rig(
         cameras = in_model_of_batch(cameras, files, model, batch)
     placed = {name: of for name, of in cameras.items() if of.success}
     if not placed:
-        return Rig(cameras, warnings=skipped)
+        return Rig(cameras | unusable, warnings=skipped)
 
     if walk is None:
         assert model.colmap is not None  # of `reconstruct`
@@ -204,7 +214,7 @@ def estimate_rig(
     poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
     placed = {name: in_metres(of, poses[name], scale) for name, of in placed.items()}
     model, warnings = _written(whole, paths, out), (*skipped, *_same_poses(placed))
-    return Rig({**cameras, **placed}, model, metric, warnings)
+    return Rig({**cameras, **placed, **unusable}, model, metric, warnings)
 
 
 def _exact_cameras(
@@ -216,8 +226,11 @@ def _exact_cameras(
         raise InputError(ArgumentName("K"), f"is of {unknown[0]}, and the cameras are {names}")
     exact = {}
     for name, value in K.items():
-        exact[name] = image_camera(value, load_image(found[name][0]), f"K of {name}")
-        colmap_camera(exact[name], name)  # raises for a skew
+        for path in found[name]:
+            with suppress(ImageError):
+                exact[name] = image_camera(value, load_image(path), f"K of {name}")
+                colmap_camera(exact[name], name)  # raises for a skew
+                break
     return exact
 
 

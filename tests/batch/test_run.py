@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pycolmap
 import pytest
+from bad_pictures import BAD_PICTURES, MISSING, write_bad_pictures
 from batch_runs import run_sift, view_folder
 from results import ambiguous_pose
 from worlds import K, K_text
@@ -64,6 +65,35 @@ def test_a_bad_image_is_reported_and_its_pairs_are_rows(whole):
     assert all(BROKEN in row.reason for row in bad)
     assert list(batch.summary["bad_images"]) == [BROKEN]
     assert batch.summary["bad_pairs"] == COUNT - 1
+
+
+def test_bad_images_of_a_list_are_named_and_the_others_matched(photos, tmp_path):
+    """Each is in the summary and in its row, with the reason; a K of the right size is enough."""
+    bad = write_bad_pictures(tmp_path / "bad")
+    for name in ("view0.png", "view1.png"):
+        (tmp_path / name).write_bytes((photos[0] / name).read_bytes())
+    lines = [f"view0.png bad/{path.name}" for path in bad]
+    (tmp_path / "list.txt").write_text("\n".join([*lines, "view0.png view1.png"]))
+    batch = run_sift(tmp_path / "list.txt", tmp_path / "out", pairs=None)
+    *others, last = batch.rows
+    assert last.success and len(others) == len(bad)
+    for row, (name, reason) in zip(others, BAD_PICTURES.items(), strict=True):
+        assert row.status == "bad_input" and reason in row.reason
+        assert reason in batch.summary["bad_images"][f"bad/{name}"]
+    assert batch.summary["by_status"] == {"bad_input": len(bad), "ok": 1}
+
+
+def test_bad_images_of_a_folder_are_named(photos, tmp_path):
+    """Those that are no images have no pairs."""
+    folder = tmp_path / "folder"
+    write_bad_pictures(folder)
+    for name in ("view0.png", "view1.png"):
+        (folder / name).write_bytes((photos[0] / name).read_bytes())
+    batch = run_sift(folder, tmp_path / "out")
+    bad = batch.summary["bad_images"]
+    assert {*bad} == {*BAD_PICTURES} - {MISSING}
+    assert all(BAD_PICTURES[name] in reason for name, reason in bad.items())
+    assert not {"text.jpg", "empty.jpg"} & {*batch.plan.names} and batch.summary["poses"] == 1
 
 
 def test_matches_lie_in_hlocs_layout(whole):

@@ -1,5 +1,7 @@
 """The images that a batch works on, what of a folder is left out, and which images are paired."""
 
+from dataclasses import replace
+
 import cv2
 import networkx as nx
 import numpy as np
@@ -18,6 +20,7 @@ from dgc_pose.batch.source import (
 )
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import read_calibration
+from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import InputError
 from dgc_pose.images.image import Image
 
@@ -100,6 +103,33 @@ def test_one_K_does_not_serve_several_sizes(tmp_path, size):
     words = f"K, and the images have several sizes .48x{size[1]} and 64x48.: give a file"
     with pytest.raises(InputError, match=words):
         survey(source, read_calibration("50,52,33,23"))
+
+
+def test_an_image_that_its_K_does_not_fit_is_told_and_the_others_stay(tmp_path):
+    """A K of known size; a file that lacks a camera. If K fits no image, it is refused."""
+    source = _two(tmp_path, (64, 48), (48, 60))
+    file = tmp_path / "K.csv"
+    file.write_text("name,fx,fy,cx,cy\na.jpg,50,52,33,23\nother.jpg,9,9,9,9\n")
+    for K, details, reason in (
+        ("PINHOLE,64,48,50,52,33.5,23.5", KDetails(), "K is for an image of 64 x 48 pixels"),
+        ("50,52,33,23", KDetails((64, 48)), "has another aspect ratio: K cannot be scaled"),
+        (str(file), KDetails(), f"{file} has no camera for b.jpg"),
+    ):
+        cameras, bad, _ = survey(source, read_calibration(K, "K", details))
+        np.testing.assert_allclose(cameras["a.jpg"].K, [[50, 0, 33], [0, 52, 23], [0, 0, 1]])
+        assert [*cameras] == ["a.jpg"] and [*bad] == ["b.jpg"] and reason in bad["b.jpg"]
+    file.write_text("name,fx,fy,cx,cy\nother.jpg,9,9,9,9\n")
+    with pytest.raises(InputError, match=r"K\.csv has no camera for a\.jpg$"):
+        survey(source, read_calibration(str(file)))
+
+
+def test_without_a_K_the_cameras_are_those_of_the_source_or_auto(tmp_path):
+    source = _two(tmp_path, (64, 48), (64, 48))
+    listed = Camera(np.array([[50.0, 0, 33], [0, 52, 23], [0, 0, 1]]))
+    cameras, bad, _ = survey(replace(source, cameras={"a.jpg": listed}), read_calibration(None))
+    assert not bad and cameras["a.jpg"].exact and not cameras["b.jpg"].exact
+    by_auto = survey(source, read_calibration("auto"))[0]
+    assert cameras["b.jpg"].identity == by_auto["b.jpg"].identity is not None
 
 
 @pytest.mark.parametrize(

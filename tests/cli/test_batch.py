@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from bad_pictures import BAD_PICTURES, write_bad_pictures
 from batch_runs import view_folder
 from command_line import assert_refused, run
 from worlds import K_text
@@ -114,7 +115,45 @@ def test_images_of_several_sizes(photos: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(folder / "a.png"), whole)
     cv2.imwrite(str(folder / "b.png"), whole[:150])
     options = ["--out", out, "--pairs", "exhaustive", *SIFT]
-    assert_refused(run("batch", folder, *options), "no camera for a.png", "--K")
     reason = "--K is a single K, and the images have several sizes (240x150 and 240x180)"
     assert_refused(run("batch", folder, *options, "--K", K_text()), reason)
     assert not out.exists()
+
+
+def test_without_K_the_cameras_are_estimated(photos: Path, tmp_path: Path) -> None:
+    """As with --K auto; one line on stderr states it. The bad images are named."""
+    folder = tmp_path / "folder"
+    shutil.copytree(photos, folder)
+    bad = [path for path in write_bad_pictures(folder) if path.exists()]
+    done = run("batch", folder, "--out", tmp_path / "out", "--pairs", "sequential:1", *SIFT)
+    assert done.exit_code == 0, done.output
+    said, *lines = done.stderr.splitlines()
+    assert said == "K is not stated: the focal lengths are estimated (--K auto)"
+    for path in bad:
+        reason = BAD_PICTURES[path.name]
+        (line,) = (line for line in lines if line.startswith(f"bad image {path.name}"))
+        assert reason in line
+    assert (tmp_path / "out" / "cameras.csv").is_file()
+
+
+def test_photographs_without_a_pose_or_of_no_use(photos: Path, tmp_path: Path) -> None:
+    """`batch` and `reconstruct` exit with 3 without a pose, and with 2 if no image can be used."""
+    nothing, bad = tmp_path / "nothing", tmp_path / "bad"
+    nothing.mkdir()
+    rng = np.random.default_rng(0)
+    for name in "abc":
+        noise = rng.integers(0, 256, (23, 30, 3), np.uint8)
+        cv2.imwrite(str(nothing / f"{name}.png"), cv2.resize(noise, (240, 180)))
+    write_bad_pictures(bad)
+    for command in ("batch", "reconstruct"):
+        out = tmp_path / command
+        done = run(command, nothing, "--out", out, *SIFT)
+        assert done.exit_code == 3, done.output
+        assert "0 poses of 3 pairs" in done.stdout and "error" not in done.stderr
+        assert ("no model: " in done.stdout) == (command == "reconstruct")
+        done = run(command, bad, "--out", tmp_path / f"bad_{command}", *SIFT)
+        assert done.exit_code == 2, done.output
+        last = done.stderr.splitlines()[-1]
+        assert last.startswith("error: ") and all(
+            reason in last for reason in [*BAD_PICTURES.values()][:-1]
+        )

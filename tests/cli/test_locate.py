@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from bad_pictures import BAD_PICTURES, write_bad_pictures
 from command_line import assert_refused, contents, run
 from worlds import K, K_text, View, render_views, write_views
 
@@ -79,12 +80,42 @@ def test_an_image_of_the_model_is_not_matched_and_another_place_is_nowhere(
     assert "nowhere, none of 4 database images has a likely pose" in result.stdout
 
 
+def test_bad_queries_are_named_and_the_others_located(
+    scene: tuple[Path, list[View]], tmp_path: Path
+) -> None:
+    """Also one that K does not fit. --json is written even if no query can be read."""
+    bad = write_bad_pictures(tmp_path / "bad")
+    half = tmp_path / "half.png"
+    cv2.imwrite(str(half), cv2.imread(str(scene[0] / "photo.png"))[:80])
+    out = tmp_path / "o.json"
+    result = locate(scene[0], *bad, half, "--K", K_text(), "--json", out)
+    assert result.exit_code == 3, result.output
+    located, *others = json.loads(out.read_text()).values()
+    assert located["status"] == "located" and "photo.png: cam_from_world" in result.stdout
+    lines = result.stderr.splitlines()
+    reasons = [*BAD_PICTURES.values(), "outside the image"]
+    assert len(lines) == len(others) == len(reasons)
+    for path, line, data, reason in zip([*bad, half], lines, others, reasons, strict=True):
+        assert line.startswith(f"bad image {path}") and reason in line
+        assert data["status"] == "bad_input" and reason in data["warnings"][0]
+        assert data["R"] is None and data["references"] == []
+    words = (bad[1], "--json", tmp_path / "none.json", "--add", tmp_path / "with")
+    refused = locate(scene[0], *words, photo=bad[0])
+    assert_refused(refused, *map(str, bad[:2]), "cannot be decoded", "is corrupt")
+    assert len(json.loads((tmp_path / "none.json").read_text())) == 2
+    assert not (tmp_path / "with").exists()
+    on_stdout = locate(scene[0], "--json", "-", "--plot", tmp_path / "o.png", photo=bad[0])
+    assert on_stdout.exit_code == 2 and len(json.loads(on_stdout.stdout)) == 1
+    assert not (tmp_path / "o.png").exists()
+
+
 def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Path) -> None:
     folder = scene[0]
     before = contents(folder)
     given = ("--json", tmp_path / "o.json", "--add", tmp_path / "m")
     for words, expected in (
         (("--K", "500,500,320,240"), "K"),
+        (("--K", "1,2"), "--K: '1,2' is neither auto"),
         (("--K", "auto", "--weights", "sift"), "cannot choose pairs"),
         (("--model", tmp_path / "none"), "--model"),
         (("--masks", tmp_path / "none"), "--masks"),

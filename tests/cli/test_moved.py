@@ -6,6 +6,7 @@ import cv2
 import dense_scene
 import numpy as np
 import pytest
+from bad_pictures import BAD_PICTURES, write_bad_pictures
 from command_line import assert_refused, run
 
 
@@ -56,6 +57,34 @@ def test_a_video_is_taken_as_its_frames(folder):
     result = moved("day.avi", "--frames", 2)
     assert result.exit_code == 0, result.output
     assert "day.avi/000000.jpg" in result.stdout and "day.avi/000001.jpg" in result.stdout
+
+
+# Pictures of another size than the reference, or of one colour, are read: their reasons are others.
+REASONS = BAD_PICTURES | {"tiny.png": "has 3 x 3, reference.png", "grey.png": "only 0 matches"}
+
+
+def test_bad_pictures_are_named_and_the_others_have_verdicts(folder):
+    """Files and a folder; a video and an empty folder are named too."""
+    paths = write_bad_pictures(folder / "bad", dense_scene.SIZE)
+    (folder / "bad" / "fine.png").write_bytes((folder / "still.png").read_bytes())
+    (folder / "video.mp4").write_text("not a video")
+    (folder / "nothing").mkdir()
+    result = moved(paths[-1], "bad", "video.mp4", "nothing", "still.png", "--json", "m.json")
+    assert result.exit_code == 3, result.output
+    data = json.loads((folder / "m.json").read_text())
+    lines = result.stderr.splitlines()
+    for path, reason in zip(paths, REASONS.values(), strict=True):
+        name = path.as_posix() if path == paths[-1] else f"bad/{path.name}"
+        assert data[name]["verdict"] == "cannot say" and reason in data[name]["reason"]
+        named = [line for line in lines if line.startswith("bad image") and name in line]
+        assert len(named) == (path.name not in ("tiny.png", "grey.png"))
+    for name, reason in (("video.mp4", "not a video"), ("nothing", "no image is in this folder")):
+        assert reason in data[name]["reason"]
+        assert sum(name in line for line in lines) == 1
+    assert data["bad/fine.png"]["verdict"] == data["still.png"]["verdict"] == "still"
+    alone = moved("bad/cut.jpg", "bad/text.jpg", "--json", "none.json")
+    assert_refused(alone, "bad/cut.jpg cannot be decoded", "bad/text.jpg is not an image")
+    assert len(json.loads((folder / "none.json").read_text())) == 2
 
 
 def test_unusable_input_is_one_line(folder):

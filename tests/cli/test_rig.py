@@ -74,6 +74,16 @@ def test_the_text_and_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     assert asked[0]["reconstruction"].marker == 0.2
 
 
+def test_a_bad_picture_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bad = Location("bad_input", "frames/east.jpg is empty", ())
+    estimated(monkeypatch, Rig({"view0": NOWHERE, "east": bad}))
+    result = run("rig", "frames", "--out", "out")
+    assert result.exit_code == 3
+    assert result.stderr == "bad image east: frames/east.jpg is empty\n"
+    data = json.loads((folder / "out" / "rig.json").read_text())
+    assert data["not_placed"]["east"] == bad.reason
+
+
 def test_nothing_placed_is_exit_code_3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     estimated(monkeypatch, Rig({"view0": NOWHERE}))
     result = run("rig", "frames", "--out", "out")

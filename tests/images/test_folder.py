@@ -55,14 +55,13 @@ def test_what_is_left_out_is_counted_by_its_reason(
     images = search_images(tmp_path)
     assert images.names == ("a.jpg",)
     assert sorted(images.skipped) == [
-        "1 file skipped (first: b.jpg): empty",
-        "1 file skipped (first: gone.jpg): No such file or directory",
         "1 file skipped (first: h\udcfctte.png): a name that is not UTF-8",
         "1 file skipped (first: pipe): not a regular file",
         "2 files skipped (first: cameras.bin): not an image of a known format",
         "3 files skipped (first: 1.heic): HEIC, which needs pillow-heif: pip install '.[heic]'",
         "3 folders skipped (first: @eaDir): previews that a device made",
     ]
+    assert images.bad == {"b.jpg": "empty", "gone.jpg": "No such file or directory"}
 
 
 def test_equal_bytes_are_copies_under_any_name(tmp_path: Path) -> None:

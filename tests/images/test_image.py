@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from dgc_pose.errors import ImageError, InputError
-from dgc_pose.images.image import load_image, resize
+from dgc_pose.images.image import Image, load_image, resize, unmatchable
 
 
 def test_arrays_of_8_bits_are_kept(rgb: np.ndarray) -> None:
@@ -153,3 +153,17 @@ def test_a_file_of_alpha_0_is_named(tmp_path: Path, rgb: np.ndarray) -> None:
     with pytest.raises(ImageError, match=r"gone\.png has alpha 0 everywhere") as caught:
         load_image(path)
     assert caught.value.path == path
+
+
+def test_an_image_in_which_nothing_can_be_matched():
+    """Masked pixels do not count."""
+    noise = np.random.default_rng(0).integers(0, 256, (40, 60, 3), np.uint8)
+    assert unmatchable(Image(noise)) == ""
+    assert unmatchable(Image(noise[:14])) == (
+        "the picture has 60 x 14 pixels, and 15 a side are needed"
+    )
+    half = noise.copy()
+    half[:, :30] = 77
+    left = np.arange(60) < np.full((40, 1), 30)
+    assert unmatchable(Image(half)) == ""
+    assert unmatchable(Image(half, mask=left)) == "the picture has no contrast"

@@ -4,11 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bad_pictures import BAD_PICTURES, write_bad_pictures
 from boxes import box_picture
 from worlds import K as DATABASE_K
 from worlds import known_model, render_views
 
 from dgc_pose.cameras.camera import Camera
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.localization import locate
@@ -48,3 +50,32 @@ def test_the_lines_of_a_query_tell_its_focal_length(tmp_path, monkeypatch, K, so
     (camera,) = searched
     assert camera.focal_source == source
     assert camera.focal == pytest.approx(900 if source == "given" else 1.2 * 960, rel=0.1)
+
+
+def test_of_many_images_one_that_is_bad_is_told(tmp_path: Path) -> None:
+    """Queries, and images of the model."""
+    photo, *views = render_views(4, step=0.5)
+    model = known_model(tmp_path / "images", views)
+    cut = tmp_path / "images" / "view0.png"
+    cut.write_bytes(cut.read_bytes()[:-9000])
+    options = EstimationOptions(effort="fast", runs=2, iterations=200)
+    locator = locate.Locator(model, load_matcher(), options)
+    bad = write_bad_pictures(tmp_path)
+    queries = [photo.pixels, *bad, photo.pixels[:80], photo.pixels]
+    first, *others, last = locator.locate_all(queries, DATABASE_K)
+    assert first.success and last.success
+    assert {image.name for image in first.database_images} == {"view1.png", "view2.png"}
+    assert [*locator.bad] == ["view0.png"] and str(cut) in locator.bad["view0.png"]
+    assert {location.status for location in others} == {"bad_input"}
+    for location, reason in zip(others, [*BAD_PICTURES.values(), "outside"], strict=True):
+        assert reason in location.reason
+    for path in bad:
+        if path.name in ("grey.png", "tiny.png"):
+            assert locator.locate(path, DATABASE_K).status == "bad_input"
+        else:
+            with pytest.raises((ImageError, InputError)):
+                locator.locate(path, DATABASE_K)
+    for name in ("view1.png", "view2.png"):
+        (tmp_path / "images" / name).write_bytes(b"")
+    with pytest.raises(ImageError, match=r"view0\.png"):
+        [*locate.Locator(model, load_matcher(), options).locate_all(queries)]

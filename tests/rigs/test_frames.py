@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import PIL.Image
 import pytest
+from bad_pictures import BAD_PICTURES, write_bad_pictures
 from marker_scene import texture
 
 from dgc_pose.errors import InputError
 from dgc_pose.images.decoding import read_pixels
 from dgc_pose.images.image import load_image
-from dgc_pose.rigs.frames import camera_frames, still_picture
+from dgc_pose.rigs.frames import camera_frames, still_picture, still_pictures
 
 SIZE = (160, 120)
 SCENE = np.stack([texture(SIZE, seed) for seed in range(3)], -1)  # not brighter than 200
@@ -88,3 +89,31 @@ def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"black\.png: the picture has no contrast$"):
         still_picture([save(tmp_path / "black.png", 0 * SCENE)], "cam", tmp_path)
     assert not [*tmp_path.glob("cam*")]
+
+
+def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
+    """Cameras with one bad picture, or a video that is none; and bad frames of a camera."""
+    rig = tmp_path / "rig"
+    bad = [path for path in write_bad_pictures(rig) if path.exists()]
+    (rig / "video.mp4").write_text("not a video")
+    save(rig / "fine.png")
+    frames = write_bad_pictures(rig / "many", SCENE.shape[1::-1])
+    for path in frames:
+        if path.name in ("tiny.png", "grey.png", "missing.jpg"):  # these can be read
+            path.unlink(missing_ok=True)
+    save(rig / "many" / "9.png", SCENE[::-1])
+    write_bad_pictures(rig / "none")
+    for name in ("tiny.png", "grey.png", "clear.png"):
+        (rig / "none" / name).unlink()
+    cameras, skipped = camera_frames(rig, tmp_path / "videos")
+    assert not skipped
+    pictures, reasons, lines = still_pictures(cameras, tmp_path)
+    assert {*pictures} == {"fine", "many"}
+    assert {*reasons} == {path.stem for path in bad} | {"video", "none"}
+    for path in bad:
+        assert BAD_PICTURES[path.name] in reasons[path.stem]
+    left_out = [path for path in frames if path.exists()]
+    told = [line for line in lines if str(rig / "many") in line]
+    assert len(told) == len(left_out)
+    assert all(any(str(path) in line for line in told) for path in left_out)
+    np.testing.assert_array_equal(load_image(pictures["many"]).pixels, SCENE[::-1])

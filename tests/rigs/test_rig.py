@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
+from bad_pictures import BAD_PICTURES, write_bad_pictures
 from scipy.spatial.transform import Rotation
 from worlds import (
     SIZE,
@@ -22,6 +23,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model
 from dgc_pose.rigs.rig import Rig, estimate_rig
@@ -108,6 +110,34 @@ def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
     rig = estimate_rig(frames, tmp_path / "out", K={"north": K, "zoo": K}, **QUICK)
     assert rig.model is None and not rig.placed and [*rig.cameras] == ["north", "zoo"]
     assert all("photographs" in of.reason for of in rig.cameras.values())
+
+
+@pytest.mark.parametrize("walked", [False, True])
+def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: bool) -> None:
+    """Bad pictures have their own, whether there is a walk or not; a bad one of the walk is told.
+    Bad pictures alone are refused."""
+    bad = [path for path in write_bad_pictures(tmp_path / "frames") if path.exists()]
+    sift = QUICK | {"matcher": MatcherOptions("sift")}
+    with pytest.raises(InputError, match=r"cut\.jpg cannot be decoded.*no contrast"):
+        estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
+    pixels = np.random.default_rng(0).integers(0, 256, (3, *SIZE[::-1], 3), np.uint8)
+    cv2.imwrite(str(tmp_path / "frames" / "north.png"), pixels[0])
+    walk = tmp_path / "walk" if walked else None
+    if walk is not None:
+        write_bad_pictures(walk)
+        for number in (1, 2):
+            cv2.imwrite(str(walk / f"{number}.png"), pixels[number])
+    known = {"north": K, "text": K, "grey": K}
+    rig = estimate_rig(tmp_path / "frames", tmp_path / "out", walk, K=known, **sift)
+    assert rig.model is None and {*rig.cameras} == {"north"} | {path.stem for path in bad}
+    for path in bad:
+        of = rig.cameras[path.stem]
+        assert of.status == "bad_input" and BAD_PICTURES[path.name] in of.reason
+    assert rig.cameras["north"].status == "nowhere"
+    why = "the walk makes no model: " if walked else "the cameras' own pictures make no model"
+    assert why in rig.cameras["north"].reason
+    told = [name for name in BAD_PICTURES if any(name in line for line in rig.warnings)]
+    assert told == [path.name for path in bad] * walked
 
 
 def test_a_photograph_may_have_the_name_of_a_picture(tmp_path: Path) -> None:
