@@ -14,10 +14,17 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import numbers
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.estimation.depth_length import (
+    inverse_depths,
+    length_by_depths,
+    ray_probability,
+    secants,
+)
 from dgc_pose.estimation.least_squares import DEVIATION
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
-from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
+from dgc_pose.estimation.status import percent_text
+from dgc_pose.geometry.epipolar import homogeneous
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
@@ -26,9 +33,8 @@ from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_options, option
 
 _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
-_MIN_DEPTHS = 10  # inliers with a known depth that a length needs
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
-_CORRELATED = 30.0  # neighbouring depths that count as one, because their errors are correlated
+_SURE = 0.8  # probability of distances along the rays, above which depths are converted to z
 _MIN_NEAR, _NEAREST = 3, 9  # least and largest number of inliers for the depth at a point
 # A square's corners as shares of its middle and of two edges.
 _CORNERS = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
@@ -116,8 +122,10 @@ def with_length(
 
     The length is the median, over the inliers, of the known depth divided by the depth for a unit
     t; `distance` and `marker` work in the same way. matches: of the pose. maps, markers: from
-    `scale`. A warning states that the matches contradict the depths, that depths or inliers near a
-    point of `distance` are too few, or that markers are not squares of one size.
+    `scale`. Depths that the matches show to be distances along the rays are converted, with a
+    warning; `length_std` covers the doubt. A warning states that the matches contradict the depths,
+    that depths or inliers near a point of `distance` are too few, or that markers are not squares
+    of one size.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
@@ -129,31 +137,43 @@ def with_length(
     cameras = pose.camera1, pose.camera2
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
     rays = cameras[0].normalise(points[0]), cameras[1].normalise(points[1])
+    deviating, warnings = _deviating(pose), pose.warnings
     if distance:
         measure = partial(_by_distance, rays, cameras[0], distance)
     elif markers:
         measure = partial(_by_marker, markers, cameras, scale.marker or 0.0)
     else:
-        z = [
-            np.full(len(at), np.nan) if of is None else 1 / bilinear_at(of, *at.T[:, :, None])[:, 0]
-            for of, at in zip(maps, points, strict=True)
-        ]
-        measure = partial(_by_depth, rays, z, scale.depth_std)
+        z = np.array([_depths_at(*pair) for pair in zip(maps, points, strict=True)])
+        likely = ray_probability(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
+        doubt = likely
+        if likely > _SURE:
+            z = z / secants(rays)
+            doubt = 1 - likely
+            kind = "the depths are distances along the rays, not z along the optical axis"
+            warnings += (f"{kind}, with a probability of {percent_text(likely)}: converted to z",)
+        measure = partial(length_by_depths, rays, z, scale.depth_std, doubt)
     try:
         length, own, scatter = measure(pose.R, pose.t)
-        moved = [measure(R, t)[0] - length for R, t in _deviating(pose)]
+        moved = [measure(R, t)[0] - length for R, t in deviating]
     except InputError as error:
         warning = f"the length of t is not known: {error}"
-        return replace(pose, warnings=(*pose.warnings, warning))
+        return replace(pose, warnings=(*warnings, warning))
     # The focal lengths scale the angles that depths are triangulated from.
     stds = own, *moved, *(length * camera.focal_std for camera in cameras)
-    warnings = pose.warnings
     if scatter > _CONTRADICTS:
         off = f"lengths scatter by {scatter:.1f} times their deviations"
         warnings += (f"the matches contradict the depth map: {off}",)
     sure = pose.covariance is not None and scatter <= _CONTRADICTS
     std = math.hypot(*stds) if sure else None
     return replace(pose, length=length, length_std=std, warnings=warnings)
+
+
+def _depths_at(inverse: np.ndarray | None, points: np.ndarray) -> np.ndarray:
+    """Depths (N,) at points (N, 2) of an image, from its inverse depths; NaN if unknown."""
+    if inverse is None:
+        return np.full(len(points), np.nan)
+    known: np.ndarray = 1 / bilinear_at(inverse, *points.T[:, :, None])[:, 0]
+    return known
 
 
 def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -168,40 +188,6 @@ def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
     return poses
 
 
-def _inverse_depths(
-    x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """1 / depth (N,) in camera 1, unit 1 / |t|, and its deviation (N,) from the error of matches:
-    with the depth, points in image 2 move along epipolar lines."""
-    error = DEVIATION * float(np.median(sampson_distance(x1, x2, essential_from_pose(R, t))))
-    inverse = 1 / depths(x1, x2, R, t)[0]
-    ratio = homogeneous(x1) @ R[2] + inverse * t[2]  # of the depths in cameras 2 and 1
-    moved = np.linalg.norm(t[:2] - t[2] * x2, axis=1) / np.abs(ratio)
-    return inverse, math.sqrt(2) * error / moved
-
-
-def _by_depth(
-    rays: tuple[np.ndarray, np.ndarray],
-    z: Sequence[np.ndarray],
-    depth_std: float,
-    R: np.ndarray,
-    t: np.ndarray,
-) -> tuple[float, float, float]:
-    """The length, its deviation, and the scatter of single lengths in their deviations. z: depths
-    (N,) in each camera, metres, NaN if unknown. Raises InputError if too few are known."""
-    known = np.isfinite(z)
-    if known.sum() < _MIN_DEPTHS:
-        raise InputError(f"{known.sum()} inliers have a depth, and {_MIN_DEPTHS} are needed")
-    first, second = _inverse_depths(*rays, R, t), _inverse_depths(*rays[::-1], R.T, -R.T @ t)
-    single = (np.array([first[0], second[0]]) * z)[known]
-    by_match = (np.array([first[1], second[1]]) * z)[known]
-    length = float(np.median(single))
-    off = np.abs(single - length)
-    scatter = DEVIATION * float(np.median(off / np.hypot(by_match, depth_std * length)))
-    count = max(known.any(0).sum() / _CORRELATED, 1.0)
-    return length, math.hypot(depth_std * length, DEVIATION * np.median(off) / count**0.5), scatter
-
-
 def _by_distance(
     rays: tuple[np.ndarray, np.ndarray],
     camera1: Camera,
@@ -209,9 +195,9 @@ def _by_distance(
     R: np.ndarray,
     t: np.ndarray,
 ) -> tuple[float, float, float]:
-    """The same from a distance in the scene, see `ScaleSource`. Raises InputError if too few
-    inliers are near one of its points."""
-    inverse, std = _inverse_depths(*rays, R, t)
+    """As `length_by_depths`, from a distance in the scene, see `ScaleSource`. Raises InputError if
+    too few inliers are near one of its points."""
+    inverse, std = inverse_depths(*rays, R, t)
     ends, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
     points, off = homogeneous(ends), np.zeros((2, 3))
     for n, end in enumerate(ends):

@@ -40,29 +40,53 @@ def depth_map(
     return read_depth(depth, "depth1", size, 1)
 
 
-def maps_of(seed: int, noise: float = 0.02) -> list[np.ndarray | None]:
+def maps_of(seed: int, noise: float = 0.02, rays: bool = False) -> list[np.ndarray | None]:
+    """Depth maps of both images. rays: of distances along the rays."""
     scene, points, _ = scene_and_pose(seed)
-    z2 = (points @ scene.R.T + LENGTH * scene.t)[:, 2]
+    local = points, points @ scene.R.T + LENGTH * scene.t
+    depths = [np.linalg.norm(at, axis=1) if rays else at[:, 2] for at in local]
     true = scene.true
     return [
-        depth_map(scene.points1[true], points[true, 2], SIZE1, noise),
-        depth_map(scene.points2[true], z2[true], SIZE2, noise),
+        depth_map(scene.points1[true], depths[0][true], SIZE1, noise),
+        depth_map(scene.points2[true], depths[1][true], SIZE2, noise),
     ]
 
 
 @pytest.mark.parametrize("images", [(1,), (2,), (1, 2)])
-def test_depth_maps_tell_the_length_as_surely_as_they_say(images: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("rays", [False, True], ids=["z", "along the rays"])
+def test_depth_maps_tell_the_length_as_surely_as_they_say(
+    images: tuple[int, ...], rays: bool
+) -> None:
+    """Distances along the rays, 6 % longer than z, are converted, with a warning."""
     within = []
     for seed in range(8):
         scene, _, pose = scene_and_pose(seed)
-        both = maps_of(seed)
+        both = maps_of(seed, rays=rays)
         maps = [both[n] if n + 1 in images else None for n in range(2)]
         result = with_length(pose, scene.matches, ScaleSource(), maps)
-        assert result.warnings == pose.warnings and result.t is pose.t
+        told = [text for text in result.warnings if text not in pose.warnings]
+        assert len(told) == rays and result.t is pose.t
+        assert all("along the rays, not z along the optical axis" in text for text in told)
         assert abs(result.length / LENGTH - 1) < 0.03
         assert 0.01 < result.length_std / LENGTH < 0.04
         within.append(abs(result.length - LENGTH) < 1.645 * result.length_std)
     assert sum(within) >= 6
+
+
+def test_depths_that_do_not_tell_their_kind_widen_the_deviation() -> None:
+    """Of points at about the same angle to the optical axis: z and the distance are alike."""
+    scene, points, pose = scene_and_pose(0)
+    rays = scene.cameras[0].normalise(scene.points1)
+    secant = np.sqrt(1 + np.square(rays).sum(1))
+    rim = np.flatnonzero(scene.true & pose.inliers & (np.abs(secant - 1.08) < 0.01))
+    lengths = []
+    for depth in points[:, 2], points[:, 2] * secant:
+        maps = [depth_map(scene.points1[rim], depth[rim], SIZE1, 0.02), None]
+        result = with_length(pose, scene.matches, ScaleSource(), maps)
+        assert len(rim) > 50 and result.warnings == pose.warnings
+        assert result.length_std > result.length * np.hypot(0.02, 0.3 * 0.08)
+        lengths.append(result.length)
+    assert lengths[1] / lengths[0] == pytest.approx(1.08, abs=0.01)
 
 
 def test_a_depth_map_of_another_scene_is_doubted() -> None:
