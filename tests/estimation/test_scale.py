@@ -11,6 +11,7 @@ from scenes import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 from dgc_pose import InputError, RelativePose, ScaleSource, estimate_pose
 from dgc_pose.estimation.scale import with_length
+from dgc_pose.geometry.epipolar import depths
 from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
 
@@ -164,7 +165,31 @@ def test_a_marker_tells_the_length_as_surely_as_it_says() -> None:
     for of_image in markers:
         of_image["a:1"] = np.random.default_rng(1).uniform(0, 300, (4, 2))
     result = with_length(pose, scene.matches, source, [None, None], markers)
-    assert result.length is None and result.warnings[-1].endswith("square under the poses")
+    assert result.length is None and result.warnings[-1].endswith("poses of 0 of its 2 images")
+
+
+def test_a_marker_that_moved_is_told_by_the_inliers_around_it() -> None:
+    """By a tenth of the distance of the cameras, in its direction."""
+    scene, exact = (two_view_scene("planar", sigma_px=sigma) for sigma in (0.5, 0.0))
+    pose = estimate_pose(scene.matches, *scene.cameras)
+    poses = np.eye(3, 4), np.column_stack([exact.R, LENGTH * exact.t])
+    seen = exact.points1, exact.points2
+    rays = [c.normalise(p) for c, p in zip(exact.cameras, seen, strict=True)]
+    z = LENGTH * depths(*rays, exact.R, exact.t)[0][exact.true]
+    middle = np.median(z) * np.append(np.median(rays[0][exact.true], axis=0), 1)
+    corners = square(0.05 * middle[2], middle, (0.2, 0.3, 0))
+    told = {}
+    for share in (0.0, 0.1, -0.1):
+        moved = corners - share * LENGTH * exact.R.T @ exact.t
+        at = zip((scene.K1, scene.K2), poses, (corners, moved), strict=True)
+        markers = [{"a:1": pixels_of(*part)} for part in at]
+        source = ScaleSource(marker=0.05 * middle[2])
+        told[share] = with_length(pose, scene.matches, source, [None, None], markers)
+    still, away, near = told.values()
+    assert abs(still.length - LENGTH) < 2 * still.length_std < 0.1 * LENGTH
+    assert still.warnings == pose.warnings
+    assert away.length is None and "farther than the points around it" in away.warnings[-1]
+    assert near.length_std is None and "nearer than the points around it" in near.warnings[-1]
 
 
 def test_a_marker_must_be_in_both_images() -> None:
@@ -191,6 +216,7 @@ def test_a_marker_must_be_in_both_images() -> None:
         {"distance": "1,2,3,4,nan"},
         {"depth_std": 0.0},
         {"marker": 0.0},
+        {"marker": 15.0},
         {"marker": 0.1, "baseline": (1.0,)},
         {"baseline": (1.0,), "distance": (1.0, 2.0, 3.0, 4.0, 5.0)},
         {"depth1": "a.png", "depth2": "b.png", "baseline": (1.0,)},
