@@ -43,9 +43,11 @@ def reconstruct(
     is_there = reconstruction.require_new(out, names, resume=choice.work.resume)
     if is_there and not (out / BATCH / STORE).is_file():
         raise InputError(f"{out} has results, and no batch of this version to continue")
-    if options.gps or options.scale:  # raises before the matching
+    known = None
+    if options.gps or options.scale or options.marker:  # raises before the matching
         images = choice.open(source, out / BATCH)
-        reconstruction.known_metres({name: images.root / name for name in images.names}, options)
+        paths = {name: images.root / name for name in images.names}
+        known = reconstruction.known_metres(paths, options)
     start = time.perf_counter()
     batch = work_through(source, out / BATCH, choice, reconstruction.MIN_IMAGES)
     report(batch)
@@ -53,7 +55,7 @@ def reconstruct(
     try:
         with progress_bars() as progress:
             show = partial(progress, "images")
-            models, shared, metric = reconstruction.reconstruct(batch, out, options, show)
+            models, shared, metric = reconstruction.reconstruct(batch, out, options, show, known)
     except (NoPairError, reconstruction.MappingError) as error:
         click.echo(f"no model: {error}")
         return NO_POSE
@@ -70,6 +72,9 @@ def reconstruct(
     for number, other in enumerate(models[1:], start=1):
         facts = f"{len(other.poses)} of {data['images']} images, {len(other.points)} points"
         click.echo(f"{out / reconstruction.MODEL / str(number)}: {facts}, in axes of its own")
+    for text in metric.pop("warnings", ()):
+        to_stderr(f"warning: {text}")
+    up_to_scale = metric.pop("not_in_metres", None)
     for fact, value in metric.items():
         click.echo(f"{fact.replace('_', ' ')}: {value}")
     click.echo(f"{out / reconstruction.POINTS}: the points with their colours")
@@ -84,4 +89,7 @@ def reconstruct(
         to_stderr(f"not registered: {name}: {pairs}")
     if view:
         webbrowser.open((out / PAGE).resolve().as_uri())
+    if up_to_scale is not None:
+        model = out / reconstruction.MODEL
+        raise reconstruction.MappingError(f"{model} is up to scale: {up_to_scale}")
     return 0

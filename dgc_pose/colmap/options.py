@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.images.markers import MAX_SIDE
 from dgc_pose.system.options import check_options, option
 
 MapperName = Literal["incremental", "global"]
@@ -37,6 +38,8 @@ class ReconstructionOptions:
         "Metres by the side of printed ArUco or AprilTag markers.",
         metavar="METRES",
         above=0,
+        max=MAX_SIDE,
+        unit=" metres",
         section="reconstruction",
     )
 

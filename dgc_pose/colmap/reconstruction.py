@@ -15,13 +15,12 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.tracking import SharedMatches
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError, reason
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
-from dgc_pose.estimation.scale import marker_side
-from dgc_pose.images.decoding import image_header, read_pixels
-from dgc_pose.images.markers import find_markers
+from dgc_pose.estimation.marker_side import marker_side
+from dgc_pose.images.decoding import image_header
+from dgc_pose.images.markers import shared_markers
 from dgc_pose.model import Model, load_model, require_model_folder, write_points
 from dgc_pose.system.colmap_library import pycolmap
 from dgc_pose.system.files import only_writer, replaced, replaced_folder, scratch_folder
-from dgc_pose.system.parallel import in_threads
 from dgc_pose.system.texts import write_json
 
 DATABASE, MODEL, POINTS, SUMMARY = "database.db", "sparse", "points.ply", "summary.json"
@@ -34,6 +33,10 @@ _OWN_FRAME = "the model's own"
 _MIN_WIDTH = 0.02  # positions whose width is a smaller share of their length lie on a line
 
 
+# By image name, the metric data that exist before the matching; and the name of their frame.
+KnownMetres = tuple[dict[str, Any], str]
+
+
 class MappingError(DgcPoseError):
     """COLMAP made no model, or the model does not agree with GPS."""
 
@@ -43,17 +46,19 @@ def reconstruct(
     out: Path,
     options: ReconstructionOptions | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
+    known: KnownMetres | None = None,
 ) -> tuple[list[Model], SharedMatches, dict[str, Any]]:
     """Write `database.db`, `sparse/` and `points.ply` into `out`, replacing existing files.
 
     Returns the models, the one with the most images first; their matches; and the unit and
-    frame of the first model, see `to_metres`. The other models show further scenes. They are
-    in `sparse/1`, ... by size, each in axes of its own. Bundle adjustment also refines intrinsics
-    if a camera of the batch was uncertain, see `refines`.
+    frame of the first model, see `to_metres`, or `not_in_metres`, the reason why the model kept its
+    scale. The other models show further scenes. They are in `sparse/1`, ... by size, each in axes
+    of its own. Bundle adjustment also refines intrinsics if a camera of the batch was uncertain,
+    see `refines`. known: what `known_metres` returned for the images, if it was called before.
 
     Raises MappingError if COLMAP makes no model; InputError if `sparse` contains files that are not
-    part of a model, another process writes into `out`, or no pair has a pose; what `to_metres`
-    raises; ImageError if an image can no longer be read; OSError if the disk is full.
+    part of a model, another process writes into `out`, or no pair has a pose; ImageError if an
+    image can no longer be read; OSError if the disk is full.
     """
     options = options or ReconstructionOptions()
     mapping = replace(options, refine_intrinsics=refines(batch, options))
@@ -69,7 +74,10 @@ def reconstruct(
         for model in found:
             if cut:
                 adjust(model, cut, centres=True)
-        metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options)
+        try:
+            metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options, known)
+        except (MappingError, InputError) as error:
+            metric = {"not_in_metres": str(error)}
         models = write_models(out, found, plan.root)
     return models, shared, metric
 
@@ -231,15 +239,16 @@ def _pipeline_options(options: ReconstructionOptions) -> Any:
     return settings
 
 
-def known_metres(
-    paths: Mapping[str, Path], options: ReconstructionOptions
-) -> tuple[dict[str, Any], str]:
+def known_metres(paths: Mapping[str, Path], options: ReconstructionOptions) -> KnownMetres:
     """The metric data that exist before the matching, by image name, and the name of their frame.
-    With `gps`, positions (3,) in metres from the first; with `scale`, the distance for both names.
+    With `gps`, positions (3,) in metres from the first; with `scale`, the distance for both names;
+    with `marker`, what `shared_markers` finds.
 
-    Raises InputError for fewer than three GPS positions, for positions on a line, and for a `scale`
-    that is not two images and metres.
+    Raises InputError for fewer than three GPS positions, for positions on a line, for a `scale`
+    that is not two images and metres, and if no marker is in two images.
     """
+    if options.marker:
+        return dict(shared_markers(paths)), _OWN_FRAME
     if options.scale:
         *pair, metres = options.scale.split(",")
         with suppress(ValueError):
@@ -268,25 +277,29 @@ def known_metres(
 
 
 def to_metres(
-    model: pycolmap.Reconstruction, paths: Mapping[str, Path], options: ReconstructionOptions
+    model: pycolmap.Reconstruction,
+    paths: Mapping[str, Path],
+    options: ReconstructionOptions,
+    known: KnownMetres | None = None,
 ) -> dict[str, Any]:
     """Bring a model into metres: by a scale factor, or with `gps` by a similarity from RANSAC.
-    Returns unit, frame and errors for the summary; empty if no option is set.
+    Returns unit, frame, errors and `warnings`, if there are any, for the summary; empty if no
+    option is set. known: what `known_metres` returned for these images.
 
     Raises MappingError if GPS does not agree with the model; InputError for a camera of `scale`
     that is not in the model; what `known_metres` and `marker_side` raise; ImageError.
     """
-    known, frame = known_metres(paths, options)
+    data, frame = known or known_metres(paths, options)
     centres = {i.name: i.projection_center() for i in model.images.values() if i.has_pose}
-    both = [name for name in known if name in centres]
+    both = [name for name in data if name in centres]
     errors: dict[str, Any] = {}
     if options.scale:
-        for name in known.keys() - centres.keys():
+        for name in data.keys() - centres.keys():
             raise InputError(ArgumentName("scale"), f"{name} is not in the model")
         apart = np.linalg.norm(np.subtract(*(centres[name] for name in both)))
-        similarity = pycolmap.Sim3d(known[both[0]] / apart, pycolmap.Rotation3d(), np.zeros(3))
+        similarity = pycolmap.Sim3d(data[both[0]] / apart, pycolmap.Rotation3d(), np.zeros(3))
     elif options.gps:
-        places = np.array([known[name] for name in both]).reshape(-1, 3)
+        places = np.array([data[name] for name in both]).reshape(-1, 3)
         ransac = pycolmap.RANSACOptions(max_error=_MAX_ERROR_M, random_seed=0)
         args = model, both, places, MIN_IMAGES, ransac
         aligned = pycolmap.align_reconstruction_to_locations(*args)
@@ -294,19 +307,33 @@ def to_metres(
             cameras = f"{len(both)} cameras to {_MAX_ERROR_M:g} m from their GPS positions"
             raise MappingError(f"no similarity brings {cameras}")
         similarity = _upright(aligned, model, np.array([centres[n] for n in both]), places)
-        off = [np.linalg.norm(similarity * centres[name] - known[name]) for name in both]
+        off = [np.linalg.norm(similarity * centres[name] - data[name]) for name in both]
         errors["median_gps_residual_m"] = round(float(np.median(off)), 3)
         errors["largest_gps_residual_m"] = round(float(max(off)), 3)
     elif options.marker:
         posed = Model.of_colmap(model, Path())
-        corners = in_threads(lambda name: find_markers(read_pixels(paths[name])), [*posed.poses])
-        found = marker_side(corners, [*posed.cameras.values()], [*posed.poses.values()])
+        corners = [data[name] for name in posed.poses]
+        around = [_points_seen(posed, name) for name in posed.poses]
+        found = marker_side(corners, [*posed.cameras.values()], [*posed.poses.values()], around)
         similarity = pycolmap.Sim3d(options.marker / found.side, pycolmap.Rotation3d(), np.zeros(3))
-        errors = {"scale_relative_std": round(found.std, 5), "marker_images": found.images}
+        errors = {"marker_images": found.images}
+        if found.std is not None:
+            errors["scale_relative_std"] = round(found.std, 5)
+        if found.warnings:
+            errors["warnings"] = [*found.warnings]
     else:
         return {}
     model.transform(similarity)
     return {"unit": "m", "frame": frame, **errors}
+
+
+def _points_seen(model: Model, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The normalised points (N, 2) of the model's points in an image, and their depths (N,)."""
+    if name not in model.seen:
+        return np.empty((0, 2)), np.empty(0)
+    which, pixels = model.seen[name]
+    axis = model.poses[name][2]
+    return model.cameras[name].normalise(pixels), model.points[which] @ axis[:3] + axis[3]
 
 
 def _upright(

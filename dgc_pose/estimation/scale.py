@@ -1,12 +1,12 @@
 """The length of t, from depth maps, markers, the distance of the cameras or a distance in the
-scene; and the size of markers in images with known cameras and poses."""
+scene."""
 
 import math
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,34 +14,33 @@ import numpy as np
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.keyed import numbers
 from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.estimation.depth_length import (
+    Rays,
+    inverse_depths,
+    length_by_depths,
+    ray_probability,
+    secants,
+)
 from dgc_pose.estimation.least_squares import DEVIATION
+from dgc_pose.estimation.marker_side import marker_side
 from dgc_pose.estimation.problem import cell_side
 from dgc_pose.estimation.result import RelativePose
-from dgc_pose.geometry.epipolar import depths, essential_from_pose, homogeneous, sampson_distance
+from dgc_pose.estimation.status import percent_text
+from dgc_pose.geometry.epipolar import depths, homogeneous
 from dgc_pose.geometry.sampling import bilinear_at
 from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
-from dgc_pose.images.markers import find_markers
+from dgc_pose.images.markers import MAX_SIDE, shared_markers
 from dgc_pose.matches import Matches
 from dgc_pose.system.options import check_options, option
 
 _FORMS = {"baseline": "METRES[,STD]", "distance": "X1,Y1,X2,Y2,METRES"}
-_MIN_DEPTHS = 10  # inliers with a known depth that a length needs
 _CONTRADICTS = 3.0  # scatter of single lengths, in deviations, above which the depth is doubted
-_CORRELATED = 30.0  # neighbouring depths that count as one, because their errors are correlated
+_SURE = 0.8  # probability of distances along the rays, above which depths are converted to z
 _MIN_NEAR, _NEAREST = 3, 9  # least and largest number of inliers for the depth at a point
-# A square's corners as shares of its middle and of two edges.
-_CORNERS = np.array([[1, -0.5, -0.5], [1, 0.5, -0.5], [1, 0.5, 0.5], [1, -0.5, 0.5]])
-_STEPS = 10  # of the fit of a square
-_CORNER_PX = 0.2  # least error of a corner: print, blur and exposure move them together
-_MAX_ERROR_PX, _MAX_ERROR = 2.0, 0.03  # of a square's corners: a constant plus a share of its side
-_MAX_STD = 0.2  # relative, of a side
-_MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides of one size: the larger of both is the limit
 _source = partial(option, None, type=str, section="scale")
 _Depth = str | Path | np.ndarray | None
 _Numbers = str | tuple[float, ...] | None
-# For an image: equations (4, 2, 4) of corners, pixels times depths; axis (4,) of depths; side, px.
-_View = tuple[np.ndarray, np.ndarray, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,12 @@ class ScaleSource:
     baseline: _Numbers = _source("Distance between the cameras.", metavar=_FORMS["baseline"])
     distance: _Numbers = _source("Distance of two points of image 1.", metavar=_FORMS["distance"])
     marker: float | None = _source(
-        "Side of ArUco or AprilTag markers.", metavar="METRES", type=float, above=0
+        "Side of ArUco or AprilTag markers.",
+        metavar="METRES",
+        type=float,
+        above=0,
+        max=MAX_SIDE,
+        unit=" metres",
     )
 
     def __post_init__(self) -> None:
@@ -95,14 +99,11 @@ class ScaleSource:
         ]
 
     def markers(self, images: Sequence[Image]) -> list[dict[str, np.ndarray]]:
-        """The markers in two images, by `find_markers`; none without `marker`. Raises InputError,
-        naming `marker`, if the images have no marker in common."""
-        found = [find_markers(image.pixels) for image in images if self.marker]
-        if found and not found[0].keys() & found[1].keys():
-            shown = [", ".join(sorted(of)) or "none" for of in found]
-            both = f"must be in both images: image 1 shows {shown[0]}, image 2 {shown[1]}"
-            raise InputError(ArgumentName("marker"), both)
-        return found
+        """The markers in two images, by `shared_markers`; none without `marker`."""
+        if not self.marker:
+            return []
+        named = {f"image {number}": image.pixels for number, image in enumerate(images, start=1)}
+        return [*shared_markers(named).values()]
 
 
 def with_length(
@@ -116,8 +117,10 @@ def with_length(
 
     The length is the median, over the inliers, of the known depth divided by the depth for a unit
     t; `distance` and `marker` work in the same way. matches: of the pose. maps, markers: from
-    `scale`. A warning states that the matches contradict the depths, that depths or inliers near a
-    point of `distance` are too few, or that markers are not squares of one size.
+    `scale`. Depths that the matches show to be distances along the rays are converted, with a
+    warning; `length_std` covers the doubt. A warning states that the matches contradict the depths,
+    that depths or inliers near a point of `distance` are too few, or that the images contradict a
+    marker, see `marker_side`.
     """
     if pose.R is None or pose.t is None or pose.camera1 is None or pose.camera2 is None:
         return pose
@@ -129,31 +132,80 @@ def with_length(
     cameras = pose.camera1, pose.camera2
     points = matches.points1[pose.inliers], matches.points2[pose.inliers]
     rays = cameras[0].normalise(points[0]), cameras[1].normalise(points[1])
-    if distance:
-        measure = partial(_by_distance, rays, cameras[0], distance)
-    elif markers:
-        measure = partial(_by_marker, markers, cameras, scale.marker or 0.0)
-    else:
-        z = [
-            np.full(len(at), np.nan) if of is None else 1 / bilinear_at(of, *at.T[:, :, None])[:, 0]
-            for of, at in zip(maps, points, strict=True)
-        ]
-        measure = partial(_by_depth, rays, z, scale.depth_std)
+    deviating = _deviating(pose)
+    source = _Source(partial(_by_distance, rays, cameras[0], distance or ()))
     try:
-        length, own, scatter = measure(pose.R, pose.t)
-        moved = [measure(R, t)[0] - length for R, t in _deviating(pose)]
+        if markers:
+            source = _of_markers(rays, cameras, markers, scale.marker or 0.0, pose.R, pose.t)
+        elif not distance:
+            z = np.array([_depths_at(*pair) for pair in zip(maps, points, strict=True)])
+            source = _of_depths(rays, z, scale.depth_std, (pose.R, pose.t), deviating)
+        length, own, scatter = source.measure(pose.R, pose.t)
+        moved = [source.measure(R, t)[0] - length for R, t in deviating]
     except InputError as error:
         warning = f"the length of t is not known: {error}"
-        return replace(pose, warnings=(*pose.warnings, warning))
+        return replace(pose, warnings=(*pose.warnings, *source.warnings, warning))
+    warnings = (*pose.warnings, *source.warnings)
     # The focal lengths scale the angles that depths are triangulated from.
     stds = own, *moved, *(length * camera.focal_std for camera in cameras)
-    warnings = pose.warnings
     if scatter > _CONTRADICTS:
         off = f"lengths scatter by {scatter:.1f} times their deviations"
         warnings += (f"the matches contradict the depth map: {off}",)
-    sure = pose.covariance is not None and scatter <= _CONTRADICTS
-    std = math.hypot(*stds) if sure else None
+    is_sure = source.is_sure and pose.covariance is not None and scatter <= _CONTRADICTS
+    std = math.hypot(*stds) if is_sure else None
     return replace(pose, length=length, length_std=std, warnings=warnings)
+
+
+class _Source(NamedTuple):
+    """What gives the length."""
+
+    # Of R and t: the length, its deviation, and the scatter of single lengths in their deviations.
+    measure: Callable[[np.ndarray, np.ndarray], tuple[float, float, float]]
+    warnings: tuple[str, ...] = ()
+    is_sure: bool = True  # whether the deviation is known
+
+
+def _of_depths(
+    rays: Rays,
+    z: np.ndarray,
+    depth_std: float,
+    pose: tuple[np.ndarray, np.ndarray],
+    deviating: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> _Source:
+    """Depths (2, N) of the inliers, NaN if unknown; converted to z if they are distances along the
+    rays."""
+    likely = ray_probability(rays, z, depth_std, pose, deviating)
+    if likely <= _SURE:
+        return _Source(partial(length_by_depths, rays, z, depth_std, likely))
+    kind = "the depths are distances along the rays, not z along the optical axis"
+    warning = f"{kind}, with a probability of {percent_text(likely)}: converted to z"
+    along_axis = z / secants(rays)
+    return _Source(partial(length_by_depths, rays, along_axis, depth_std, 1 - likely), (warning,))
+
+
+def _of_markers(
+    rays: Rays,
+    cameras: Sequence[Camera],
+    markers: Sequence[Mapping[str, np.ndarray]],
+    metres: float,
+    R: np.ndarray,
+    t: np.ndarray,
+) -> _Source:
+    """The markers that the inliers do not contradict. Raises InputError if there are none."""
+    poses = np.eye(3, 4), np.column_stack([R, t])
+    around = [*zip(rays, depths(*rays, R, t), strict=True)]
+    found = marker_side(markers, cameras, poses, around)
+    used = [{name: shown[name] for name in found.images} for shown in markers]
+    measure = partial(_by_marker, used, cameras, metres)
+    return _Source(measure, found.warnings, found.std is not None)
+
+
+def _depths_at(inverse: np.ndarray | None, points: np.ndarray) -> np.ndarray:
+    """Depths (N,) at points (N, 2) of an image, from its inverse depths; NaN if unknown."""
+    if inverse is None:
+        return np.full(len(points), np.nan)
+    known: np.ndarray = 1 / bilinear_at(inverse, *points.T[:, :, None])[:, 0]
+    return known
 
 
 def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -168,40 +220,6 @@ def _deviating(pose: RelativePose) -> list[tuple[np.ndarray, np.ndarray]]:
     return poses
 
 
-def _inverse_depths(
-    x1: np.ndarray, x2: np.ndarray, R: np.ndarray, t: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """1 / depth (N,) in camera 1, unit 1 / |t|, and its deviation (N,) from the error of matches:
-    with the depth, points in image 2 move along epipolar lines."""
-    error = DEVIATION * float(np.median(sampson_distance(x1, x2, essential_from_pose(R, t))))
-    inverse = 1 / depths(x1, x2, R, t)[0]
-    ratio = homogeneous(x1) @ R[2] + inverse * t[2]  # of the depths in cameras 2 and 1
-    moved = np.linalg.norm(t[:2] - t[2] * x2, axis=1) / np.abs(ratio)
-    return inverse, math.sqrt(2) * error / moved
-
-
-def _by_depth(
-    rays: tuple[np.ndarray, np.ndarray],
-    z: Sequence[np.ndarray],
-    depth_std: float,
-    R: np.ndarray,
-    t: np.ndarray,
-) -> tuple[float, float, float]:
-    """The length, its deviation, and the scatter of single lengths in their deviations. z: depths
-    (N,) in each camera, metres, NaN if unknown. Raises InputError if too few are known."""
-    known = np.isfinite(z)
-    if known.sum() < _MIN_DEPTHS:
-        raise InputError(f"{known.sum()} inliers have a depth, and {_MIN_DEPTHS} are needed")
-    first, second = _inverse_depths(*rays, R, t), _inverse_depths(*rays[::-1], R.T, -R.T @ t)
-    single = (np.array([first[0], second[0]]) * z)[known]
-    by_match = (np.array([first[1], second[1]]) * z)[known]
-    length = float(np.median(single))
-    off = np.abs(single - length)
-    scatter = DEVIATION * float(np.median(off / np.hypot(by_match, depth_std * length)))
-    count = max(known.any(0).sum() / _CORRELATED, 1.0)
-    return length, math.hypot(depth_std * length, DEVIATION * np.median(off) / count**0.5), scatter
-
-
 def _by_distance(
     rays: tuple[np.ndarray, np.ndarray],
     camera1: Camera,
@@ -209,9 +227,9 @@ def _by_distance(
     R: np.ndarray,
     t: np.ndarray,
 ) -> tuple[float, float, float]:
-    """The same from a distance in the scene, see `ScaleSource`. Raises InputError if too few
+    """The measure of a distance in the scene, see `ScaleSource`. Raises InputError if too few
     inliers are near one of its points."""
-    inverse, std = _inverse_depths(*rays, R, t)
+    inverse, std = inverse_depths(*rays, R, t)
     ends, radius = camera1.normalise(np.reshape(distance[:4], (2, 2))), cell_side(camera1)
     points, off = homogeneous(ends), np.zeros((2, 3))
     for n, end in enumerate(ends):
@@ -238,92 +256,6 @@ def _by_marker(
     R: np.ndarray,
     t: np.ndarray,
 ) -> tuple[float, float, float]:
-    """The same from the side of markers."""
+    """The measure of the side of markers."""
     found = marker_side(markers, cameras, (np.eye(3, 4), np.column_stack([R, t])))
-    return metres / found.side, metres / found.side * found.std, 0.0
-
-
-@dataclass(frozen=True)
-class MarkerSide:
-    """The side of markers, in the unit of the poses."""
-
-    side: float
-    std: float  # relative standard deviation
-    images: Mapping[str, int]  # by marker, the number of images in which it was measured
-
-
-def marker_side(
-    corners: Sequence[Mapping[str, np.ndarray]],
-    cameras: Sequence[Camera],
-    poses: Sequence[np.ndarray],
-) -> MarkerSide:
-    """The side of the markers that two or more images show.
-
-    corners: of each image, by `find_markers`. poses: cam_from_world (3, 4). A marker counts if its
-    corners are a square under the poses; images that contradict the others are dropped. Raises
-    InputError if no marker counts, or if markers differ in size.
-    """
-    views = defaultdict[str, list[_View]](list)
-    for of_image, camera, pose in zip(corners, cameras, poses, strict=True):
-        for name, pixels in of_image.items():
-            points = camera.normalise(pixels)
-            if np.isfinite(points).all():
-                equations = camera.focal * (points[:, :, None] * pose[2] - pose[:2])
-                side_px = float(np.linalg.norm(pixels - np.roll(pixels, 1, 0), axis=1).mean())
-                views[name].append((equations, pose[2], side_px))
-    fits = {name: fit for name, seen in views.items() if (fit := _fit(seen))}
-    if not fits:
-        both = f"a marker in two of the {len(corners)} images"
-        seen_twice = any(len(seen) > 1 for seen in views.values())
-        words = f"{both} that is a square under the poses" if seen_twice else both
-        raise InputError(ArgumentName("marker"), f"needs {words}")
-    names, (sides, stds, counts) = [*fits], np.array([*fits.values()]).T
-    low, high = sides.argmin(), sides.argmax()
-    ratio = sides[high] / sides[low]
-    if ratio > max(_MAX_RATIO, 1 + _DEVIATIONS * np.hypot(stds[low], stds[high])):
-        sizes = f"{names[high]} is {ratio:.3g} times as large as {names[low]}"
-        raise InputError(ArgumentName("marker"), f"needs markers of one size, and {sizes}")
-    side = np.average(sides, weights=stds**-2)
-    scatter = np.average((sides / side - 1) ** 2, weights=stds**-2) / max(1, len(sides) - 1)
-    std = np.sqrt(max(1 / (stds**-2).sum(), scatter))
-    return MarkerSide(float(side), float(std), dict(zip(names, map(int, counts), strict=True)))
-
-
-def _fit(seen: Sequence[_View]) -> tuple[float, float, int] | None:
-    """The side of a marker, its relative deviation and the number of images, without images whose
-    corners are off; None if the corners are not a square."""
-    while len(seen) > 1:
-        equations, axes, sides_px = map(np.stack, zip(*seen, strict=True))
-        side, std, errors = _square(equations, axes)
-        errors = errors / (_MAX_ERROR_PX + _MAX_ERROR * sides_px)
-        if errors.max() <= 1:
-            std = float(np.hypot(std, _CORNER_PX / sides_px.max()))
-            return (side, std, len(seen)) if std < _MAX_STD else None
-        seen = [view for n, view in enumerate(seen) if n != errors.argmax()]
-    return None
-
-
-def _square(equations: np.ndarray, axes: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """The side of the square of least error, its relative deviation, and the errors (V,) of the
-    images: root mean squares in pixels, infinite behind a camera. equations, axes: see `_View`.
-
-    x (9,) is the middle and two edges u and v. G x = 0 makes the edges equally long and
-    perpendicular; G depends on x.
-    """
-    rows = np.einsum("ck,vcij->vcikj", _CORNERS, equations[..., :3]).reshape(-1, 4, 2, 9)
-    x, z = np.zeros(9), np.ones((len(axes), 4))
-    for _ in range(_STEPS):
-        weights = 1 / np.where(z > 0, z, 1)[..., None]
-        A, b = (rows * weights[..., None]).reshape(-1, 9), (equations[..., 3] * weights).ravel()
-        inverse, (u, v) = np.linalg.pinv(A.T @ A), x[3:].reshape(2, 3)
-        G = np.array([[0, 0, 0, *u, *-v], [0, 0, 0, *v, *u]])
-        gain = inverse @ G.T @ np.linalg.pinv(G @ inverse @ G.T)
-        free = -inverse @ A.T @ b
-        x = free - gain @ G @ (free - x / 2)
-        z = axes[:, :3] @ (_CORNERS @ x.reshape(3, 3)).T + axes[:, 3:]
-    squares, side = (A @ x + b).reshape(-1, 8) ** 2, np.linalg.norm(x[3:6])
-    slope = np.array([0, 0, 0, *x[3:6], 0, 0, 0]) / side**2
-    variance = max(squares.sum() / (squares.size - 7), _CORNER_PX**2)
-    std = np.sqrt(variance * slope @ (inverse - gain @ G @ inverse) @ slope)
-    errors = np.where((z > 0).all(1), np.sqrt(2 * squares.mean(1)), np.inf)
-    return float(side), float(std), errors
+    return metres / found.side, metres / found.side * (found.std or 0.0), 0.0

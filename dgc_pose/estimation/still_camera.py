@@ -168,8 +168,8 @@ def turned_camera(stated: TwoViewProblem) -> StillCamera:
     for number, widest in enumerate(_LIMITS):
         distance = fit.distances(turn)
         near = distance < widest * limit
-        explained = near if number == 0 else distance < limit  # the first fit reaches a turn
-        if explained.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
+        reached = near if number == 0 else distance < limit  # the first fit reaches a turn
+        if reached.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
             return StillCamera(turn.R, 0)
         width = loss_width(distance[near], widest * limit)
         turn = _TurnFit(sample.subset(near), prior).fitted(turn, width)

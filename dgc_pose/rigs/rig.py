@@ -213,7 +213,8 @@ def estimate_rig(
     scale = _spread(whole) / before
     poses = {name: whole.images[ids[name]].cam_from_world().matrix() for name in placed}
     placed = {name: in_metres(of, poses[name], scale) for name, of in placed.items()}
-    model, warnings = _written(whole, paths, out), (*skipped, *_same_poses(placed))
+    model = _written(whole, paths, out)
+    warnings = (*skipped, *metric.pop("warnings", ()), *_same_poses(placed))
     return Rig({**cameras, **placed, **unusable}, model, metric, warnings)
 
 

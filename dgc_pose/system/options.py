@@ -38,6 +38,7 @@ class OptionInfo:
     min: float | None = None  # least allowed value
     above: float | None = None  # the value must be larger
     max: float | None = None  # largest allowed value
+    unit: str = ""  # of these, after a blank, in an error
     type: Any = None  # click's type, for a text with a special role, such as an output's path
     section: Section = "options"  # of the command's help
 
@@ -91,7 +92,7 @@ def check_options(options: Any) -> None:
             if low or (info.max is not None and value > info.max):
                 bounds = {"at least": info.min, "above": info.above, "at most": info.max}
                 texts = (f"{words} {n}" for words, n in bounds.items() if n is not None)
-                raise InputError(name, f"must be {' and '.join(texts)}, not {value}")
+                raise InputError(name, f"must be {' and '.join(texts)}{info.unit}, not {value}")
 
 
 def check_type(value: Any, kind: Any, name: str) -> None:

@@ -1,5 +1,6 @@
 """Models of known cameras brought into metres."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -139,18 +140,23 @@ def test_the_distance_of_two_cameras_gives_the_scale(tmp_path: Path) -> None:
 
 
 def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
-    """Of a model in another unit, by pictures of three of its cameras."""
+    """Of a model in another unit, by pictures of three of its cameras. A second marker moves before
+    the last one."""
     K, name = np.array([[600.0, 0, 320], [0, 600, 240], [0, 0, 1]]), "APRILTAG_36h11:4"
     true = np.array([[-0.4, 0, 0], [0, 0.1, 0], [0.4, 0, 0]])  # metres
     model = model_of(0.3 * true, Rotation.identity(), (600, 600, 320.5, 240.5))
     for number, centre in enumerate(true, start=1):
-        marker = {name: square(0.2, (0, 0, 2), (0.3, 0.1, 0))}
-        of_marker = np.column_stack([np.eye(3), -centre])
-        pixels = draw_markers(texture((640, 480), number), K, of_marker, marker, number)
+        markers = {name: square(0.2, (0, 0, 2), (0.3, 0.1, 0))}
+        markers["APRILTAG_36h11:5"] = square(0.2, (0.2, 0.3 + 0.05 * (number == 3), 2))
+        pose = np.column_stack([np.eye(3), -centre])
+        pixels = draw_markers(texture((640, 480), number), K, pose, markers, number)
         PIL.Image.fromarray(pixels).save(tmp_path / NAMES[number - 1])
     facts = to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
     assert (facts["unit"], facts["frame"]) == ("m", "the model's own")
-    assert facts["marker_images"][name] == 3 and 0.001 < facts["scale_relative_std"] < 0.01
+    assert facts["marker_images"] == {name: 3, "APRILTAG_36h11:5": 2}
+    assert 0.001 < facts["scale_relative_std"] < 0.01
+    moved = "marker APRILTAG_36h11:5 is a square under the poses of 2 of its 3 images: it is used"
+    assert facts["warnings"] == [moved]
     np.testing.assert_allclose(centres_of(model), true, atol=0.004)
     for image in NAMES[:3]:
         PIL.Image.fromarray(texture((640, 480))).save(tmp_path / image)
@@ -162,11 +168,15 @@ def test_the_command(tmp_path: Path) -> None:
     folder = tmp_path / "photos"
     first, *_, last = (view.centre for view in view_folder(folder))
     metres = 7.5 * np.linalg.norm(last - first)
+    PIL.Image.fromarray(texture((240, 180))).save(folder / "other.png")
     fast = ("--K", K_text(), "--weights", "sift", "--runs", 1, "--workers", 1)
     words = ("reconstruct", folder, "--out", tmp_path / "out", *fast)
     for scale in ("nosuch.png,2", "view1.png,0", "view0.png,2"):
         refused = run(*words, "--scale", f"view0.png,{scale}")
-        assert_refused(refused, "--scale must be two of the 4 images (such as")
+        assert_refused(refused, "--scale must be two of the 5 images (such as")
+        assert not (tmp_path / "out").exists()
+    for option in (("--gps",), ("--marker", 0.2)):
+        assert_refused(run(*words, *option), option[0])
         assert not (tmp_path / "out").exists()
     result = run(*words, "--scale", f"view0.png,view3.png,{metres}")
     assert result.exit_code == 0, result.output
@@ -174,3 +184,10 @@ def test_the_command(tmp_path: Path) -> None:
     assert '"unit": "m"' in (tmp_path / "out" / "summary.json").read_text()
     centres = centres_of(pycolmap.Reconstruction(tmp_path / "out" / "sparse"))
     assert np.linalg.norm(centres[3] - centres[0]) == pytest.approx(metres)
+    result = run(*words, "--resume", "--scale", f"view0.png,other.png,{metres}")
+    assert result.exit_code == 2
+    assert result.stderr.endswith("sparse is up to scale: scale other.png is not in the model\n")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["registered"] == 4 and "unit" not in summary
+    assert summary["not_in_metres"] == "scale other.png is not in the model"
+    assert pycolmap.Reconstruction(tmp_path / "out" / "sparse").num_reg_images() == 4

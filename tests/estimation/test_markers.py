@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose import InputError
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.scale import MarkerSide, marker_side
+from dgc_pose.estimation.marker_side import MarkerSide, marker_side
 from dgc_pose.images.markers import find_markers
 
 SIZE = (640, 480)
@@ -26,14 +26,28 @@ def views(count: int) -> list[np.ndarray]:
     return poses
 
 
-def measured(
+def pictures(
     markers: dict[str, np.ndarray], poses: list[np.ndarray], error_px: float = 0.1, seed: int = 0
-) -> MarkerSide:
+) -> list[dict[str, np.ndarray]]:
     rng, seen = np.random.default_rng(seed), []
     for pose in poses:
         exact = {name: pixels_of(K, pose, corners) for name, corners in markers.items()}
         seen.append({name: at + rng.normal(0, error_px, (4, 2)) for name, at in exact.items()})
+    return seen
+
+
+def measured(
+    markers: dict[str, np.ndarray], poses: list[np.ndarray], error_px: float = 0.1, seed: int = 0
+) -> MarkerSide:
+    seen = pictures(markers, poses, error_px, seed)
     return marker_side(seen, [CAMERA] * len(poses), poses)
+
+
+def wall(poses: list[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The points of the wall z = 2 in each picture: normalised, with their depths."""
+    points = np.column_stack([np.random.default_rng(0).uniform(-1, 1, (400, 2)), np.full(400, 2.0)])
+    local = [points @ pose[:, :3].T + pose[:, 3] for pose in poses]
+    return [(at[:, :2] / at[:, 2:], at[:, 2]) for at in local]
 
 
 def test_drawn_markers_60_pixels_wide_in_three_pictures() -> None:
@@ -87,9 +101,76 @@ def test_what_is_no_square_is_left_out() -> None:
     found = marker_side(seen, [CAMERA] * 4, poses)
     assert found.images == {"a:1": 3} and found.side == pytest.approx(0.15, rel=1e-4)
     kite = square(0.15, (0.1, 0, 2)) * (1, 2, 1)
-    for markers, more in (({"a:1": kite}, " that is a square under the poses"), ({}, "")):
+    none = ": a:1 is a square under the poses of 0 of its 4 images"
+    for markers, more in (({"a:1": kite}, none), ({}, "")):
         message = f"marker needs a marker in two of the 4 images{more}"
         with pytest.raises(InputError, match=f"^{re.escape(message)}$"):
             measured(markers, poses)
     with pytest.raises(InputError, match="a square under the poses"):
         measured(right, [poses[0]] * 2)  # from one place
+
+
+def moved_along_the_baseline(
+    markers: dict[str, np.ndarray], poses: list[np.ndarray], share: float, name: str
+) -> list[dict[str, np.ndarray]]:
+    """Two pictures, between which a marker moves by a share of the cameras' distance. It is a
+    square under the poses, too."""
+    first, second = (-pose[:, :3].T @ pose[:, 3] for pose in poses)
+    moved = {**markers, name: markers[name] + share * (second - first)}
+    return [*pictures(markers, poses[:1]), *pictures(moved, poses[1:], seed=1)]
+
+
+def test_a_marker_that_moved_between_two_pictures_is_named() -> None:
+    """By the points around it: behind them it does not count; in front of them it may stand out,
+    and has no stated error. Another marker is used alone."""
+    poses = views(2)
+    markers = {"a:1": square(0.15, (0.1, 0, 2)), "a:2": square(0.15, (-0.2, 0.1, 2))}
+    alone, cameras = {"a:1": markers["a:1"]}, [CAMERA] * 2
+    still = marker_side(pictures(alone, poses), cameras, poses, wall(poses))
+    assert still.warnings == () and abs(still.side / 0.15 - 1) < 3 * still.std < 0.03
+    away = moved_along_the_baseline(alone, poses, 0.1, "a:1")
+    assert marker_side(away, cameras, poses).side > 1.1 * 0.15  # nothing shows it
+    with pytest.raises(InputError, match=": a:1 is 11 % farther than the points around it$"):
+        marker_side(away, cameras, poses, wall(poses))
+    near = moved_along_the_baseline(alone, poses, -0.1, "a:1")
+    found = marker_side(near, cameras, poses, wall(poses))
+    assert found.std is None and found.side < 0.95 * 0.15
+    (told,) = found.warnings
+    nearer = "marker a:1 is 9 % nearer than the points around it"
+    assert told == f"{nearer}: it is used, without a stated error"
+    for share in (0.1, -0.1):
+        seen = moved_along_the_baseline(markers, poses, share, "a:1")
+        found = marker_side(seen, cameras, poses, wall(poses))
+        assert abs(found.side / 0.15 - 1) < 3 * found.std < 0.03
+        assert [*found.images] == ["a:2"]
+        (told,) = found.warnings
+        assert told.startswith("marker a:1 is ") and told.endswith(": it is not used")
+
+
+def test_a_marker_amid_points_stands_out_of_nothing() -> None:
+    poses, rng = views(2), np.random.default_rng(0)
+    points = rng.uniform((-1, -1, 1.7), (1, 1, 2.3), (400, 3))
+    local = [points @ pose[:, :3].T + pose[:, 3] for pose in poses]
+    cloud = [(at[:, :2] / at[:, 2:], at[:, 2]) for at in local]
+    seen = pictures({"a:1": square(0.15, (0.1, 0, 2))}, poses)
+    found = marker_side(seen, [CAMERA] * 2, poses, cloud)
+    assert found.std is not None and found.warnings == ()
+
+
+def test_most_markers_and_most_pictures_decide() -> None:
+    markers = {f"a:{n}": square(0.15, (0.2 * n, 0, 2)) for n in range(3)}
+    seen = moved_along_the_baseline(markers, views(2), 0.1, "a:1")
+    found = marker_side(seen, [CAMERA] * 2, views(2))
+    assert [*found.images] == ["a:0", "a:2"] or [*found.images] == ["a:2", "a:0"]
+    (told,) = found.warnings
+    assert re.match(r"marker a:1 is 1\.1\d* times as large as a:\d: it is not used$", told)
+    poses = views(5)
+    moved = {"a:0": markers["a:0"] + (0, 0.05, 0)}
+    seen = [*pictures({"a:0": markers["a:0"]}, poses[:3]), *pictures(moved, poses[3:])]
+    found = marker_side(seen, [CAMERA] * 5, poses)
+    assert found.images == {"a:0": 3} and abs(found.side / 0.15 - 1) < 0.01
+    assert found.warnings == (
+        "marker a:0 is a square under the poses of 3 of its 5 images: it is used",
+    )
+    with pytest.raises(InputError, match=" 2 of its 4 images$"):
+        marker_side([*seen[:2], *seen[3:]], [CAMERA] * 4, [*poses[:2], *poses[3:]])

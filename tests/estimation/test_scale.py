@@ -11,6 +11,7 @@ from scenes import SIZE1, SIZE2, TwoViewScene, two_view_scene
 
 from dgc_pose import InputError, RelativePose, ScaleSource, estimate_pose
 from dgc_pose.estimation.scale import with_length
+from dgc_pose.geometry.epipolar import depths
 from dgc_pose.images.depth import read_depth
 from dgc_pose.images.image import Image
 
@@ -40,29 +41,53 @@ def depth_map(
     return read_depth(depth, "depth1", size, 1)
 
 
-def maps_of(seed: int, noise: float = 0.02) -> list[np.ndarray | None]:
+def maps_of(seed: int, noise: float = 0.02, rays: bool = False) -> list[np.ndarray | None]:
+    """Depth maps of both images. rays: of distances along the rays."""
     scene, points, _ = scene_and_pose(seed)
-    z2 = (points @ scene.R.T + LENGTH * scene.t)[:, 2]
+    local = points, points @ scene.R.T + LENGTH * scene.t
+    depths = [np.linalg.norm(at, axis=1) if rays else at[:, 2] for at in local]
     true = scene.true
     return [
-        depth_map(scene.points1[true], points[true, 2], SIZE1, noise),
-        depth_map(scene.points2[true], z2[true], SIZE2, noise),
+        depth_map(scene.points1[true], depths[0][true], SIZE1, noise),
+        depth_map(scene.points2[true], depths[1][true], SIZE2, noise),
     ]
 
 
 @pytest.mark.parametrize("images", [(1,), (2,), (1, 2)])
-def test_depth_maps_tell_the_length_as_surely_as_they_say(images: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("rays", [False, True], ids=["z", "along the rays"])
+def test_depth_maps_tell_the_length_as_surely_as_they_say(
+    images: tuple[int, ...], rays: bool
+) -> None:
+    """Distances along the rays, 6 % longer than z, are converted, with a warning."""
     within = []
     for seed in range(8):
         scene, _, pose = scene_and_pose(seed)
-        both = maps_of(seed)
+        both = maps_of(seed, rays=rays)
         maps = [both[n] if n + 1 in images else None for n in range(2)]
         result = with_length(pose, scene.matches, ScaleSource(), maps)
-        assert result.warnings == pose.warnings and result.t is pose.t
+        told = [text for text in result.warnings if text not in pose.warnings]
+        assert len(told) == rays and result.t is pose.t
+        assert all("along the rays, not z along the optical axis" in text for text in told)
         assert abs(result.length / LENGTH - 1) < 0.03
         assert 0.01 < result.length_std / LENGTH < 0.04
         within.append(abs(result.length - LENGTH) < 1.645 * result.length_std)
     assert sum(within) >= 6
+
+
+def test_depths_that_do_not_tell_their_kind_widen_the_deviation() -> None:
+    """Of points at about the same angle to the optical axis: z and the distance are alike."""
+    scene, points, pose = scene_and_pose(0)
+    rays = scene.cameras[0].normalise(scene.points1)
+    secant = np.sqrt(1 + np.square(rays).sum(1))
+    rim = np.flatnonzero(scene.true & pose.inliers & (np.abs(secant - 1.08) < 0.01))
+    lengths = []
+    for depth in points[:, 2], points[:, 2] * secant:
+        maps = [depth_map(scene.points1[rim], depth[rim], SIZE1, 0.02), None]
+        result = with_length(pose, scene.matches, ScaleSource(), maps)
+        assert len(rim) > 50 and result.warnings == pose.warnings
+        assert result.length_std > result.length * np.hypot(0.02, 0.3 * 0.08)
+        lengths.append(result.length)
+    assert lengths[1] / lengths[0] == pytest.approx(1.08, abs=0.01)
 
 
 def test_a_depth_map_of_another_scene_is_doubted() -> None:
@@ -140,7 +165,31 @@ def test_a_marker_tells_the_length_as_surely_as_it_says() -> None:
     for of_image in markers:
         of_image["a:1"] = np.random.default_rng(1).uniform(0, 300, (4, 2))
     result = with_length(pose, scene.matches, source, [None, None], markers)
-    assert result.length is None and result.warnings[-1].endswith("square under the poses")
+    assert result.length is None and result.warnings[-1].endswith("poses of 0 of its 2 images")
+
+
+def test_a_marker_that_moved_is_told_by_the_inliers_around_it() -> None:
+    """By a tenth of the distance of the cameras, in its direction."""
+    scene, exact = (two_view_scene("planar", sigma_px=sigma) for sigma in (0.5, 0.0))
+    pose = estimate_pose(scene.matches, *scene.cameras)
+    poses = np.eye(3, 4), np.column_stack([exact.R, LENGTH * exact.t])
+    seen = exact.points1, exact.points2
+    rays = [c.normalise(p) for c, p in zip(exact.cameras, seen, strict=True)]
+    z = LENGTH * depths(*rays, exact.R, exact.t)[0][exact.true]
+    middle = np.median(z) * np.append(np.median(rays[0][exact.true], axis=0), 1)
+    corners = square(0.05 * middle[2], middle, (0.2, 0.3, 0))
+    told = {}
+    for share in (0.0, 0.1, -0.1):
+        moved = corners - share * LENGTH * exact.R.T @ exact.t
+        at = zip((scene.K1, scene.K2), poses, (corners, moved), strict=True)
+        markers = [{"a:1": pixels_of(*part)} for part in at]
+        source = ScaleSource(marker=0.05 * middle[2])
+        told[share] = with_length(pose, scene.matches, source, [None, None], markers)
+    still, away, near = told.values()
+    assert abs(still.length - LENGTH) < 2 * still.length_std < 0.1 * LENGTH
+    assert still.warnings == pose.warnings
+    assert away.length is None and "farther than the points around it" in away.warnings[-1]
+    assert near.length_std is None and "nearer than the points around it" in near.warnings[-1]
 
 
 def test_a_marker_must_be_in_both_images() -> None:
@@ -167,6 +216,7 @@ def test_a_marker_must_be_in_both_images() -> None:
         {"distance": "1,2,3,4,nan"},
         {"depth_std": 0.0},
         {"marker": 0.0},
+        {"marker": 15.0},
         {"marker": 0.1, "baseline": (1.0,)},
         {"baseline": (1.0,), "distance": (1.0, 2.0, 3.0, 4.0, 5.0)},
         {"depth1": "a.png", "depth2": "b.png", "baseline": (1.0,)},

@@ -1,10 +1,14 @@
 """The corners of markers in drawn pictures."""
 
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 from marker_scene import draw_markers, pixels_of, square, texture
 
-from dgc_pose.images.markers import find_markers
+from dgc_pose.errors import InputError
+from dgc_pose.images.markers import find_markers, shared_markers
 
 K = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
 POSE = np.eye(3, 4)
@@ -32,6 +36,31 @@ def test_several_markers_and_one_that_is_there_twice() -> None:
     image = draw_markers(image, K, POSE, {"4X4_1000:2": square(0.07, (0.0, 0.15, 1.0))})
     found = find_markers(image)
     assert "4X4_1000:2" not in found and "4X4_1000:1" in found
+
+
+def test_markers_of_several_images(tmp_path: Path) -> None:
+    """One must be in two of them. The error names a number that an image shows twice."""
+    first, second, third = (
+        draw_markers(texture(SIZE), K, POSE, {name: square(0.07, (x, 0.0, 1.0))})
+        for name, x in (("4X4_1000:2", 0.0), ("4X4_1000:2", 0.1), ("4X4_1000:5", 0.0))
+    )
+    file, damaged = tmp_path / "third.png", tmp_path / "damaged.png"
+    cv2.imwrite(str(file), third)
+    damaged.write_bytes(b"no image")
+    images = {"first": first, "file": file, "damaged": damaged, "second": second}
+    found = shared_markers(images)
+    assert [*found] == [*images] and found["damaged"] == {}
+    assert [*found["first"]] == [*found["second"]] == ["4X4_1000:2"]
+    assert [*found["file"]] == ["4X4_1000:5"]
+    twice = draw_markers(first, K, POSE, {"4X4_1000:2": square(0.07, (0.0, 0.15, 1.0))})
+    for images, words in (
+        ({"a": first, "b": twice}, "2 images: a shows 4X4_1000:2, b 4X4_1000:2 (2 times)"),
+        ({"a": texture(SIZE), "b": twice}, "2 images: b shows 4X4_1000:2 (2 times), a none"),
+        ({"a": texture(SIZE), "b": damaged}, "2 images"),
+    ):
+        with pytest.raises(InputError) as error:
+            shared_markers(images)
+        assert str(error.value) == f"marker finds no marker in two of the {words}"
 
 
 def test_an_image_without_markers() -> None:
