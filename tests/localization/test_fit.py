@@ -12,14 +12,12 @@ from worlds import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior
-from dgc_pose.localization.fit import (
+from dgc_pose.localization.correspondences import (
     PairCorrespondences,
     PointCorrespondences,
     WorldPose,
-    fitted,
-    located,
-    world_covariance,
 )
+from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.metrics import rotation_error_deg
 
 EXACT = IntrinsicsPrior.of(CAMERA, PHOTO_CAMERA)
