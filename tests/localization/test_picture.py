@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from worlds import CAMERA, IMAGE, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
+from worlds import CAMERA, IMAGE, OPTIONS, WorldScene, world_scene
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import estimate_pose
 from dgc_pose.geometry.homography import transfer_error
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import LocationSearch
-from dgc_pose.matches import Matches
 from dgc_pose.metrics import rotation_error_deg
 
 NO_POINTS = np.zeros(0, np.int64), np.zeros((0, 2))
