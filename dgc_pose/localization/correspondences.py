@@ -23,7 +23,6 @@ from dgc_pose.geometry.epipolar import depths, essential_from_pose, sampson_dist
 from dgc_pose.metrics import rotation_error_deg
 
 _SUPPORTING_SHARE = 0.6  # inliers of the location over those of the pair's best hypothesis
-SKEW_STD = 0.3  # of the prior of a skew
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +32,7 @@ class WorldPose:
     R: np.ndarray  # (3, 3) cam_from_world
     centre: np.ndarray  # (3,) world
     parameters: np.ndarray  # (SIZE,) of the camera, see `intrinsics_prior`
-    # By how much x of a normalised point grows with y. No camera has a skew: only `projective` fits
-    # it.
-    skew: float = 0.0
+    skew: float = 0.0  # growth of x with y, of normalised points; a camera has none
 
     def moved(self, step: np.ndarray, prior: IntrinsicsPrior) -> WorldPose:
         """The pose after a step of a fit: (6 + M,), and with the skew (7 + M,)."""
@@ -44,7 +41,7 @@ class WorldPose:
             cv2.Rodrigues(step[:3])[0] @ self.R,
             self.centre + step[3:6],
             self.parameters + (prior.basis @ of_camera)[SIZE:],
-            self.skew + SKEW_STD * float(step[6 + len(prior) :].sum()),
+            self.skew + float(step[6 + len(prior) :].sum()),
         )
 
 

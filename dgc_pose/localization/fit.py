@@ -25,7 +25,6 @@ from dgc_pose.estimation.least_squares import (
 )
 from dgc_pose.estimation.robust_fit import CAMERA, FOCAL, run_seeds
 from dgc_pose.localization.correspondences import (
-    SKEW_STD,
     Correspondences,
     PairCorrespondences,
     PointCorrespondences,
@@ -40,7 +39,6 @@ _FITTED = 400  # inliers of a pair in a fit; the errors of neighbours are correl
 _MIN_INLIERS = 8  # of a pair
 _MAX_STARTS = 3  # number of starts that are fitted
 _STEPS, _CONVERGED = 12, 1e-6
-_WIDENED = (4.0, 2.0, 1.0)  # thresholds of the fits of `widely_fitted`, over that of an inlier
 _MIN_KEPT = 0.95  # least score of a fit, over that of its start
 
 
@@ -76,15 +74,6 @@ def score(every: Sequence[Correspondences], pose: WorldPose) -> float:
         error, in_front = part.errors(pose)
         total += float(np.maximum(1 - (error / part.threshold) ** 2, 0)[in_front].sum())
     return total
-
-
-def inlier_share(every: Sequence[Correspondences], pose: WorldPose) -> float:
-    """The share of the correspondences that are inliers of a pose."""
-    inliers = 0
-    for part in every:
-        error, in_front = part.errors(pose)
-        inliers += int((in_front & (error < part.threshold)).sum())
-    return inliers / max(sum(map(len, every)), 1)
 
 
 def _starts(
@@ -171,7 +160,7 @@ def fitted(
     for _ in range(_STEPS):
         z = np.linalg.lstsq(prior.basis[SIZE:], pose.parameters, rcond=None)[0]
         information = np.diag([*np.zeros(6), *np.ones(len(prior) + skewed)])
-        gradient = np.concatenate([np.zeros(6), z, [pose.skew / SKEW_STD] * skewed])
+        gradient = np.concatenate([np.zeros(6), z, [pose.skew] * skewed])
         for part, width in _inliers(every, pose, _FITTED):
             error, slopes = _slopes(part, pose, prior, skewed=skewed)
             weights = (EFFICIENT / width) ** 2 / CORRELATED / (1 + (error / width) ** 2)
@@ -184,20 +173,6 @@ def fitted(
     return pose if score(every, pose) >= _MIN_KEPT * score(every, start) else start
 
 
-def widely_fitted(
-    every: Sequence[Correspondences],
-    pose: WorldPose,
-    prior: IntrinsicsPrior,
-    *,
-    skewed: bool = False,
-) -> WorldPose:
-    """As `fitted`, from a pose whose camera explains only a part of the matches: with larger
-    thresholds first."""
-    for factor in _WIDENED:
-        pose = fitted([part.widened(factor) for part in every], pose, prior, skewed=skewed)
-    return pose
-
-
 def _slopes(
     part: Correspondences, pose: WorldPose, prior: IntrinsicsPrior, *, skewed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -208,7 +183,7 @@ def _slopes(
         return error, slopes
     by_shift = slopes[:, 6:] @ np.linalg.pinv(prior.basis)[:, SIZE + 1]
     y = np.tile(part.seen[:, 1], len(error) // len(part))
-    return error, np.column_stack([slopes, SKEW_STD * y * by_shift])
+    return error, np.column_stack([slopes, y * by_shift])
 
 
 def _inliers(
@@ -259,7 +234,4 @@ def world_covariance(
     except np.linalg.LinAlgError:
         return None
     covariance += inverse @ information @ inverse
-    if skewed:
-        covariance[-1] *= SKEW_STD
-        covariance[:, -1] *= SKEW_STD
     return covariance if np.isfinite(covariance).all() else None

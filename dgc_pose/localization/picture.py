@@ -19,7 +19,7 @@ from dgc_pose.cameras.camera import Camera, image_size
 from dgc_pose.estimation.camera_changes import has_sensor_shape
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.localization.correspondences import Correspondences, WorldPose
-from dgc_pose.localization.fit import even_sample, inlier_share, widely_fitted, world_covariance
+from dgc_pose.localization.fit import even_sample, fitted, score, world_covariance
 
 # Deviations of the projective camera: of ln f and ln fy / fx, and of the principal point over the
 # longer side.
@@ -32,7 +32,10 @@ _SQUEEZE, _SHIFT = 0.015, 0.04
 _SKEW, _SKEW_OF_SHUTTER = 0.01, 0.03
 _STDS = 3.0  # by which each of them differs from 0
 _SAMPLED = 400  # matches of a pair
-_EXPLAINED = 0.6  # least share of the matches that the projective camera explains
+_EXPLAINED = 0.4  # least score of a match on average, see `score`
+# Thresholds of the fits, one after the other, over that of an inlier: the pose of a camera explains
+# only a part of the matches.
+_WIDENED = (4.0, 2.0, 1.0)
 
 
 def picture_text(
@@ -56,9 +59,10 @@ def picture_text(
     )
     prior = IntrinsicsPrior.of(database, wide)
     some = [part.subset(even_sample(len(part), _SAMPLED)) for part in every]
-    pose = widely_fitted(some, pose, prior, skewed=True)
+    for factor in _WIDENED:
+        pose = fitted([part.widened(factor) for part in some], pose, prior, skewed=True)
     covariance = world_covariance(some, pose, prior, skewed=True)
-    if covariance is None or inlier_share(some, pose) < _EXPLAINED:
+    if covariance is None or score(some, pose) < _EXPLAINED * sum(map(len, some)):
         return ""
     of_cameras = prior.basis @ covariance[6:-1, 6:-1] @ prior.basis.T
     stds = np.sqrt(of_cameras.diagonal()[SIZE:])
