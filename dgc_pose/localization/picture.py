@@ -35,7 +35,7 @@ _SAMPLED = 400  # matches of a pair
 _EXPLAINED = 0.4  # least score of a match on average, see `score`
 # Thresholds of the fits, one after the other, over that of an inlier: the pose of a camera explains
 # only a part of the matches.
-_WIDENED = (4.0, 2.0, 1.0)
+_WIDENED = (16.0, 4.0, 1.0)
 
 
 def picture_text(
