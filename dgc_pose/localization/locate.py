@@ -170,7 +170,7 @@ def _against(stated: Camera, location: Location, count: int) -> str:
         for said in (camera_texts.focal, camera_texts.centre):
             if text := said(stated, location.camera):
                 return f"the matches agree with {text}"
-    return f"the matches with {count} database images contradict K"
+    return f"the matches with {count} of the database images contradict K"
 
 
 def _same_file(first: Path, second: Path) -> bool:
