@@ -14,7 +14,7 @@ import click
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import STDOUT, OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
-from dgc_pose.cli.output import closing_lines, row_lines
+from dgc_pose.cli.output import camera_text, closing_lines, row_lines
 from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
 from dgc_pose.errors import ArgumentName, ImageError, InputError, printable
 from dgc_pose.estimation import EstimationOptions
@@ -176,8 +176,9 @@ def location_text(query: str, location: Location) -> str:
         )
         of = "that R is within 5 deg and the centre within 5 % of the model's extent"
         lines.append(probability_text(location.probability, of))
-    if location.success and location.camera is not None and not location.camera.exact:
-        lines.append(f"camera: f = {location.camera.focal:.1f} px by the matches")
+    camera = location.camera
+    if location.success and camera is not None and (text := camera_text(camera, camera)):
+        lines.append(f"camera: {text}")
     matched = location.database_images
     used = [image.name for image in matched if image.agrees]
     agree = f"database images: {len(used)} of {len(matched)} agree"

@@ -83,7 +83,7 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
     if pose.camera1 is None or pose.camera2 is None:
         return []
     cameras = pose.camera1, pose.camera2
-    text1, text2 = map(_camera_text, cameras, priors or cameras)
+    text1, text2 = map(camera_text, cameras, priors or cameras)
     if text1 == text2 and cameras[0].identity == cameras[1].identity is not None:
         assumed = priors is not None and priors[0].focal_prior and priors[0].identity != SHARED
         why = " (assumed: one size, and the same EXIF data or none)" if assumed else ""
@@ -91,7 +91,7 @@ def _camera_lines(pose: RelativePose, priors: tuple[Camera, Camera] | None) -> l
     return [f"camera {n}: {text}" for n, text in enumerate((text1, text2), start=1) if text]
 
 
-def _camera_text(camera: Camera, prior: Camera) -> str:
+def camera_text(camera: Camera, prior: Camera) -> str:
     """The numbers and deviations of a camera, and the f of its prior; empty if it is exact."""
     if camera.exact:
         return ""

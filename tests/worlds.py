@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose, intrinsics_prior
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
-from dgc_pose.localization.fit import PairCorrespondences, WorldPose
+from dgc_pose.localization.correspondences import PairCorrespondences, WorldPose
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
 

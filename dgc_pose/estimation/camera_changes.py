@@ -136,6 +136,12 @@ def is_edited(camera: Camera) -> bool:
     return is_open(camera) and (by_picture or may_be_crop(camera))
 
 
+def has_sensor_shape(camera: Camera) -> bool:
+    """Whether the image has the shape of a sensor: a cut or squeezed picture hardly ever has."""
+    shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
+    return any(abs(shape - math.log(usual)) <= _SAME_SHAPE for usual in _SHAPES)
+
+
 # Models without a K
 
 
@@ -145,8 +151,7 @@ def _of_picture(
     """The variants of a model that changes each camera without a K in the same way."""
 
     def log_odds(camera: Camera) -> float:
-        shape = abs(math.log(camera.size[0] / camera.size[1])) if camera.size else 0.0
-        if all(abs(shape - math.log(usual)) > _SAME_SHAPE for usual in _SHAPES):
+        if not has_sensor_shape(camera):
             return _LOG_ODDS_OF_SHAPE
         return _LOG_ODDS_OF_EXIF if camera.focal_source == "exif" else usual_log_odds
 

@@ -14,10 +14,16 @@ import numpy as np
 from dgc_pose.batch.source import similarity
 from dgc_pose.cameras.by_image import KDetails
 from dgc_pose.cameras.calibration import image_camera
-from dgc_pose.cameras.prior import with_lines
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.prior import auto_camera, with_lines
 from dgc_pose.colmap.tracking import points_in
 from dgc_pose.errors import DgcPoseError, ImageError, InputError
-from dgc_pose.estimation import EstimationOptions, RelativePose, reject_contradicted_K
+from dgc_pose.estimation import (
+    EstimationOptions,
+    RelativePose,
+    camera_texts,
+    reject_contradicted_K,
+)
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, load_image, mask_file, masked, unmatchable
 from dgc_pose.localization.location import Location
@@ -44,8 +50,9 @@ def locate(
     """Estimate the pose of a query photograph in a model's frame and unit.
 
     query: as an image for `estimate_relative_pose`. model: from `load_model`. K: of the query, as
-    for `estimate_relative_pose`; None if unknown. For many queries, use `Locator.locate_all`, which
-    describes the model only once. Raises InputError and ImageError like `estimate_relative_pose`.
+    for `estimate_relative_pose`; None if unknown. If the matches contradict K, the search starts
+    again without it, with a warning. For many queries, use `Locator.locate_all`, which describes
+    the model only once. Raises InputError and ImageError like `estimate_relative_pose`.
     """
     return Locator(model, matcher, options).locate(query, K)
 
@@ -133,7 +140,7 @@ class Locator:
         if why := unmatchable(image):
             return Location("bad_input", f"{image.name}: {why}", ())
         same = [n for n in self.model.poses if _same_file(self.model.root / n, Path(image.name))]
-        warnings, contradictions = list[str](), list[str]()
+        warnings = list[str]()
         if same and same[0] not in excluded:
             warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
         stated = image_camera(K, image, "K", details or KDetails())
@@ -150,6 +157,7 @@ class Locator:
 
         names.sort(key=lambda name: -scores[name])
         search = LocationSearch(self.model, camera, self.options, names, whole=whole)
+        against_K = 0  # database images
         seconds |= {"match": 0.0, "estimate": 0.0}
         while (name := search.next_image()) is not None:
             start = time.perf_counter()
@@ -160,18 +168,20 @@ class Locator:
             pair = solve_pair(self.image(name), image, cameras, self.matcher, options)
             matched = time.perf_counter()
             pose = reject_contradicted_K(pair.pose, cameras)
-            if pose is not pair.pose:
-                contradictions.append(f"{name}: {pose.reason}")
             search.add(name, pose, pair.matches, *self._points(name, image, pose, pair.matches))
             seconds["match"] += matched - start
             seconds["estimate"] += time.perf_counter() - matched
+            against_K = max(against_K, search.num_against_K)
+            if search.contradicts_K:
+                (assumed,) = with_lines([auto_camera(image)], [image])
+                search = LocationSearch(self.model, assumed, self.options, names, whole=whole)
         self.matcher.cache.forget(image)
         location = search.location()
-        if 2 * len(contradictions) <= len(location.database_images) and location.success:
-            contradictions = []  # most pairs agree with K
+        if against_K and (not location.success or search.stated is not camera):
+            warnings.append(f"{image.name}: {_against(camera, location, against_K)}")
         return replace(
             location,
-            warnings=(*warnings, *camera.warnings, *location.warnings, *contradictions[:1]),
+            warnings=(*warnings, *camera.warnings, *location.warnings),
             seconds=seconds,
         )
 
@@ -186,6 +196,15 @@ class Locator:
         shown = self.image(name)
         kept, seen = points_in(image, shown, matches.subset(pose.inliers), pixels)
         return which[kept], seen
+
+
+def _against(stated: Camera, location: Location, count: int) -> str:
+    """What the matches say of a K. count: database images whose matches contradict it."""
+    if location.camera is not None and location.success:
+        for said in (camera_texts.focal, camera_texts.centre):
+            if text := said(stated, location.camera):
+                return f"the matches agree with {text}"
+    return f"the matches with {count} of the database images contradict K"
 
 
 def _same_file(first: Path, second: Path) -> bool:

@@ -10,22 +10,23 @@ from itertools import combinations
 
 import numpy as np
 
-from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation import EstimationOptions, RelativePose
+from dgc_pose.cameras.camera import Camera, image_size
+from dgc_pose.cameras.prior import FAR_OFF
+from dgc_pose.estimation import EstimationOptions, RelativePose, camera_texts
 from dgc_pose.estimation.camera_changes import is_edited
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior, with_parameters
 from dgc_pose.estimation.problem import Hypothesis, TwoViewProblem
 from dgc_pose.geometry.rotation import rotation_angle_deg
-from dgc_pose.localization.fit import (
+from dgc_pose.localization.correspondences import (
+    Correspondences,
     PairCorrespondences,
     PointCorrespondences,
     WorldPose,
-    fitted,
-    located,
-    world_covariance,
 )
+from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.localization.location import DatabaseImage, Location
+from dgc_pose.localization.picture import picture_text
 from dgc_pose.matches import Matches
 from dgc_pose.model import Model
 
@@ -36,11 +37,14 @@ _KNOWN_FOCAL_STD = 0.01  # of ln f; below it, the camera counts as exact in furt
 _LIKELY = 0.1  # a pair's pose of higher probability is likely
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # sufficient errors: of R; of the centre / extent
 _MIN_AGREEING = 3  # database images that must agree for the errors to suffice
+_MIN_AGAINST_K = 2  # more than half of at least this many database images contradict a wrong K
 _CANDIDATES = 12  # most similar database images, the candidates for the next one
 _PAIR_ERROR = 0.005  # error of a pair's direction, radians, for the choice of the next image
 # For an image that may be cropped or squeezed, standard deviations of its centre, over the longer
 # side, and of ln fy / fx; for a whole image, only of its centre, from the mounting of lenses.
 _EDITED_STDS, _CENTRE_STD = (0.1, 0.3), 0.02
+# Least ln fy / fx that is worth a warning; deviations by which it and the centre are unusual.
+_SQUEEZED, _UNUSUAL_STDS = 0.02, 3.0
 _CHANCE = 0.1  # probability that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # limit of a pair's probability
 _MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the database images
@@ -87,6 +91,7 @@ class LocationSearch:
         # By name: for the pairs with hypotheses, and for those that support the common pose.
         self.correspondences: dict[str, PairCorrespondences] = {}
         self.agreeing: dict[str, PairCorrespondences] = {}
+        self.shown: list[PointCorrespondences] = []
         self.pose: WorldPose | None = None
         self.fitted = camera
         self.covariance: np.ndarray | None = None
@@ -107,10 +112,10 @@ class LocationSearch:
             p.name: self._correspondences(p) for p in useful if p.name not in self.correspondences
         }
         pairs = list(self.correspondences.values())
-        shown = [self._points(pair) for pair in useful if len(pair.points)]
+        self.shown = [self._points(pair) for pair in useful if len(pair.points)]
         prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
         before = self.pose if useful[-1] is self.pairs[-1] else None
-        self.pose = located(pairs, shown, prior, self.options, before)
+        self.pose = located(pairs, self.shown, prior, self.options, before)
         if self.pose is None:
             return
         share, aspect_std = (_CENTRE_STD, 0.0) if self.whole else _EDITED_STDS
@@ -118,10 +123,10 @@ class LocationSearch:
         if is_edited(self.stated) and self.camera.centre_std < centre_std:
             self.camera = replace(self.camera, centre_std=centre_std, aspect_std=aspect_std)
             prior = IntrinsicsPrior.of(self.model.cameras[name], self.camera)
-            self.pose = fitted([*pairs, *shown], self.pose, prior)
+            self.pose = fitted([*pairs, *self.shown], self.pose, prior)
         found = self.pose
         self.agreeing = {n: c for n, c in self.correspondences.items() if c.supports(found)}
-        self.covariance = world_covariance([*pairs, *shown], found, prior)
+        self.covariance = world_covariance([*pairs, *self.shown], found, prior)
         if self.covariance is None:
             return
         self.covariance *= _ERROR_FACTOR**2
@@ -143,6 +148,16 @@ class LocationSearch:
     def is_placed(self) -> bool:
         """Whether the location is nearly certain."""
         return len(self.agreeing) > 1 and self._by_pairs() > _MOST_PROBABLE
+
+    @property
+    def num_against_K(self) -> int:
+        """The number of database images whose matches with the query contradict a stated K."""
+        return sum(pair.pose.contradicts_K for pair in self.pairs)
+
+    @property
+    def contradicts_K(self) -> bool:
+        """Whether most database images contradict the K of the query."""
+        return 2 * self.num_against_K > max(len(self.pairs), _MIN_AGAINST_K)
 
     @property
     def pair_camera(self) -> Camera:
@@ -212,6 +227,9 @@ class LocationSearch:
     def location(self) -> Location:
         """The location from the database images matched so far."""
         matched, pose = tuple(map(self._matched, self.pairs)), self.pose
+        none_agree = tuple(replace(image, agrees=False) for image in matched)
+        if reason := self._why_picture():
+            return Location("nowhere", reason, none_agree, camera=self.camera)
         if pose is not None and self.covariance is not None and self._is_located():
             is_known = all(pair.pose.any_probability is not None for pair in self.pairs)
             return Location(
@@ -223,6 +241,7 @@ class LocationSearch:
                 covariance=self.covariance[:6, :6],
                 probability=self._probability() if is_known else None,
                 camera=self.fitted,
+                warnings=self._unusual_camera(),
             )
         likely = [pair for pair in self.pairs if pair.pose.success]
         # R of the query, cam_from_world, from each pair with a pose.
@@ -231,7 +250,6 @@ class LocationSearch:
             for pair in likely
         }
         if reason := self._why_nowhere([*rotations.values()]):
-            none_agree = tuple(replace(image, agrees=False) for image in matched)
             return Location("nowhere", reason, none_agree, camera=self.camera)
         best = max(likely, key=lambda pair: pair.pose.probability or 0.0)
         R, t, camera = rotations[best.name], best.pose.hypotheses[0].t, self.camera
@@ -248,6 +266,29 @@ class LocationSearch:
             direction_from=best.name,
             camera=camera,
         )
+
+    def _unusual_camera(self) -> tuple[str, ...]:
+        """Warnings about what cropping or squeezing did to the fitted camera of the query."""
+        camera, K = self.fitted, self.stated.K
+        if not is_edited(self.stated):
+            return ()
+        squeeze = abs(math.log(camera.K[1, 1] / camera.K[0, 0] * K[0, 0] / K[1, 1]))
+        shift = float(np.abs(camera.K[:2, 2] - K[:2, 2]).max())
+        said = []
+        if squeeze > max(_SQUEEZED, _UNUSUAL_STDS * camera.aspect_std):
+            said.append(camera_texts.squeezed(camera))
+        if shift > max(FAR_OFF * max(image_size(camera)), _UNUSUAL_STDS * camera.centre_std):
+            said.append(camera_texts.off_centre(camera))
+        return tuple(f"the matches agree with {text}" for text in said)
+
+    def _why_picture(self) -> str:
+        """Why the query is a picture of the place; empty for another one."""
+        if self.pose is None or self.whole:
+            return ""
+        every: list[Correspondences] = [*self.correspondences.values(), *self.shown]
+        database = self.model.cameras[self.pairs[0].name]
+        text = picture_text(every, self.pose, database, self.camera, self.stated)
+        return f"the query looks like a picture of the place: {text}" if text else ""
 
     def _why_nowhere(self, rotations: Sequence[np.ndarray]) -> str:
         """Why the query has no rotation; empty if it has one. rotations: (3, 3), from each pair."""

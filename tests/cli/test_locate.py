@@ -1,6 +1,7 @@
 """`dgc-pose locate` on rendered views of known poses, with the shipped network."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,11 +10,14 @@ import pycolmap
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
 from command_line import assert_refused, contents, run
-from worlds import K, K_text, View, render_views, write_views
+from worlds import SIZE, K, K_text, View, render_views, write_views
 
+from dgc_pose.cameras.camera import Camera
+from dgc_pose.cli.locate import location_text
 from dgc_pose.estimation.status import percent_text
 from dgc_pose.geometry.rotation import quaternion_wxyz
 from dgc_pose.images.image import load_image
+from dgc_pose.localization.location import Location
 from dgc_pose.metrics import rotation_error_deg
 
 PHOTO = 2  # of the views
@@ -126,3 +130,16 @@ def test_unusable_input_is_one_line(scene: tuple[Path, list[View]], tmp_path: Pa
     several = locate(folder, folder / "photo.png", "--plot", tmp_path / "o.png")
     assert_refused(several, "--plot", "draws a single query, not 2")
     assert contents(tmp_path) == {} and contents(folder) == before
+
+
+def test_a_fitted_camera_is_told() -> None:
+    stds = {"focal_std": 0.01, "centre_std": 2.0, "aspect_std": 0.004}
+    camera = Camera(K, SIZE, focal_source="matches", **stds)
+    location = Location("located", "", (), np.eye(3), np.zeros(3), camera=camera)
+    told = (
+        "camera: f = 225.8 +- 2.3 px by the matches; fy / fx 1.007 +- 0.004; "
+        "principal point (121.0, 87.5) +- 2.0"
+    )
+    assert told in location_text("query.jpg", location).splitlines()
+    exact = replace(location, camera=camera.as_exact())
+    assert "camera" not in location_text("query.jpg", exact).replace("cam_from_world", "")

@@ -12,14 +12,13 @@ from worlds import CAMERA, OPTIONS, PHOTO_CAMERA, WorldScene, world_scene
 from dgc_pose.cameras.colmap_camera import Distortion
 from dgc_pose.estimation.covariance import error_radius, error_radius_deg
 from dgc_pose.estimation.intrinsics_prior import SIZE, IntrinsicsPrior
-from dgc_pose.localization.fit import (
+from dgc_pose.estimation.problem import TwoViewProblem
+from dgc_pose.localization.correspondences import (
     PairCorrespondences,
     PointCorrespondences,
     WorldPose,
-    fitted,
-    located,
-    world_covariance,
 )
+from dgc_pose.localization.fit import fitted, located, world_covariance
 from dgc_pose.metrics import rotation_error_deg
 
 EXACT = IntrinsicsPrior.of(CAMERA, PHOTO_CAMERA)
@@ -147,3 +146,34 @@ def test_points_do_not_bias_the_focal_length() -> None:
         shown = PointCorrespondences(scene.points, photo.normalise(pixels), None, 12 / photo.focal)
         off.append(fitted([shown], scene.pose, prior).parameters[0])
     assert abs(np.mean(off)) < 3.5 * np.std(off) / len(off) ** 0.5
+
+
+@pytest.mark.parametrize("kind", ["matches", "points"])
+def test_a_skew_is_fitted_with_its_error(kind: str) -> None:
+    """That of the photograph's pixels."""
+    true = 0.04
+    photo = replace(PHOTO_CAMERA, focal_std=0.1, centre_std=50.0, aspect_std=0.1)
+    prior = IntrinsicsPrior.of(CAMERA, photo)
+    scene = world_scene()
+    skewed = [replace(s, problem=_skewed(s.problem, true)) for s in _sights(scene)]
+    every: list[PairCorrespondences | PointCorrespondences] = [*skewed]
+    if kind == "points":
+        rng = np.random.default_rng(0)
+        pixels = scene.pixels(PHOTO_CAMERA, scene.R, scene.centre) + rng.normal(0, 1, (300, 2))
+        seen = photo.normalise(pixels)
+        seen[:, 0] += true * seen[:, 1]
+        every = [PointCorrespondences(scene.points, seen, None, 4 / photo.focal)]
+    wide = [part.widened(4) for part in every]
+    pose = fitted(every, fitted(wide, scene.pose, prior, skewed=True), prior, skewed=True)
+    covariance = world_covariance(every, pose, prior, skewed=True)
+    assert covariance is not None and covariance.shape == (7 + len(prior), 7 + len(prior))
+    assert covariance[-1, -1] ** 0.5 < 0.003
+    assert abs(pose.skew - true) < 4 * covariance[-1, -1] ** 0.5
+    assert max(_errors(scene, pose)) < 0.5
+    assert fitted(every, scene.pose, prior).skew == 0
+
+
+def _skewed(problem: TwoViewProblem, skew: float) -> TwoViewProblem:
+    points2 = problem.points2.copy()
+    points2[:, 0] += skew * points2[:, 1]
+    return replace(problem, points2=points2)

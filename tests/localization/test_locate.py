@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
 from boxes import box_picture
@@ -15,7 +16,9 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.localization import locate
 from dgc_pose.matchers import load_matcher
+from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model
+from dgc_pose.pose import solve_pair
 
 
 def test_features_go_with_their_images(tmp_path: Path) -> None:
@@ -79,3 +82,31 @@ def test_of_many_images_one_that_is_bad_is_told(tmp_path: Path) -> None:
         (tmp_path / "images" / name).write_bytes(b"")
     with pytest.raises(ImageError, match=r"view0\.png"):
         [*locate.Locator(model, load_matcher(), options).locate_all(queries)]
+
+
+def test_a_wrong_K_of_the_query_gives_way_and_is_told(tmp_path, monkeypatch) -> None:
+    """After two database images that contradict it."""
+    views = render_views(5, step=0.5)
+    photo = views.pop(2)
+    model = known_model(tmp_path, views)
+    cameras: list[Camera] = []
+
+    def solved(image1: Any, image2: Any, pair: tuple[Camera, Camera], *others: Any) -> Any:
+        cameras.append(pair[1])
+        return solve_pair(image1, image2, pair, *others)
+
+    monkeypatch.setattr(locate, "solve_pair", solved)
+    options = EstimationOptions(effort="fast", runs=2, iterations=200)
+    doubled = np.diag([2.0, 2.0, 1.0]) @ DATABASE_K
+    doubled[:2, 2] = DATABASE_K[:2, 2]
+    location = locate.Locator(model, load_matcher(), options).locate(photo.pixels, doubled)
+    assert location.success and location.R is not None and location.centre is not None
+    assert rotation_error_deg(location.R, photo.R) < 1
+    assert np.linalg.norm(location.centre - photo.centre) < 0.1
+    assert location.camera is not None
+    assert location.camera.focal == pytest.approx(225, rel=0.05)
+    (warning,) = location.warnings
+    assert warning.startswith("query: the matches agree with f = ")
+    assert warning.endswith(", and K states 452")
+    assert [camera.focal_source for camera in cameras[:3]] == ["given", "given", "size"]
+    assert len(cameras) == 2 + len(location.database_images)

@@ -129,12 +129,15 @@ def test_improbable_pairs_place_nothing(probability: float | None) -> None:
         assert location.probability is None and location.to_dict()["probability"] is None
 
 
-def test_the_camera_of_a_part_of_a_picture_is_fitted() -> None:
-    """The principal point of a picture without EXIF data may be far from its middle, and its pixels
-    need not be square: database images of known cameras determine both."""
+@pytest.mark.parametrize(("squeeze", "shift"), [(1.0, (110, -80)), (1.25, (0, 0))])
+def test_the_camera_of_a_part_of_a_picture_is_fitted(
+    squeeze: float, shift: tuple[float, float]
+) -> None:
+    """The principal point of a picture without EXIF data may be far from its middle, or its pixels
+    may not be square: database images of known cameras determine both."""
     scene = world_scene()
-    f, x, y = PHOTO_CAMERA.focal, *PHOTO_CAMERA.K[:2, 2]
-    middle = np.array([[1.25 * f, 0, x + 110], [0, f, y - 80], [0, 0, 1]])
+    f, x, y = PHOTO_CAMERA.focal, *PHOTO_CAMERA.K[:2, 2] + shift
+    middle = np.array([[squeeze * f, 0, x], [0, f, y], [0, 0, 1]])
     stds = {"focal_std": 0.45, "centre_std": 5.0, "lens_std": 0.1}
     assumed = Camera(middle, IMAGE, focal_source="size", **stds).with_focal(1.1 * f)
     search = LocationSearch(scene.model(), assumed, OPTIONS, scene.names)
