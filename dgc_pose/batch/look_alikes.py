@@ -48,7 +48,7 @@ _MOST_LOG_ODDS = 5.0  # in a folder with repeats
 _WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
 _QUANTILE = 0.75  # of the folder's pairs, with which each pair is compared
 # Prior log-odds for a folder without repeats: at least, and per pair, as pairs are not independent.
-# None of 300 folders of 5 to 9 photographs of 16 posed scenes is then taken for one with repeats
+# None of 300 folders of 4 to 9 photographs of 16 posed scenes is then taken for one with repeats
 _NO_REPEATS, _NO_REPEATS_PER_PAIR = 7.0, 0.3
 # Likelihoods that three poses agree, and that they disagree, if 0 to 3 of them are right, each up
 # to a factor
