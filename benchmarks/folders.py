@@ -29,7 +29,7 @@ from dgc_pose.batch.look_alikes import (
 )
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pairs import MIN_FOLDER_PROBABILITY, MatchedPair
-from dgc_pose.batch.result import read_batch
+from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.batch.run import run_batch
 from dgc_pose.batch.source import PairChoice, Source
 from dgc_pose.benchmarks.models import thinned
@@ -54,6 +54,7 @@ _SPANS = ((0.4, 1.1), (0.25, 0.75))
 _OTHER_LIGHT = 0.3  # share of the relit view in the photograph
 _HOLDS = math.log(MIN_FOLDER_PROBABILITY / (1 - MIN_FOLDER_PROBABILITY))
 _FRAMES = 13  # of a posed scene, evenly spread
+_STEPS = (2, 3)  # every second and third of these frames are small folders of their own
 _LANDS_PX = 8.0  # largest distance of a right inlier from its true point
 _RIGHT_DEG, _LEAST_BASELINE = 10.0, 0.1  # the baseline over the depth, from which t counts
 # Folder of images, their cameras by name, and a function: whether the pose of a pair is right
@@ -247,8 +248,9 @@ def has_right_pose(frames: Mapping[str, PosedFrame], pair: MatchedPair) -> bool:
     return error <= _RIGHT_DEG
 
 
-def collected(name: str, data: Path, out: Path) -> Pairs:
-    """The pairs of a folder. Its batch and its labels are made in `out` if they are missing."""
+def collected(name: str, data: Path, out: Path) -> dict[str, Pairs]:
+    """The pairs of a folder by its name, and of every second and third photograph of a scene, as
+    NAME/2 and NAME/3. Its batch and its labels are made in `out` if they are missing."""
     folder, labels = out / "batches" / name, out / "batches" / f"{name}.npy"
     if not labels.is_file():
         root, cameras, is_right = _made(name, data, out)
@@ -263,34 +265,37 @@ def collected(name: str, data: Path, out: Path) -> Pairs:
         )
         posed = (pair for pair in batch.pairs() if pair.row.pose and pair.row.pose.R is not None)
         np.save(labels, [pair.row.index for pair in posed if is_right(pair)])
-    batch = read_batch(folder)
-    rows, relations, values = evidence_of_pairs(batch.pairs(), batch.plan)
-    right = np.isin([row.index for row in rows], np.load(labels))
-    return values, right, *triples(relations)
+    batch, right = read_batch(folder), np.load(labels)
+    steps = () if name.rpartition("_")[0] in KINDS else _STEPS
+    parts = {f"{name}/{step}": batch.plan.names[::step] for step in steps}
+    every = {name: batch.plan.names, **parts}
+    return {part: _pairs(batch, {*names}, right) for part, names in every.items()}
+
+
+def _pairs(batch: Batch, names: set[str], right: np.ndarray) -> Pairs:
+    """The pairs among images of a batch. right: indices of its right pairs."""
+    among = (pair for pair in batch.pairs() if names.issuperset(pair.row.names))
+    rows, placed, values = evidence_of_pairs(among, batch.plan)
+    return values, np.isin([row.index for row in rows], right), *triples(placed)
 
 
 def fit(folders: Mapping[str, Pairs]) -> str:
-    """A table of the folders, each judged by weights fitted on the others; and the weights fitted
-    on all. Column "by repeats": log-odds per pair by which repeats explain the folder better."""
+    """A table of the folders, by the names of `collected`, each judged by weights fitted on other
+    scenes; and the weights fitted on all whole folders. Column "by repeats": log-odds by which
+    repeats explain the folder better."""
     table = ["folder,pairs,wrong,AUC of pairs,by repeats,right rejected,wrong kept".split(",")]
+    whole = {name: pairs for name, pairs in folders.items() if "/" not in name}
     for name, (values, right, found, agree) in folders.items():
-        own = own_log_odds(
-            values, *_weights([of for other, of in folders.items() if other != name])
-        )
+        others = [pairs for other, pairs in whole.items() if other != name.partition("/")[0]]
+        own = own_log_odds(values, *_weights(others))
         solved = solutions(values[:, 0], own, found, agree)
         kept, better = solved[has_repeats(solved, values)] > _HOLDS, solved[2]
         area = roc_auc_score(right, own) if 0 < right.sum() < len(right) else np.nan
         errors = (right & ~kept).sum(), (kept & ~right).sum()
-        counts = (
-            len(right),
-            (~right).sum(),
-            decimals(area, 3),
-            decimals(better / len(right), 2),
-            *errors,
-        )
+        counts = (len(right), (~right).sum(), decimals(area, 3), decimals(better, 1), *errors)
         table.append([name, *map(str, counts)])
-    weights, intercept = _weights([*folders.values()])
-    fitted = f"_WEIGHTS, _INTERCEPT = np.array({weights.round(3).tolist()}), {intercept:.3f}"
+    slopes, intercept = _weights([*whole.values()])
+    fitted = f"_WEIGHTS, _INTERCEPT = np.array({slopes.round(3).tolist()}), {intercept:.3f}"
     return f"{aligned(table)}\n{fitted}"
 
 

@@ -118,11 +118,13 @@ def fit_folders(choice: FolderFitChoice) -> None:
     """Fit the weights of `batch/look_alikes.py`: match, label, fit.
 
     Renders folders with repeats. Matches their pairs and the pairs of at most as many posed scenes,
-    in --out; after a kill, run the same command to continue. Needs the extras "fit" and "torch".
+    in --out; after a kill, run the same command to continue. The table also has every second and
+    third photograph of a scene (/2, /3). Needs the extras "fit" and "torch".
     """
     require({"fit-folders": "fit"})  # before the work
     from dgc_pose.benchmarks.folders import collected, fit, folder_names
 
     names = folder_names(choice.data, choice.folders)
     bar = tqdm(names, unit="folder", disable=None)
-    click.echo(fit({name: collected(name, choice.data, choice.out) for name in bar}))
+    folders = [collected(name, choice.data, choice.out) for name in bar]
+    click.echo(fit({name: pairs for parts in folders for name, pairs in parts.items()}))

@@ -24,7 +24,7 @@ import numpy as np
 from dgc_pose.batch.pairs import MIN_FOLDER_PROBABILITY, MatchedPair, PairRow
 from dgc_pose.batch.store import Plan
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.estimation.evidence import rotation_corrected
+from dgc_pose.estimation.evidence import log_rotation, rotation_corrected
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.epipolar import depths
 from dgc_pose.geometry.pixels import Size
@@ -37,15 +37,19 @@ _LEAST_SHARED = 8  # cells with depths of both pairs, to measure the scale betwe
 _ROTATION_DEG, _GAP, _ERRORS = 4.0, 0.2, 2.0
 _CLEAR = 2.5  # times these limits: beyond, three poses disagree; in between, it is unclear
 _FEW = 2  # pairs of an image with inliers in a cell, up to which the cell counts as unshared
-_MOST = 0.999  # upper bound of the probability of a pair
+# `log_unshared_cells` of right pairs falls by this much per unit of `log_rotation`: slope within
+# folders of 5 to 9 photographs, of ten posed scenes
+_FEWER_UNSHARED = 1.17
+# Bounds of the probability of a pair; two triples do not outweigh the upper bound
+_LEAST, _MOST = 0.007, 0.9999
 _UNKNOWN = 0.9  # probability of a pose if its own is not known
-_MOST_LOG_ODDS = 5.0
+_MOST_LOG_ODDS = 5.0  # in a folder with repeats
 # Log-odds per unit of each value of `evidence_of_pairs`, in a folder with repeats
 _WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
 _QUANTILE = 0.75  # of the folder's pairs, with which each pair is compared
-# Prior log-odds per pair for a folder without repeats: the smallest value with which `fit-folders`,
-# cross-validated, takes no folder of a posed scene for one with repeats
-_NO_REPEATS_LOG_ODDS = 0.3
+# Prior log-odds for a folder without repeats: at least, and per pair, as pairs are not independent.
+# None of 300 folders of 4 to 9 photographs of 16 posed scenes is then taken for one with repeats
+_NO_REPEATS, _NO_REPEATS_PER_PAIR = 7.0, 0.3
 # Likelihoods that three poses agree, and that they disagree, if 0 to 3 of them are right, each up
 # to a factor
 _AGREE, _DISAGREE = np.array([[0.8, 1.0, 0.02, 1.0], [0.8, 1.0, 1.0, 0.02]])
@@ -137,7 +141,8 @@ def evidence_of_pairs(
 ) -> tuple[list[PairRow], list[PlacedPair], np.ndarray]:
     """The first `most` pairs with a pose or rotation: rows, placed pairs, and the evidence for each
     pair (n, 3). Its columns are the log-odds of the pair's own probability, the context of the
-    matches and `log_unshared_cells`, the last two minus the folder's quantile; NaN if unknown."""
+    matches and `log_unshared_cells`, the last two without the effect of the rotation and minus the
+    folder's quantile; NaN if unknown."""
     number = {name: k for k, name in enumerate(plan.names)}
     cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
     values = list[tuple[float, float]]()
@@ -151,12 +156,14 @@ def evidence_of_pairs(
         # A success starts as accepted, and only other pairs can reject it. Most rotations without a
         # likely pose are wrong.
         known = pose.one_place_probability if pose.success else pose.any_probability
-        least = MIN_FOLDER_PROBABILITY if pose.success else 1 - _MOST
+        least = MIN_FOLDER_PROBABILITY if pose.success else _LEAST
         known = _UNKNOWN if known is None else min(max(known, least), _MOST)
         around = pair.matches.context_ratio
         values.append((known, math.nan if around is None else rotation_corrected(around, pose.R)))
         rows.append(row)
-    found = np.column_stack([np.array(values).reshape(-1, 2), log_unshared_cells(placed)])
+    far = np.array([log_rotation(pair.R) for pair in placed])
+    unshared = log_unshared_cells(placed) + _FEWER_UNSHARED * far
+    found = np.column_stack([np.array(values).reshape(-1, 2), unshared])
     found[:, 0] = _log_odds(found[:, 0])
     for column in found.T[1:]:
         known_ones = column[np.isfinite(column)]
@@ -178,8 +185,8 @@ def _log_odds(probability: np.ndarray) -> np.ndarray:
 def has_repeats(solved: tuple[np.ndarray, np.ndarray, float], values: np.ndarray) -> bool:
     """Whether a folder has repeats, by its `solutions` and values (n, 3) of `evidence_of_pairs`.
     False unless the context of the matches is known for more than half of the pairs."""
-    known = np.isfinite(values[:, 1]).mean() > 0.5
-    return bool(known and solved[2] > _NO_REPEATS_LOG_ODDS * len(values))
+    known = np.isfinite(values[:, 1]).sum() > 0.5 * len(values)
+    return bool(known and solved[2] > max(_NO_REPEATS, _NO_REPEATS_PER_PAIR * len(values)))
 
 
 def solutions(
@@ -194,7 +201,7 @@ def solutions(
     count = np.bincount(found.ravel(), minlength=len(probable))
     weight = np.minimum(1, _FULL_TRIPLES / np.maximum(count, 1))
     likely, solved = np.where(agree[:, None], _AGREE, _DISAGREE), []
-    for before in (probable.clip(-_MOST_LOG_ODDS, _MOST_LOG_ODDS), with_repeats):
+    for before in (probable, with_repeats):
         after = _propagate(before, found, likely, weight)
         right = after > 0
         of_triples = np.log(likely[np.arange(len(found)), right[found].sum(1)])

@@ -203,7 +203,12 @@ def _occupied(in_cells: np.ndarray) -> int:
 def rotation_corrected(context_ratio: float, R: np.ndarray) -> float:
     """`Matches.context_ratio`, plus the amount by which the rotation R (3, 3) lowers it between
     images of one place."""
-    return context_ratio + _LESS_ALIKE * math.log1p(rotation_angle_deg(R) / _LESS_ALIKE_DEG)
+    return context_ratio + _LESS_ALIKE * log_rotation(R)
+
+
+def log_rotation(R: np.ndarray) -> float:
+    """ln(1 + angle / 3 degrees) of a rotation (3, 3), a measure of how far apart two views are."""
+    return math.log1p(rotation_angle_deg(R) / _LESS_ALIKE_DEG)
 
 
 def chance_ratio(problem: TwoViewProblem, E: np.ndarray) -> float:

@@ -12,6 +12,7 @@ from worlds import SIZE, K
 
 from dgc_pose.batch.look_alikes import (
     PlacedPair,
+    evidence_of_pairs,
     folder_probabilities,
     has_repeats,
     log_unshared_cells,
@@ -152,18 +153,52 @@ def test_triples_turn_a_wrong_pose_down_and_hold_an_unlikely_one():
     assert _rights(np.where(right, 0.95, 0.3), 0.0)[0].all()
 
 
-def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():
-    """A claim, one that `min_probability` alone allows, and a rotation of an unlikely pose."""
+def test_few_pairs_do_not_make_a_folder_one_with_repeats():
+    """Two pairs, of which one has less alike surroundings, and no triple."""
+    values = np.array([[4.6, 0.16, 0.1], [3.7, -0.47, -0.4]])
+    alone, found = own_log_odds(values), np.zeros((0, 3), np.int64)
+    solved = solutions(values[:, 0], alone, found, np.zeros(0, bool))
+    assert alone[1] < -1 and solved[1][1] < 0 and not has_repeats(solved, values)
+
+
+def _matched(names: str, probability: float, status="ok", *, index=0, R=None) -> MatchedPair:
+    """A pair of 100 matches. probability: of a pose of a rotation_only pair that is not claimed."""
     points = np.random.default_rng(0).uniform(10, 170, (100, 2))
     matches = Matches(points, points + (5.0, 0.0), np.ones(100), error_px=0.5)
-    pairs = []
-    for k, (status, probability) in enumerate((("ok", 0.8), ("ok", 0.3), ("rotation_only", 0.1))):
-        row = true_row(("a", "bcd"[k]), np.eye(3), np.array([1.0, 0, 0]), status)
-        own = 0.0 if status == "rotation_only" else probability
-        pose = replace(row.pose, probability=own, any_probability=probability)
-        pairs.append(MatchedPair(replace(row, pose=pose, index=k), matches))
-    plan = SimpleNamespace(names="abcd", final_cameras=dict.fromkeys("abcd", camera()))
-    rows = folder_probabilities(pairs, plan)
+    row = true_row((names[0], names[1]), np.eye(3) if R is None else R, np.eye(3)[0], status)
+    own = 0.0 if status == "rotation_only" else probability
+    pose = replace(row.pose, probability=own, any_probability=probability)
+    return MatchedPair(replace(row, pose=pose, index=index), matches)
+
+
+PLAN = SimpleNamespace(names="abcd", final_cameras=dict.fromkeys("abcd", camera()))
+
+
+@pytest.mark.parametrize(
+    ("probability", "count", "holds"), [(1.0, 2, True), (1.0, 3, False), (0.99, 2, False)]
+)
+def test_two_triples_do_not_turn_the_most_certain_pair_down(probability, count, holds):
+    _, _, values = evidence_of_pairs([_matched("ab", probability)], PLAN)
+    probable = np.append(values[0, 0], np.full(2 * count, 6.0))
+    found = np.array([(0, k, k + count) for k in range(1, count + 1)])
+    log_odds, _, _ = solutions(probable, probable, found, np.zeros(count, bool))
+    assert (log_odds[0] > np.log(1.5)) == holds
+
+
+def test_pairs_of_views_far_apart_are_expected_to_share_less():
+    """Two pairs with the same cells: the one that turned by 60 degrees has more than expected."""
+    turned = Rotation.from_euler("y", 60, degrees=True).as_matrix()
+    pairs = _matched("ab", 0.9), _matched("cd", 0.9, index=1, R=turned)
+    _, placed, values = evidence_of_pairs(pairs, PLAN)
+    near, far = log_unshared_cells(placed)
+    assert near == far and values[1, 2] - values[0, 2] > 3
+
+
+def test_a_pair_in_no_triple_has_its_own_probability_and_is_not_turned_down():
+    """A claim, one that `min_probability` alone allows, and a rotation of an unlikely pose."""
+    kinds = ("ab", 0.8, "ok"), ("ac", 0.3, "ok"), ("ad", 0.1, "rotation_only")
+    pairs = [_matched(*kind, index=k) for k, kind in enumerate(kinds)]
+    rows = folder_probabilities(pairs, PLAN)
     assert [row.folder_probability for row in rows] == [0.8, 0.6, 0.6]
     assert not any(row.rejected for row in rows)
     assert [row.folder_triples for row in rows] == 3 * [(0, 0)]

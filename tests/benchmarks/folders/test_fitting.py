@@ -110,6 +110,15 @@ def test_the_fit_finds_the_weights_and_scores_folders_left_out():
     assert found["intercept"] == pytest.approx(0.7, abs=0.15)
 
 
+def test_parts_of_a_scene_are_judged_and_not_fitted():
+    """A part that is its whole scene: weights of the other folders judge both."""
+    folders = {f"folder{k}": _folder(k) for k in range(2)}
+    *_, fitted = fit(folders).splitlines()
+    _, whole, _, part, again = fit({**folders, "folder0/2": folders["folder0"]}).splitlines()
+    assert again == fitted
+    assert part.split() == ["folder0/2", *whole.split()[1:]]
+
+
 def test_folders_are_of_each_kind_and_as_many_scenes(tmp_path):
     for number in range(20):
         (tmp_path / "posed" / f"scene{number:02d}" / "images").mkdir(parents=True)
