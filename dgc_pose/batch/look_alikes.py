@@ -37,9 +37,9 @@ _LEAST_SHARED = 8  # cells with depths of both pairs, to measure the scale betwe
 _ROTATION_DEG, _GAP, _ERRORS = 4.0, 0.2, 2.0
 _CLEAR = 2.5  # times these limits: beyond, three poses disagree; in between, it is unclear
 _FEW = 2  # pairs of an image with inliers in a cell, up to which the cell counts as unshared
-# `log_unshared_cells` of right pairs falls by this much per unit of `log_rotation`: slope within
-# folders of 5 to 9 photographs, of ten posed scenes
-_FEWER_UNSHARED = 1.17
+# In folders of up to 9 photographs, `log_unshared_cells` of right pairs falls by this much per unit
+# of `log_rotation` (ten posed scenes). The weights below are of larger folders, without this.
+_SMALL_FOLDER, _FEWER_UNSHARED = 9, 1.17
 # Bounds of the probability of a pair; two triples do not outweigh the upper bound
 _LEAST, _MOST = 0.007, 0.9999
 _UNKNOWN = 0.9  # probability of a pose if its own is not known
@@ -161,8 +161,9 @@ def evidence_of_pairs(
         around = pair.matches.context_ratio
         values.append((known, math.nan if around is None else rotation_corrected(around, pose.R)))
         rows.append(row)
-    far = np.array([log_rotation(pair.R) for pair in placed])
-    unshared = log_unshared_cells(placed) + _FEWER_UNSHARED * far
+    unshared = log_unshared_cells(placed)
+    if len({name for row in rows for name in row.names}) <= _SMALL_FOLDER:
+        unshared += _FEWER_UNSHARED * np.array([log_rotation(pair.R) for pair in placed])
     found = np.column_stack([np.array(values).reshape(-1, 2), unshared])
     found[:, 0] = _log_odds(found[:, 0])
     for column in found.T[1:]:
