@@ -42,7 +42,7 @@ _SAMPLED = 500  # matches
 # Most matches that a sampled match stands for, if K is stated. Further effects of lenses and
 # shutters are in all matches, and another camera would explain a part of these effects.
 _MOST_WEIGHT = 6.0
-_MOST_GROWTH = 4.0  # of the number of matches by further steps; docs/experiments.md
+_MOST_GROWTH = 3.0  # of what the matches tell, by further steps; docs/experiments.md
 _ITERATIONS = 120  # of a RANSAC run at most
 _LIMITS = (3.0, 3.0, 1.0, 1.0)  # largest errors in each round of a fit, thresholds
 _MIN_SHOWN = 0.02  # least probability of a model that counts against the pose of another
@@ -82,8 +82,7 @@ def likeliest_model(problem: TwoViewProblem, pose: JointPose) -> ModelFit:
         best = assumed
     elif best.model.name == "picture" and sample.confirms_K(best):
         best = assumed
-    reachable = min(_most_weight(stated), _MOST_GROWTH * len(problem) / _SAMPLED)
-    times = max(1.0, reachable / sample.weight)
+    times = min(_MOST_GROWTH, max(1.0, _most_weight(stated) / sample.weight))
     return _with_others(best, fits, shares, near.doubt(assumed, others, times))
 
 

@@ -38,7 +38,7 @@ _LOG_FOCAL_REACH = 1.5  # ln f of camera 1 is tried so far to either side
 _LOG_FOCAL_STEP, _MIN_LOG_FOCAL_STEP = 0.3, 0.005  # the first step, and the last
 _SAMPLED = 300  # matches of the fit of a turn
 # Largest errors in each round of the fit of a turn, over the limit; and the share of the sample
-# that must be within the first of them, and after its fit within the limit, and the least number.
+# that must be within each of them, and the least number.
 _LIMITS, _MIN_SHARE, _MIN_COUNT = (20.0, 5.0, 1.0, 1.0), 0.2, 10
 _ITERATIONS = 10  # of a round
 _RAYLEIGH = 1.1774 * 1.4826  # median length of Gaussian errors along two axes, over that along one
@@ -165,11 +165,10 @@ def turned_camera(stated: TwoViewProblem) -> StillCamera:
     sample = draw(stated, stated.options.seed, _SAMPLED)
     turn = _Turn(robust_rotation(sample), np.zeros(len(prior)))
     fit = _TurnFit(sample, prior)
-    for number, widest in enumerate(_LIMITS):
+    for widest in _LIMITS:
         distance = fit.distances(turn)
         near = distance < widest * limit
-        reached = near if number == 0 else distance < limit  # the first fit reaches a turn
-        if reached.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
+        if near.sum() < max(_MIN_SHARE * len(sample), _MIN_COUNT):
             return StillCamera(turn.R, 0)
         width = loss_width(distance[near], widest * limit)
         turn = _TurnFit(sample.subset(near), prior).fitted(turn, width)

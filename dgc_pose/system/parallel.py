@@ -38,7 +38,8 @@ def one_blas_thread() -> Iterator[None]:
 
 @cache
 def _blas() -> ThreadpoolController:
-    """NumPy's BLAS. The search among the loaded libraries takes more than a millisecond."""
+    """The BLAS libraries loaded at the first call, as NumPy's is. The search for them takes
+    more than a millisecond."""
     return ThreadpoolController().select(user_api="blas")
 
 

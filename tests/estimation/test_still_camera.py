@@ -72,6 +72,17 @@ def test_a_turn_with_a_lens_that_K_leaves_out(k1: float, degrees: float, seed: i
         assert scene.estimate(seed=seed).status == "rotation_only"  # and without K
 
 
+@pytest.mark.parametrize(
+    ("outliers", "k1", "factor"), [(0.2, 0.0, 2.0), (0.4, -0.3, 0.85), (0.4, -0.15, 1.2)]
+)
+def test_a_turn_with_a_wrong_camera_and_wrong_matches(
+    outliers: float, k1: float, factor: float
+) -> None:
+    scene = _turned(20, 1, k1, outliers)
+    stated = CAMERA.with_focal(factor * 1500)
+    _assert_turn(scene.estimate(stated, stated, seed=1), scene)
+
+
 @pytest.mark.parametrize("kind", ["general", "skew", "orbit", "planar"])
 def test_a_translation_is_no_turn(kind: SceneKind) -> None:
     for seed in range(3):
