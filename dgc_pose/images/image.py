@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.geometry.pixels import EXCHANGING, Size, within
 from dgc_pose.images.decoding import Exif, Header, decoded, image_errors, read_pixels
 from dgc_pose.system.arrays import as_numpy, is_tensor
@@ -97,6 +97,12 @@ def unmatchable(image: Image | Header) -> str:
     if isinstance(image, Image) and _contrast(image) < _LEAST_CONTRAST:
         return "the picture has no contrast"
     return ""
+
+
+def require_matchable(image: Image) -> None:
+    """Raise ImageError, with the image's name, if nothing in it can be matched."""
+    if why := unmatchable(image):
+        raise ImageError(f"{image.name}: {why}")
 
 
 def _contrast(image: Image) -> float:

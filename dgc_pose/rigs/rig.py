@@ -121,7 +121,7 @@ def estimate_rig(
         if outer in inner.parents or inner in (outer, *outer.parents):
             neither = f"{path} overlaps the results in {out}"
             raise InputError(ArgumentName(argument), neither)
-    found, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
+    found, unreadable, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
     exact = _exact_cameras(K or {}, found)
     walked = dict[str, Path]()
     if isinstance(walk, Model):
@@ -133,14 +133,14 @@ def estimate_rig(
         walked = {name: source.root / name for name in source.names}
         calibration = read_calibration(walk_K, "walk_K")
     if options.scale or options.gps:  # raise before the matching
-        first = {name: paths[0] for name, paths in found.items()}
+        first = {name: next(iter(paths), frames / name) for name, paths in found.items()}
         known_metres(first if options.scale else walked or first, options)
 
     for file in (*FILES, PAGE):  # of an earlier run
         (out / file).unlink(missing_ok=True)
     (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
-        stills, bad, lines = still_pictures(found, folder)
+        stills, bad, lines = still_pictures(found, unreadable, folder)
         if not stills:
             raise InputError(ArgumentName("frames"), "; ".join(bad.values()))
     files = {name: path.name for name, path in stills.items()}
@@ -149,8 +149,9 @@ def estimate_rig(
     pictures = {name: out / PICTURES / file for name, file in files.items()}
     if options.scale:
         *pair, metres = options.scale.split(",")
-        for name in bad.keys() & {*pair}:
-            raise InputError(ArgumentName("scale"), bad[name])
+        for name in sorted(bad.keys() & {*pair}):
+            unusable_picture = f"names {name}, whose picture cannot be used: {bad[name]}"
+            raise InputError(ArgumentName("scale"), unusable_picture)
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
     if isinstance(walk, Model):
         models = [walk]

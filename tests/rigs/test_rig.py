@@ -122,6 +122,9 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
         estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
     pixels = np.random.default_rng(0).integers(0, 256, (3, *SIZE[::-1], 3), np.uint8)
     cv2.imwrite(str(tmp_path / "frames" / "north.png"), pixels[0])
+    scale = ReconstructionOptions(scale="north,empty,3.0")
+    with pytest.raises(InputError, match=r"^scale names empty, whose picture .*empty\.jpg: empty$"):
+        estimate_rig(tmp_path / "frames", tmp_path / "none", reconstruction=scale, **sift)
     walk = tmp_path / "walk" if walked else None
     if walk is not None:
         write_bad_pictures(walk)
