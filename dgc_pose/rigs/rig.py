@@ -27,7 +27,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
     MODEL,
     POINTS,
-    MappingError,
+    NoModelError,
     known_metres,
     reconstruct,
     require_new,
@@ -180,7 +180,7 @@ def estimate_rig(
         skipped += tuple(f"{name}: {why}" for name, why in batch.summary["bad_images"].items())
         try:
             models, *_ = reconstruct(batch, out, up_to_scale)
-        except (MappingError, NoPairError) as error:
+        except (NoModelError, NoPairError) as error:
             reason = "the cameras' own pictures make no model; photographs between them would"
             if walk is not None:
                 reason = f"the walk makes no model: {error}"

@@ -19,7 +19,7 @@ from worlds import K, K_text, View, render_views, write_views
 from dgc_pose.batch.pairs import MatchedPair, row_of
 from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.colmap.options import MapperName, ReconstructionOptions
-from dgc_pose.colmap.reconstruction import MappingError, adjust, reconstruct
+from dgc_pose.colmap.reconstruction import NoModelError, adjust, reconstruct
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.metrics import rotation_error_deg
@@ -170,7 +170,7 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
     still; COLMAP's log is not shown, and no file of it is left."""
     view_folder(tmp_path / "two", 2)
     pair = run_sift(tmp_path / "two", tmp_path / "pair")
-    with pytest.raises(MappingError, match="incremental mapper found no model"):
+    with pytest.raises(NoModelError, match="incremental mapper found no model"):
         reconstruct(pair, tmp_path / "model")
     assert capfd.readouterr() == ("", "")
     assert not list(Path(tempfile.gettempdir()).glob(f".*.log.*.{os.getpid()}"))
