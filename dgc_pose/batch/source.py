@@ -162,6 +162,16 @@ def survey(
     return _with_lines(source, cameras), bad, states
 
 
+def without_camera(source: Source, calibration: Calibration) -> list[str]:
+    """The images for which neither the source nor the calibration states a camera."""
+    lacking = list[str]()
+    for name in source.names:
+        with suppress(InputError):  # of cameras that cannot be told apart, `survey` raises it
+            if name not in source.cameras and calibration.lacks(source.root, name):
+                lacking.append(name)
+    return lacking
+
+
 def _require_one_size(
     source: Source, calibration: Calibration, headers: Mapping[str, Header]
 ) -> None:
