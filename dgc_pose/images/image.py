@@ -94,8 +94,10 @@ def unmatchable(image: Image | Header) -> str:
     if min(image.size) < _LEAST_SIDE:
         width, height = image.size
         return f"the picture has {width} x {height} pixels, and {_LEAST_SIDE} a side are needed"
-    if isinstance(image, Image) and _contrast(image) < _LEAST_CONTRAST:
-        return "the picture has no contrast"
+    if isinstance(image, Image) and (contrast := _contrast(image)) < _LEAST_CONTRAST:
+        where = "" if image.mask is None else " where the picture is not masked"
+        differ = f"the grey levels differ by {contrast:.2f} (standard deviation){where}"
+        return f"{differ}, and {_LEAST_CONTRAST:g} are needed"
     return ""
 
 
