@@ -190,6 +190,7 @@ def estimate_rig(
     loaded = matcher.load(ImageCache())
     locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
     model, cameras = _located(locators, pictures, exact, progress, own=walk is None)
+    skipped += tuple(why for locator in locators for why in locator.bad.values())
     if (count := len(model.poses)) < len(walked):
         skipped += (f"{count} of {len(walked)} photographs of the walk are in its model",)
     if walk is None:
@@ -270,7 +271,8 @@ def _checked(location: Location, name: str, locator: Locator) -> Location:
     matched, reason = location.database_images, location.reason
     if location.success:
         agreeing = sum(image.agrees for image in matched)
-        if agreeing >= min(_LEAST_AGREEING, len(locator.model.poses) - 1):
+        usable = len(locator.model.poses) - len(locator.bad)
+        if agreeing >= min(_LEAST_AGREEING, usable - 1):
             return location
         reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
     if matched:

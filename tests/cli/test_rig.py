@@ -68,6 +68,7 @@ def test_the_text_and_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     data = json.loads((folder / "out" / "rig.json").read_text())
     assert {*data["files"]} | {"model.html"} == {path.name for path in (folder / "out").iterdir()}
     assert data["not_placed"] == {"west": NOWHERE.reason} and data["unit"] == "m"
+    assert data["warnings"] == ["two have one pose"]
     assert {str(Path("out") / file) for file in data["files"]} <= {*lines}
     assert asked[0]["K"] == {"view0": "500,500,320,240", "view1": "auto"}
     assert (asked[0]["walk"], asked[0]["walk_K"]) == ("photos", "1,1,1,1")

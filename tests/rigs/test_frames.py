@@ -92,7 +92,9 @@ def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
     other = [save(tmp_path / "a" / "0.png"), save(tmp_path / "a" / "1.png", SCENE[:100])]
     with pytest.raises(InputError, match="a: frames of several sizes$"):
         still(tmp_path, "cam", *other)
-    with pytest.raises(ImageError, match=r"black\.png: the grey levels differ by 0\.00 .*, and 2 are needed$"):
+    with pytest.raises(
+        ImageError, match=r"black\.png: the grey levels differ by 0\.00 .*, and 2 are needed$"
+    ):
         still(tmp_path, "cam", save(tmp_path / "black.png", 0 * SCENE))
     moved = [np.stack([texture(SIZE, 10 * n + k) for k in range(3)], -1) for n in range(5)]
     paths = [save(tmp_path / "m" / f"{n}.png", pixels) for n, pixels in enumerate(moved)]
@@ -100,7 +102,9 @@ def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
         still(tmp_path, "cam", *paths)
     for path, pixels in zip(paths, moved, strict=True):
         save(path, np.hstack([np.full_like(SCENE, 90)[:, :100], pixels[:, 100:]]))
-    with pytest.raises(ImageError, match=r"0\.png: the grey levels .* where the picture is not masked, and 2 "):
+    with pytest.raises(
+        ImageError, match=r"0\.png: the grey levels .* where the picture is not masked, and 2 "
+    ):
         still(tmp_path, "cam", *paths)
     assert not [*tmp_path.glob("cam*")]
 
