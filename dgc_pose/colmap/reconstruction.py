@@ -84,6 +84,8 @@ def reconstruct(
         except (MappingError, InputError) as error:
             metric = {"not_in_metres": error}
         models = write_models(out, found, plan.root)
+    if lost := [text for model in models for text in model.warnings]:
+        raise ImageError(lost[0])  # the image could be read before the mapping
     return models, shared, metric
 
 
