@@ -72,7 +72,9 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
     if len(source.names) < 2:
         what = "no image" if not source.names else "one image"
         lines = [f"{path}: {what}, and a pair needs two", *source.skipped]
-        lines += [f"{name}: {why}" for name, why in source.bad.items()]
+        if source.bad:
+            first, why = next(iter(source.bad.items()))
+            lines.append(f"{len(source.bad)} cannot be read (first: {first}: {why})")
         raise InputError("; ".join(lines))
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(

@@ -107,8 +107,8 @@ def estimate_rig(
     with the stage, the number done, and the total.
 
     A camera whose picture is unusable has the status "bad_input"; without a model, all others have
-    "nowhere". Raises InputError if all pictures are unusable, for an unusable K or scale, and for
-    an existing result without `resume` in `work`; ImageError; OSError.
+    "nowhere". Raises InputError for an unusable K or scale, and for an existing result without
+    `resume` in `work`; ImageError; OSError.
     """
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
@@ -141,8 +141,6 @@ def estimate_rig(
     (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
         stills, bad, lines = still_pictures(found, unreadable, folder)
-        if not stills:
-            raise InputError(ArgumentName("frames"), "; ".join(bad.values()))
     files = {name: path.name for name, path in stills.items()}
     skipped += lines
     unusable = {name: Location("bad_input", why, ()) for name, why in bad.items()}
@@ -153,6 +151,8 @@ def estimate_rig(
             unusable_picture = f"names {name}, whose picture cannot be used: {bad[name]}"
             raise InputError(ArgumentName("scale"), unusable_picture)
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
+    if not pictures:
+        return Rig(unusable, warnings=skipped)
     if isinstance(walk, Model):
         models = [walk]
     else:

@@ -117,11 +117,12 @@ def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize("walked", [False, True])
 def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: bool) -> None:
     """Bad pictures have their own, whether there is a walk or not; a bad one of the walk is told.
-    Bad pictures alone are refused."""
+    Bad pictures alone have theirs."""
     bad = [path for path in write_bad_pictures(tmp_path / "frames") if path.exists()]
     sift = QUICK | {"matcher": MatcherOptions("sift")}
-    with pytest.raises(InputError, match=r"cut\.jpg cannot be decoded.*grey levels differ"):
-        estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
+    alone = estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
+    assert {location.status for location in alone.cameras.values()} == {"bad_input"}
+    assert not alone.warnings and len(alone.cameras) == len(bad)
     pixels = np.random.default_rng(0).integers(0, 256, (3, *SIZE[::-1], 3), np.uint8)
     cv2.imwrite(str(tmp_path / "frames" / "north.png"), pixels[0])
     scale = ReconstructionOptions(scale="north,empty,3.0")
