@@ -137,8 +137,8 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
     rig = estimate_rig(tmp_path / "frames", tmp_path / "out", walk, K=known, **sift)
     assert rig.model is None and {*rig.cameras} == {"north"} | {path.stem for path in bad}
     for path in bad:
-        of = rig.cameras[path.stem]
-        assert of.status == "bad_input" and BAD_PICTURES[path.name] in of.reason
+        location = rig.cameras[path.stem]
+        assert location.status == "bad_input" and BAD_PICTURES[path.name] in location.reason
     assert rig.cameras["north"].status == "nowhere"
     why = "the walk makes no model: " if walked else "the cameras' own pictures make no model"
     assert why in rig.cameras["north"].reason
