@@ -22,7 +22,7 @@ from dgc_pose.cameras.camera import Camera, colmap_camera
 from dgc_pose.cameras.pair_list import read_pairs
 from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import DATABASE, MappingError, map_database, reconstruct
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.images.decoding import image_size
 from dgc_pose.localization.locate import Locator
@@ -59,6 +59,7 @@ def true_model(path: Path, images: Path | None) -> Model:
     or a folder of posed RGB-D images (see `read_rgbd`).
 
     images: default for a list: the folder with its name; for a model: images/ in or beside it.
+    Raises ImageError if an image that is there cannot be used; what `load_model` raises.
     """
     if path.is_file() and path.suffix == ".txt":
         return views_of_list(path, images or path.parent / path.stem.removesuffix("_pairs"))
@@ -67,7 +68,10 @@ def true_model(path: Path, images: Path | None) -> Model:
         cameras = {n: replace(f.camera, size=image_size(f.image)) for n, f in frames.items()}
         poses = {name: frame.cam_from_world[:3] for name, frame in frames.items()}
         return Model(path / "images", cameras, poses)
-    return load_model(path, images or path / "images")
+    model = load_model(path, images or path / "images")
+    if model.bad:
+        raise ImageError("; ".join(model.bad.values()))
+    return model
 
 
 def views_of_list(path: Path, folder: Path) -> Model:

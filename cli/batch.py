@@ -68,7 +68,7 @@ class BatchChoice(KChoice):
 def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 2) -> Batch:
     """Run a batch and show its progress. Raises InputError for fewer images than `min_images`."""
     from dgc_pose.batch.run import run_batch
-    from dgc_pose.batch.source import parse_pair_choice
+    from dgc_pose.batch.source import parse_pair_choice, without_camera
     from dgc_pose.cameras.calibration import read_calibration
 
     images = choice.open(source, out)
@@ -76,13 +76,20 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
         to_stderr(f"warning: {line}")
     if len(images.names) < min_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
-    if choice.k is None and not images.cameras:
-        to_stderr("K is not stated: the focal lengths are estimated (--K auto)")
+    calibration = read_calibration(choice.k, "--K", choice.details)
+    lacking = without_camera(images, calibration)
+    some = ""
+    if 0 < len(lacking) < len(images.names):
+        some = f" for {len(lacking)} of {len(images.names)} images (first: {lacking[0]})"
+    if choice.k is None and lacking:
+        to_stderr(f"K is not stated{some}: the focal lengths are estimated (--K auto)")
+    elif some:
+        to_stderr(f"warning: {calibration.where} has no camera{some}")
     pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
     with progress_bars() as progress:
         return run_batch(
             images,
-            read_calibration(choice.k, "--K", choice.details),
+            calibration,
             pairs,
             out,
             matcher=choice.matcher,

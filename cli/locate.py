@@ -102,8 +102,7 @@ def locate(
     locator = Locator(model, matcher.load(ImageCache()), estimation, place.masks)
     with progress_bars() as progress:
         locator.describe(partial(progress, "images"))
-    for name, why in locator.bad.items():
-        to_stderr(f"bad image {name}: {why}")
+    name_bad_images(locator.bad, model.poses)
     json_file = None if place.json == STDOUT else place.json
     locations: dict[str, Location] = {}
     bad: dict[str, str] = {}

@@ -81,7 +81,7 @@ def moved(
             except ImageError as error:  # go on with the other pictures
                 bad[name] = str(error)
                 motions[name] = CameraMotion("cannot say", bad[name])
-            except InputError as error:  # of another size
+            except InputError as error:  # of this picture, which can be read
                 motions[name] = CameraMotion("cannot say", str(error))
             progress("pictures", len(motions), len(pictures))
         data = json_text({name: motion.to_dict() for name, motion in motions.items()})

@@ -59,16 +59,18 @@ def to_stderr(text: str) -> None:
 
 
 def name_bad_images(bad: Mapping[str, str], names: Iterable[str]) -> None:
-    """Print why images of a list are unusable, by name. Raises InputError, with the reasons, if all
-    `names` are."""
+    """Print why images of a list are unusable, by name. Raises InputError if all `names` are."""
     reasons = [
         why if why.startswith((f"{name} ", f"{name}:")) else f"{name}: {why}"
         for name, why in bad.items()
     ]
-    if bad.keys() >= {*names}:
-        raise InputError("; ".join(reasons))
+    every = {*names, *bad}
+    if len(bad) == len(every) == 1:
+        raise InputError(*reasons)
     for text in reasons:
         to_stderr(f"bad image {text}")
+    if len(bad) == len(every):
+        raise InputError(f"none of the {len(every)} images can be used")
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

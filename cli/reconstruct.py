@@ -32,7 +32,8 @@ def reconstruct(
 
     Writes sparse/ (a COLMAP model; models of further scenes in sparse/1/, ...), database.db,
     points.ply, model.html, summary.json, and batch/ with the batch's files. Exits with 3 if the
-    photographs give no model.
+    photographs give no model, with 2 if a model stays up to scale in spite of --gps, --scale or
+    --marker.
     """
     from dgc_pose.batch.source import BATCH, PAGE, STORE
     from dgc_pose.colmap import reconstruction
@@ -56,7 +57,7 @@ def reconstruct(
         with progress_bars() as progress:
             show = partial(progress, "images")
             models, shared, metric = reconstruction.reconstruct(batch, out, options, show, known)
-    except (NoPairError, reconstruction.MappingError) as error:
+    except (NoPairError, reconstruction.NoModelError) as error:
         click.echo(f"no model: {error}")
         return NO_POSE
     seconds = {"match": matched - start, "map": time.perf_counter() - matched}
@@ -91,5 +92,5 @@ def reconstruct(
         webbrowser.open((out / PAGE).resolve().as_uri())
     if up_to_scale is not None:
         model = out / reconstruction.MODEL
-        raise reconstruction.MappingError(f"{model} is up to scale: {up_to_scale}")
+        raise reconstruction.MappingError(f"{model} is up to scale:", *up_to_scale.args)
     return 0

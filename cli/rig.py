@@ -110,10 +110,14 @@ def rig(frames: Path, out: Path, choice: RigChoice) -> int:
             progress=progress,
         )
     unit = found.metric.get("unit", "")
-    bad = {name: of.reason for name, of in found.cameras.items() if of.status == "bad_input"}
+    bad = {
+        name: location.reason
+        for name, location in found.cameras.items()
+        if location.status == "bad_input"
+    }
     name_bad_images(bad, found.cameras)
     click.echo(rig_text(found))
-    for path in write_rig(out, found.cameras, found.metric):
+    for path in write_rig(out, found.cameras, found.metric, found.warnings):
         click.echo(str(path))
     if found.model is None:
         return NO_POSE

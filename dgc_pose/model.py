@@ -50,6 +50,7 @@ class Model:
         warnings: Sentences about what is missing, for people.
         colmap: COLMAP's reconstruction, in pixels as stored, with the tracks and all images; None
             for other formats, and without points.
+        bad: By name, why images that are there are not used; also in `warnings`.
     """
 
     root: Path
@@ -60,6 +61,7 @@ class Model:
     seen: Mapping[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     colmap: pycolmap.Reconstruction | None = None
+    bad: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of_colmap(cls, colmap: pycolmap.Reconstruction, root: Path) -> Model:
@@ -177,7 +179,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
     has_points = any((path / f"points3D.{ending}").is_file() for ending in ("bin", "txt"))
     whole = Model.of_colmap(colmap, root) if colmap is not None and has_points else None
     cameras, poses, seen = {}, {}, {}
-    failures = list[DgcPoseError]()
+    failures: dict[str, DgcPoseError] = {}
     for stated, name in names.items():
         pose = file.poses[stated]
         if not (is_rotation(pose[:, :3]) and np.isfinite(pose).all()):
@@ -195,7 +197,7 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             if np.linalg.det(turn) < 0:
                 raise InputError(f"{root / name}: its pixels as stored are a mirror image, by EXIF")
         except DgcPoseError as error:  # the other images are a model too
-            failures.append(error)
+            failures[name] = error
             continue
         cameras[name] = replace(camera.as_exact(), size=header.size)  # the poses belong to it
         poses[name] = np.concatenate([turn @ pose[:2], pose[2:]])
@@ -203,11 +205,12 @@ def load_model(source: str | os.PathLike[str], images: str | os.PathLike[str]) -
             which, pixels = whole.seen[stated]
             seen[name] = which, turn_points(pixels, turn, size_in_file(header))
     if failures and len(poses) < 2:
-        raise failures[0]
+        raise next(iter(failures.values()))
+    bad = {name: str(failure) for name, failure in failures.items()}
     lacks = [f"{root} lacks {count} of {path}"] if missing else []
-    warnings = (*lacks, *(f"not used: {failure}" for failure in failures))
+    warnings = (*lacks, *(f"not used: {why}" for why in bad.values()))
     model = whole or Model(root, cameras, poses)
-    return replace(model, cameras=cameras, poses=poses, seen=seen, warnings=warnings)
+    return replace(model, cameras=cameras, poses=poses, seen=seen, warnings=warnings, bad=bad)
 
 
 def read_colmap(source: Path) -> pycolmap.Reconstruction:

@@ -14,7 +14,7 @@ BAD_PICTURES = {
     "empty.jpg": "empty",
     "clear.png": "alpha 0 everywhere",
     "tiny.png": "the picture has 3 x 3 pixels",
-    "grey.png": "the picture has no contrast",
+    "grey.png": "the grey levels differ by 0.00 (standard deviation), and 2 are needed",
     MISSING: "No such file or directory",
 }
 

@@ -20,6 +20,15 @@ def assert_refused(result: Result, *words: str) -> None:
         assert word in result.stderr
 
 
+def assert_all_bad(result: Result, *reasons: str) -> None:
+    """Exit code 2, a line with the reason for each image, and one that none is left."""
+    *named, last = [line for line in result.stderr.splitlines() if "K is not stated" not in line]
+    assert (result.exit_code, len(named)) == (2, len(reasons)), result.output
+    assert last == f"error: none of the {len(reasons)} images can be used"
+    for line, reason in zip(named, reasons, strict=True):
+        assert line.startswith("bad image ") and reason in line
+
+
 def contents(folder: Path) -> dict[Path, bytes]:
     """Everything in a folder, at any depth."""
     return {

@@ -123,7 +123,10 @@ def test_what_is_no_model_is_refused_and_missing_images_are_told(
     broken = load_model(single, images)
     assert sorted(broken.poses) == ["r0.jpg", "r3.jpg", "r4.jpg"]
     (line,) = broken.warnings[1:]
-    assert line.startswith("not used: ") and "r2.jpg is not an image of a known format" in line
+    assert (
+        line == f"not used: {broken.bad['r2.jpg']}"
+        and "r2.jpg is not an image of a known format" in line
+    )
     for name in ("r3.jpg", "r4.jpg"):
         cv2.imwrite(str(images / name), np.zeros((5, 4), np.uint8))
     with pytest.raises(ImageError, match="r2.jpg is not an image of a known format"):

@@ -72,7 +72,9 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
     if len(source.names) < 2:
         what = "no image" if not source.names else "one image"
         lines = [f"{path}: {what}, and a pair needs two", *source.skipped]
-        lines += [f"{name}: {why}" for name, why in source.bad.items()]
+        if source.bad:
+            first, why = next(iter(source.bad.items()))
+            lines.append(f"{len(source.bad)} cannot be read (first: {first}: {why})")
         raise InputError("; ".join(lines))
     if not any(os.path.isfile(source.root / name) for name in source.names):
         raise InputError(
@@ -160,6 +162,16 @@ def survey(
     if failures and not cameras:
         raise failures[0]
     return _with_lines(source, cameras), bad, states
+
+
+def without_camera(source: Source, calibration: Calibration) -> list[str]:
+    """The images for which neither the source nor the calibration states a camera."""
+    lacking = list[str]()
+    for name in source.names:
+        with suppress(InputError):  # of cameras that cannot be told apart, `survey` raises it
+            if name not in source.cameras and calibration.lacks(source.root, name):
+                lacking.append(name)
+    return lacking
 
 
 def _require_one_size(

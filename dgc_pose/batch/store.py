@@ -126,10 +126,13 @@ def continued(before: Plan, now: Plan, out: Path) -> Plan:
     """
     changed = sorted({*now.names} ^ {*before.names})
     if changed and now.root == before.root:
-        what = "is new" if changed[0] in now.names else "has gone"
-        raise InputError(
-            f"{now.root / changed[0]} {what} since that batch:", _RESUME, "needs the same"
-        )
+        name = changed[0]
+        what = "is new since that batch" if name in now.names else "has gone since that batch"
+        if name in before.bad and name in now.names:
+            what = f"could not be read by that batch ({before.bad[name]})"
+        elif name in now.bad:
+            what = f"was read by that batch and cannot be read now ({now.bad[name]})"
+        raise InputError(f"{now.root / name} {what}:", _RESUME, "needs the same")
     unchanged = [n for n in now.names if now.states.get(n) == before.states.get(n)]
     old, new = (_facts(plan, unchanged, pairs=len(now.pairs) > 0) for plan in (before, now))
     if old != new:

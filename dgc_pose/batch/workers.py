@@ -23,7 +23,7 @@ from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, reason, requ
 from dgc_pose.estimation import EstimationOptions, estimate_pose, reject_contradicted_K
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.image import Image, unmatchable
+from dgc_pose.images.image import Image, require_matchable
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.pose import solve_pair
 from dgc_pose.system.parallel import process_pool
@@ -134,11 +134,11 @@ class Worker:
             return None
         try:
             image = self.cache.read(self.job.root, name, self.job.masks)
-            size, path = self.job.cameras[name].size, self.job.root / name
+            size = self.job.cameras[name].size
             if size is not None and tuple(size) != image.size:
-                raise ImageError(f"{path}: its header states another size than its pixels have")
-            if why := unmatchable(image):
-                raise ImageError(f"{path}: {why}")
+                differ = "its header states another size than its pixels have"
+                raise ImageError(f"{image.name}: {differ}")
+            require_matchable(image)
             return image
         except DgcPoseError as error:
             self.bad[name] = str(error)

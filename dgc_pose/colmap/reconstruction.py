@@ -38,7 +38,11 @@ KnownMetres = tuple[dict[str, Any], str]
 
 
 class MappingError(DgcPoseError):
-    """COLMAP made no model, or the model does not agree with GPS."""
+    """COLMAP made no model or failed, or the model does not agree with GPS."""
+
+
+class NoModelError(MappingError):
+    """COLMAP found no model of enough images."""
 
 
 def reconstruct(
@@ -51,14 +55,15 @@ def reconstruct(
     """Write `database.db`, `sparse/` and `points.ply` into `out`, replacing existing files.
 
     Returns the models, the one with the most images first; their matches; and the unit and
-    frame of the first model, see `to_metres`, or `not_in_metres`, the reason why the model kept its
-    scale. The other models show further scenes. They are in `sparse/1`, ... by size, each in axes
-    of its own. Bundle adjustment also refines intrinsics if a camera of the batch was uncertain,
-    see `refines`. known: what `known_metres` returned for the images, if it was called before.
+    frame of the first model, see `to_metres`, or `not_in_metres`, the error for which the model
+    kept its scale. The other models show further scenes. They are in `sparse/1`, ... by size, each
+    in axes of its own. Bundle adjustment also refines intrinsics if a camera of the batch was
+    uncertain, see `refines`. known: what `known_metres` returned for the images, if it was called
+    before.
 
-    Raises MappingError if COLMAP makes no model; InputError if `sparse` contains files that are not
-    part of a model, another process writes into `out`, or no pair has a pose; ImageError if an
-    image can no longer be read; OSError if the disk is full.
+    Raises NoModelError if COLMAP finds no model, MappingError if it fails; InputError if `sparse`
+    contains files that are not part of a model, another process writes into `out`, or no pair has a
+    pose; ImageError if an image can no longer be read; OSError if the disk is full.
     """
     options = options or ReconstructionOptions()
     mapping = replace(options, refine_intrinsics=refines(batch, options))
@@ -77,8 +82,10 @@ def reconstruct(
         try:
             metric = to_metres(found[0], {n: plan.root / n for n in plan.names}, options, known)
         except (MappingError, InputError) as error:
-            metric = {"not_in_metres": str(error)}
+            metric = {"not_in_metres": error}
         models = write_models(out, found, plan.root)
+    if lost := [text for model in models for text in model.warnings]:
+        raise ImageError(lost[0])  # the image could be read before the mapping
     return models, shared, metric
 
 
@@ -169,7 +176,7 @@ def write_summary(
             for number in sorted(taken)
             for camera in [colmap.cameras[number]]
         ],
-        **metric,
+        **{key: str(v) if isinstance(v, DgcPoseError) else v for key, v in metric.items()},
         "seconds": {stage: round(value, 2) for stage, value in seconds.items()},
     }
     write_json(out / SUMMARY, data)
@@ -177,7 +184,8 @@ def write_summary(
 
 
 def map_database(database: Path, images: Path, options: ReconstructionOptions) -> list[Any]:
-    """COLMAP's models, the one with the most images first. Raises MappingError without a model.
+    """COLMAP's models, the one with the most images first. Raises NoModelError without a model,
+    MappingError if pycolmap fails.
 
     Runs in one thread: with more, models differ in their last digits.
     """
@@ -189,7 +197,7 @@ def map_database(database: Path, images: Path, options: ReconstructionOptions) -
         except (RuntimeError, ValueError) as error:
             raise MappingError(f"{database}: pycolmap: {reason(error)}") from error
     if not models:
-        raise MappingError(
+        raise NoModelError(
             f"{database}: pycolmap's {options.mapper} mapper found no model of "
             f"{options.min_images} images or more"
         )

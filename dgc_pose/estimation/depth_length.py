@@ -18,7 +18,8 @@ _MIN_DEPTHS = 10  # inliers with a known depth that a length needs
 _CORRELATED = 30.0  # neighbouring depths that count as one, because their errors are correlated
 _RAYS = 0.1  # prior probability of distances along the rays
 _SLOPE_STD = 0.2  # of errors of the slope that neither the pose nor the depths state, as of K
-_STEPS, _EXACT = 10, 1e-9  # of the fit of the slope; least width of the loss, for exact depths
+_STEPS = 10  # of the fit of the slope
+_EXACT = 1e-9  # least width of its loss, for exact depths; secants that differ less are equal
 
 Rays = tuple[np.ndarray, np.ndarray]  # normalised points (N, 2) of the inliers in both images
 
@@ -51,13 +52,14 @@ def length_by_depths(
     InputError if too few depths are known.
     """
     known = np.isfinite(z)
-    if known.sum() < _MIN_DEPTHS:
-        raise InputError(f"{known.sum()} inliers have a depth, and {_MIN_DEPTHS} are needed")
+    inliers = int(known.any(0).sum())
+    if inliers < _MIN_DEPTHS:
+        raise InputError(f"{inliers} inliers have a depth, and {_MIN_DEPTHS} are needed")
     single, by_match = (part[known] for part in _single_lengths(rays, z, R, t))
     length = float(np.median(single))
     off = np.abs(single - length)
     scatter = DEVIATION * float(np.median(off / np.hypot(by_match, depth_std * length)))
-    count = max(known.any(0).sum() / _CORRELATED, 1.0)
+    count = max(inliers / _CORRELATED, 1.0)
     own = DEVIATION * float(np.median(off)) / count**0.5
     other = length - float(np.median(single / secants(rays)[known]))
     return length, math.hypot(depth_std * length, own, math.sqrt(doubt) * other), scatter
@@ -85,13 +87,14 @@ def _slope(
     rays: Rays, z: np.ndarray, depth_std: float, R: np.ndarray, t: np.ndarray
 ) -> tuple[float, float]:
     """The slope of ln single length by ln secant, and its deviation, infinite if too few depths are
-    known. By a Cauchy loss."""
+    known or the secants do not differ. By a Cauchy loss."""
     lengths, by_match = _single_lengths(rays, z, R, t)
     with np.errstate(invalid="ignore"):
         good = (lengths > 0) & (lengths < np.inf)
-    if good.sum() < _MIN_DEPTHS:
+    x = np.log(secants(rays)[good])
+    if good.any(0).sum() < _MIN_DEPTHS or np.ptp(x) <= _EXACT:
         return 0.5, math.inf
-    x, y = np.log(secants(rays)[good]), np.log(lengths[good])
+    y = np.log(lengths[good])
     information = 1 / (depth_std**2 + (by_match[good] / lengths[good]) ** 2)
     slope = 0.5
     for _ in range(_STEPS):

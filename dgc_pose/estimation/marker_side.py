@@ -21,11 +21,14 @@ _MAX_STD = 0.2  # relative, of a side
 _SHOWN = 3  # markers that an error names
 _MAX_RATIO, _DEVIATIONS = 1.05, 3.0  # of sides of one size: the larger of both is the limit
 _OTHER_SIZE = 1.5  # ratio above which markers have different sizes; below it, one has moved
-# The points around a marker: least and largest distance from its middle, in sides; least number;
-# number of the nearest ones in an image. The marker is in front of them or behind them if most
-# differ from its plane to the same side, by a share of the depth. Chosen on a rendered scene.
-_INNER, _OUTER, _MIN_AROUND, _NEAREST = 0.65, 4.0, 12, 40
-_DIFFERS, _MOST = 0.03, 0.75
+# The points around a marker. It is in front of them or behind them if most differ from its plane to
+# the same side. Chosen on a rendered scene.
+_INNER = 0.65  # least distance from its middle, in sides
+_OUTER = 4.0  # largest distance
+_MIN_AROUND = 12  # least number
+_NEAREST = 40  # number of the nearest ones in an image
+_DIFFERS = 0.03  # share of the depth
+_MOST = 0.75  # least share of the points
 
 
 class _View(NamedTuple):

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dgc_pose.errors import ArgumentName, InputError
+from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.geometry.pixels import EXCHANGING, Size, within
 from dgc_pose.images.decoding import Exif, Header, decoded, image_errors, read_pixels
 from dgc_pose.system.arrays import as_numpy, is_tensor
@@ -94,9 +94,17 @@ def unmatchable(image: Image | Header) -> str:
     if min(image.size) < _LEAST_SIDE:
         width, height = image.size
         return f"the picture has {width} x {height} pixels, and {_LEAST_SIDE} a side are needed"
-    if isinstance(image, Image) and _contrast(image) < _LEAST_CONTRAST:
-        return "the picture has no contrast"
+    if isinstance(image, Image) and (contrast := _contrast(image)) < _LEAST_CONTRAST:
+        where = "" if image.mask is None else " where the picture is not masked"
+        differ = f"the grey levels differ by {contrast:.2f} (standard deviation){where}"
+        return f"{differ}, and {_LEAST_CONTRAST:g} are needed"
     return ""
+
+
+def require_matchable(image: Image) -> None:
+    """Raise ImageError, with the image's name, if nothing in it can be matched."""
+    if why := unmatchable(image):
+        raise ImageError(f"{image.name}: {why}")
 
 
 def _contrast(image: Image) -> float:

@@ -17,7 +17,7 @@ from dgc_pose.cameras.calibration import image_camera
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.prior import auto_camera, with_lines
 from dgc_pose.colmap.tracking import points_in
-from dgc_pose.errors import DgcPoseError, ImageError, InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import (
     EstimationOptions,
     RelativePose,
@@ -25,7 +25,7 @@ from dgc_pose.estimation import (
     reject_contradicted_K,
 )
 from dgc_pose.images.cache import ImageCache
-from dgc_pose.images.image import Image, load_image, mask_file, masked, unmatchable
+from dgc_pose.images.image import Image, load_image, mask_file, masked, require_matchable
 from dgc_pose.localization.location import Location
 from dgc_pose.localization.search import LocationSearch
 from dgc_pose.matchers import load_matcher
@@ -89,22 +89,20 @@ class Locator:
 
     def describe(self, progress: Callable[[int, int], None] = lambda done, of: None) -> None:
         """Compute the coarsest features of the model's images, for choosing database images. Raises
-        ImageError or InputError if none is usable."""
-        failures = list[DgcPoseError]()
+        ImageError if none is usable."""
         for done, name in enumerate(self.model.poses, start=1):
             if name not in self._features and name not in self.bad:
                 try:
                     image = self.image(name)
-                    if why := unmatchable(image):
-                        raise ImageError(f"{self.model.root / name}: {why}")
+                    require_matchable(image)
                 except (ImageError, InputError) as error:
-                    failures.append(error)
                     self.bad[name] = str(error)
                 else:
                     self._features[name] = self.matcher.coarse_features(image)
             progress(done, len(self.model.poses))
-        if failures and not self._features:
-            raise failures[0]
+        if self.bad and not self._features:
+            count = f"none of the {len(self.bad)} images of the model can be used"
+            raise ImageError(f"{count} (first: {next(iter(self.bad.values()))})")
 
     def locate_all(
         self,
@@ -112,15 +110,16 @@ class Locator:
         K: CameraSource = None,
         details: KDetails | None = None,
     ) -> Iterator[Location]:
-        """Yield the location of each query, as `locate`. A query that cannot be read, or that K
+        """Yield the location of each query, as `locate`. A query that cannot be used, or that K
         does not fit, has the status "bad_input"."""
         self.describe()  # what is wrong with the model is raised
         for query in queries:
             try:
-                location = self.locate(query, K, details)
+                loaded = self._loaded(query, K, details)
             except (ImageError, InputError) as error:
-                location = Location("bad_input", str(error), ())
-            yield location
+                yield Location("bad_input", str(error), ())
+            else:
+                yield self._located(*loaded)
 
     def locate(
         self,
@@ -134,23 +133,44 @@ class Locator:
         """Estimate the pose of a query, as `locate`. details: of K. excluded: names of model images
         not to match, besides the query itself. whole: whether the query is certainly neither
         cropped nor squeezed."""
-        start, seconds = time.perf_counter(), dict[str, float]()
+        return self._located(*self._loaded(query, K, details), excluded=excluded, whole=whole)
+
+    def _loaded(
+        self, query: ImageSource, K: CameraSource, details: KDetails | None
+    ) -> tuple[Image, Camera, float]:
+        """A query with its mask, its camera, and the seconds taken. Raises InputError and
+        ImageError."""
+        start = time.perf_counter()
         image = load_image(query, "query")
         image = masked(image, mask_file(self.masks, Path(image.name).name))
-        if why := unmatchable(image):
-            return Location("bad_input", f"{image.name}: {why}", ())
+        require_matchable(image)
+        stated = image_camera(K, image, "K", details or KDetails())
+        (camera,) = with_lines([stated], [image])
+        return image, camera, time.perf_counter() - start
+
+    def _located(
+        self,
+        image: Image,
+        camera: Camera,
+        load_s: float,
+        *,
+        excluded: Sequence[str] = (),
+        whole: bool = False,
+    ) -> Location:
+        """The location of a loaded query."""
+        seconds = {"load": load_s}
+        start = time.perf_counter()
         same = [n for n in self.model.poses if _same_file(self.model.root / n, Path(image.name))]
         warnings = list[str]()
         if same and same[0] not in excluded:
             warnings = [f"{image.name} is in the model as {same[0]}, which is not matched"]
-        stated = image_camera(K, image, "K", details or KDetails())
-        (camera,) = with_lines([stated], [image])
-        seconds["load"] = time.perf_counter() - start
-        start = time.perf_counter()
         self.describe()
         names = [name for name in self._features if name not in {*excluded, *same}]
         if not names:
-            raise InputError("the model has no other image than the query")
+            usable = f"{len(self._features)} of {len(self.model.poses)} images of the model"
+            none = f"{usable} can be used, and besides the query none"
+            told = (*warnings, *camera.warnings)
+            return Location("nowhere", none, (), camera=camera, warnings=told, seconds=seconds)
         features = self.matcher.coarse_features(image)
         scores = {name: similarity(features, self._features[name]) for name in names}
         seconds["describe"] = time.perf_counter() - start

@@ -39,7 +39,7 @@ class Location:
 
     Attributes:
         status: "located"; "no_scale", with a rotation and a direction; "nowhere"; or "bad_input" if
-            nothing in the image can be matched, or if one of several images, or its K, is unusable.
+            one of several images, or its K, is unusable.
         reason: Why the query is not located; empty if it is.
         database_images: The images of the model that were matched, in this order.
         R: Rotation (3, 3) of cam_from_world, x = R X + t; None if the status is "nowhere" or

@@ -24,14 +24,17 @@ _LEAST_ANGLE_DEG, _LEAST_SHIFT = 0.05, 1e-3  # smaller changes do not count; the
 
 
 def write_rig(
-    folder: Path, cameras: Mapping[str, Location], metric: Mapping[str, Any]
+    folder: Path,
+    cameras: Mapping[str, Location],
+    metric: Mapping[str, Any],
+    warnings: Sequence[str] = (),
 ) -> list[Path]:
     """Write the files of `rig_texts` and rig.json, each completely or not at all; return the paths.
 
     rig.json has the tables of calibration.toml, the expected errors, why other cameras have no
-    pose, and the names of the files. cameras: by name; the located ones have a camera with a size.
-    metric: the unit of the positions, and facts about it; empty up to scale. Raises as `rig_texts`;
-    OSError, with the path.
+    pose, the warnings, and the names of the files. cameras: by name; the located ones have a camera
+    with a size. metric: the unit of the positions, and facts about it; empty up to scale. Raises as
+    `rig_texts`; OSError, with the path.
     """
     views = {name: of.camera for name, of in cameras.items() if of.success and of.camera}
     texts: dict[str, str] = {}
@@ -44,6 +47,7 @@ def write_rig(
         table |= {key: plain(getattr(cameras[name], key)) for key in _OF_RIG}
     not_placed = {name: of.reason for name, of in cameras.items() if not of.success}
     data = {"unit": "", **metric, "cameras": tables, "not_placed": not_placed}
+    data["warnings"] = [*warnings]
     texts["rig.json"] = json_text({**data, "files": [*texts, "rig.json"]})
     for name, text in texts.items():
         write_text(folder / name, text)

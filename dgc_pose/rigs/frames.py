@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from dgc_pose.errors import ArgumentName, DgcPoseError, InputError
 from dgc_pose.images.folder import frames_folder, identical_copies, search_images, skipped_line
-from dgc_pose.images.image import Image, load_image, unmatchable
+from dgc_pose.images.image import Image, load_image, require_matchable
 from dgc_pose.system.files import naming_path
 
 _FRAMES = ArgumentName("frames")
@@ -22,10 +23,11 @@ _LEAST_SIDE = 15  # of a static part, pixels; smaller ones are masked
 
 def camera_frames(
     folder: Path, videos: Path, others: Collection[Path] = ()
-) -> tuple[dict[str, list[Path]], tuple[str, ...]]:
-    """The frames of each camera, by camera name; and a line about skipped entries. Each entry of
-    the folder is a camera, named by `camera_name`: an image, a video, or a folder of frames. An
-    image or video that cannot be read is the only frame of its camera.
+) -> tuple[dict[str, list[Path]], dict[str, list[str]], tuple[str, ...]]:
+    """The frames of each camera, at most 15, by camera name; sentences on its files that cannot be
+    read, by camera name; and a line about skipped entries. Each entry of the folder is a camera,
+    named by `camera_name`: an image, a video, or a folder of frames. A camera without a file that
+    can be read has no frames.
 
     videos: folder for the frames of videos. others: files and folders that are not cameras. Raises
     InputError for fewer than two cameras, two cameras with one name, and two with equal files.
@@ -33,6 +35,7 @@ def camera_frames(
     if not folder.is_dir():
         raise InputError(_FRAMES, f"{folder}: no such folder")
     cameras: dict[str, list[Path]] = {}
+    unreadable = defaultdict[str, list[str]](list)
     skipped = []
     content = search_images(folder)
     images = [name for name in content.names if "/" not in name]
@@ -40,15 +43,19 @@ def camera_frames(
     for entry in sorted(path for path in folder.iterdir() if path.name[0] != "."):
         if entry.resolve() in not_cameras:
             continue
-        found = _frames(entry, videos / entry.name)
-        found = [entry] if entry.name in (*images, *content.bad) else found
+        found, bad = [entry], list[str]()
+        if entry.name in content.bad:
+            found, bad = [], [f"{entry}: {content.bad[entry.name]}"]
+        elif entry.name not in images:
+            found, bad = _frames(entry, videos / entry.name)
         name = camera_name(entry)
-        if not found:
+        if not found and not bad:
             skipped.append(entry.name)
-        elif name in cameras:
+            continue
+        if found and cameras.get(name):
             raise InputError(_FRAMES, f"{folder}: two cameras have the name {name}")
-        else:
-            cameras[name] = found[:: -(-len(found) // _MOST_FRAMES)]
+        cameras[name] = cameras.get(name) or found[:: -(-len(found) // _MOST_FRAMES) or 1]
+        unreadable[name] += bad
     why = "neither a picture, nor a video, nor a folder of pictures"
     lines = [skipped_line("file", skipped, why)] if skipped else []
     if len(cameras) < 2:
@@ -56,19 +63,21 @@ def camera_frames(
         raise InputError(_FRAMES, "; ".join([few, *lines]))
     if copies := identical_copies(folder, images):
         raise InputError(_FRAMES, f"{folder / min(copies)} is the picture of another camera")
-    return cameras, tuple(lines)
+    return cameras, unreadable, tuple(lines)
 
 
-def _frames(entry: Path, video: Path) -> list[Path]:
-    """The frames of a camera that is a folder or a video. video: folder for a video's frames."""
+def _frames(entry: Path, video: Path) -> tuple[list[Path], list[str]]:
+    """The frames of a camera that is a folder or a video, and sentences on files that cannot be
+    read. video: folder for a video's frames."""
     try:
         folder = frames_folder(entry, _MOST_FRAMES, video)
-    except InputError:  # a video that cannot be read, nor as an image
-        return [entry]
+    except InputError as error:
+        return [], [str(error)]
     if not folder.is_dir():
-        return []
+        return [], []
     content = search_images(folder)
-    return [folder / name for name in sorted((*content.names, *content.bad))]
+    bad = [f"{folder / name}: {why}" for name, why in content.bad.items()]
+    return [folder / name for name in content.names], bad
 
 
 def camera_name(entry: Path) -> str:
@@ -77,49 +86,55 @@ def camera_name(entry: Path) -> str:
 
 
 def still_pictures(
-    cameras: Mapping[str, Sequence[Path]], folder: Path
+    cameras: Mapping[str, Sequence[Path]], unreadable: Mapping[str, Sequence[str]], folder: Path
 ) -> tuple[dict[str, Path], dict[str, str], tuple[str, ...]]:
     """The `still_picture` of each camera, without the frames that cannot be read; why other cameras
-    have none; and a line for each frame left out. cameras: their frames, by name."""
+    have none; and a line for each file left out. cameras, unreadable: from `camera_frames`."""
     pictures: dict[str, Path] = {}
     bad: dict[str, str] = {}
     lines = list[str]()
     for name, frames in cameras.items():
-        left = [*frames]
-        while name not in pictures and name not in bad:
+        images: dict[Path, Image] = {}
+        reasons = [*unreadable.get(name, ())]
+        for path in frames:
             try:
-                pictures[name] = still_picture(left, name, folder)
+                images[path] = load_image(path)
             except DgcPoseError as error:
-                if error.path in left and len(left) > 1:
-                    left.remove(error.path)
-                    lines.append(str(error))
-                else:
-                    bad[name] = str(error)
+                reasons.append(str(error))
+        try:
+            if not images:
+                raise InputError(reasons.pop(0))
+            pictures[name] = still_picture(images, name, folder)
+        except DgcPoseError as error:
+            bad[name] = str(error)
+        lines += reasons
     return pictures, bad, tuple(lines)
 
 
-def still_picture(frames: Sequence[Path], name: str, folder: Path) -> Path:
+def still_picture(frames: Mapping[Path, Image], name: str, folder: Path) -> Path:
     """Write the still picture of a camera to a folder, as `name` with an ending.
 
     A single upright frame is copied. Otherwise the picture is the upright median of the frames,
     with the mask `name`.png.png, black where things move. Raises InputError for frames of several
-    sizes and for a picture in which nothing can be matched; ImageError.
+    sizes and if all of the picture moves; ImageError if nothing in it can be matched.
     """
-    images = [load_image(path) for path in frames]
-    if len({image.size for image in images}) > 1:
-        raise InputError(f"{frames[0].parent}: frames of several sizes")
-    stack = np.stack([image.pixels for image in images])
+    first, *_ = frames
+    if len({image.size for image in frames.values()}) > 1:
+        raise InputError(f"{first.parent}: frames of several sizes")
+    if len(frames) == 1 and frames[first].exif.orientation == 1:
+        require_matchable(frames[first])
+        return Path(shutil.copy2(first, folder / f"{name}{first.suffix}"))
+    stack = np.stack([image.pixels for image in frames.values()])
     still = np.median(stack, axis=0).astype(np.uint8)
     grey, *others = (cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY) for pixels in (still, *stack))
-    if why := unmatchable(Image(still)):
-        raise InputError(f"{frames[0]}: {why}")
-    if len(frames) == 1 and images[0].exif.orientation == 1:
-        return Path(shutil.copy2(frames[0], folder / f"{name}{frames[0].suffix}"))
     offsets = [cv2.blur(other.astype(np.float32) - grey, (5, 5)) for other in others]
     moves = [np.abs(offset - np.median(offset)) > _CHANGE for offset in offsets]
     stays = np.where(np.mean(moves, axis=0) <= 1 - _STAYING, 255, 0).astype(np.uint8)
     mask = cv2.morphologyEx(stays, cv2.MORPH_OPEN, np.ones((_LEAST_SIDE, _LEAST_SIDE)))
-    newest = max(frame.stat().st_mtime_ns for frame in frames)
+    if not mask.any():
+        raise InputError(f"{first.parent}: everything moves between the {len(frames)} frames")
+    require_matchable(Image(still, str(first), mask=mask > 0))
+    newest = max(path.stat().st_mtime_ns for path in frames)
     path = folder / f"{name}.png"
     for file, pixels in ((path, still[:, :, ::-1]), (folder / f"{name}.png.png", mask)):
         with naming_path(file):

@@ -27,7 +27,7 @@ from dgc_pose.colmap.options import ReconstructionOptions
 from dgc_pose.colmap.reconstruction import (
     MODEL,
     POINTS,
-    MappingError,
+    NoModelError,
     known_metres,
     reconstruct,
     require_new,
@@ -107,8 +107,8 @@ def estimate_rig(
     with the stage, the number done, and the total.
 
     A camera whose picture is unusable has the status "bad_input"; without a model, all others have
-    "nowhere". Raises InputError if all pictures are unusable, for an unusable K or scale, and for
-    an existing result without `resume` in `work`; ImageError; OSError.
+    "nowhere". Raises InputError for an unusable K or scale, and for an existing result without
+    `resume` in `work`; ImageError; OSError.
     """
     frames, out, work = Path(frames), Path(out), work or BatchOptions()
     estimation, matcher = estimation or EstimationOptions(), matcher or MatcherOptions()
@@ -121,7 +121,7 @@ def estimate_rig(
         if outer in inner.parents or inner in (outer, *outer.parents):
             neither = f"{path} overlaps the results in {out}"
             raise InputError(ArgumentName(argument), neither)
-    found, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
+    found, unreadable, skipped = camera_frames(frames, out / _CAMERAS, [*given.values()])
     exact = _exact_cameras(K or {}, found)
     walked = dict[str, Path]()
     if isinstance(walk, Model):
@@ -133,25 +133,26 @@ def estimate_rig(
         walked = {name: source.root / name for name in source.names}
         calibration = read_calibration(walk_K, "walk_K")
     if options.scale or options.gps:  # raise before the matching
-        first = {name: paths[0] for name, paths in found.items()}
+        first = {name: next(iter(paths), frames / name) for name, paths in found.items()}
         known_metres(first if options.scale else walked or first, options)
 
     for file in (*FILES, PAGE):  # of an earlier run
         (out / file).unlink(missing_ok=True)
     (out / _OWN).mkdir(parents=True, exist_ok=True)
     with replaced_folder(out / PICTURES) as folder:
-        stills, bad, lines = still_pictures(found, folder)
-        if not stills:
-            raise InputError(ArgumentName("frames"), "; ".join(bad.values()))
+        stills, bad, lines = still_pictures(found, unreadable, folder)
     files = {name: path.name for name, path in stills.items()}
     skipped += lines
     unusable = {name: Location("bad_input", why, ()) for name, why in bad.items()}
     pictures = {name: out / PICTURES / file for name, file in files.items()}
     if options.scale:
         *pair, metres = options.scale.split(",")
-        for name in bad.keys() & {*pair}:
-            raise InputError(ArgumentName("scale"), bad[name])
+        for name in sorted(bad.keys() & {*pair}):
+            unusable_picture = f"names {name}, whose picture cannot be used: {bad[name]}"
+            raise InputError(ArgumentName("scale"), unusable_picture)
         options = replace(options, scale=",".join([*(files[name] for name in pair), metres]))
+    if not pictures:
+        return Rig(unusable, warnings=skipped)
     if isinstance(walk, Model):
         models = [walk]
     else:
@@ -179,7 +180,7 @@ def estimate_rig(
         skipped += tuple(f"{name}: {why}" for name, why in batch.summary["bad_images"].items())
         try:
             models, *_ = reconstruct(batch, out, up_to_scale)
-        except (MappingError, NoPairError) as error:
+        except (NoModelError, NoPairError) as error:
             reason = "the cameras' own pictures make no model; photographs between them would"
             if walk is not None:
                 reason = f"the walk makes no model: {error}"
@@ -189,6 +190,7 @@ def estimate_rig(
     loaded = matcher.load(ImageCache())
     locators = [Locator(of_model, loaded, estimation, out / PICTURES) for of_model in models]
     model, cameras = _located(locators, pictures, exact, progress, own=walk is None)
+    skipped += tuple(why for locator in locators for why in locator.bad.values())
     if (count := len(model.poses)) < len(walked):
         skipped += (f"{count} of {len(walked)} photographs of the walk are in its model",)
     if walk is None:
@@ -269,7 +271,8 @@ def _checked(location: Location, name: str, locator: Locator) -> Location:
     matched, reason = location.database_images, location.reason
     if location.success:
         agreeing = sum(image.agrees for image in matched)
-        if agreeing >= min(_LEAST_AGREEING, len(locator.model.poses) - 1):
+        usable = len(locator.model.poses) - len(locator.bad)
+        if agreeing >= min(_LEAST_AGREEING, usable - 1):
             return location
         reason = f"its pose agrees with {agreeing} of {len(matched)} pictures"
     if matched:

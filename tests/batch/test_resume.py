@@ -114,6 +114,22 @@ def test_a_photograph_that_was_half_copied_is_matched_when_it_is_whole(photos, w
     assert_same_result(out, whole)
 
 
+def test_a_picture_that_only_one_run_could_read_is_told(photos, tmp_path):
+    """Repaired, or broken between the runs. It is neither new nor gone."""
+    out, picture = tmp_path / "out", photos / "view3.png"
+    content = picture.read_bytes()
+    picture.write_bytes(b"")
+    run_sift(photos, out, pairs="sequential:1")
+    picture.write_bytes(content)
+    could_not = r"view3\.png could not be read by that batch \(empty\): resume needs the same$"
+    with pytest.raises(InputError, match=could_not):
+        run_sift(photos, out, pairs="sequential:1", resume=True)
+    run_sift(photos, tmp_path / "whole", pairs="sequential:1")
+    picture.write_bytes(b"")
+    with pytest.raises(InputError, match=r"view3\.png was read by that .* read now \(empty\): "):
+        run_sift(photos, tmp_path / "whole", pairs="sequential:1", resume=True)
+
+
 def test_a_mask_that_changed_is_matched_again(photos, tmp_path):
     """The pairs of its photograph are; so are those of a photograph that gets a mask."""
     out, other, masks = tmp_path / "out", tmp_path / "other", tmp_path / "masks"

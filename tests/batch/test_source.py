@@ -70,6 +70,15 @@ def test_a_folder_without_any_of_the_listed_images(tmp_path, root):
     )
 
 
+def test_pictures_that_cannot_be_read_are_counted_where_no_pair_is_left(tmp_path):
+    for number in range(30):
+        (tmp_path / f"{number:02d}.jpg").write_bytes(b"")
+    with pytest.raises(InputError) as caught:
+        open_source(tmp_path)
+    no_pair = f"{tmp_path}: no image, and a pair needs two"
+    assert str(caught.value) == f"{no_pair}; 30 cannot be read (first: 00.jpg: empty)"
+
+
 def _two(folder, *sizes, orientations=(1, 1)):
     """Photographs of these sizes as stored, with EXIF orientations."""
     exif = PIL.Image.Exif()

@@ -19,11 +19,12 @@ from dgc_pose.benchmarks.models import (
     model_figures,
     pair_figures,
     thinned,
+    true_model,
     views_of_list,
 )
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.pair_list import Pair, write_pairs
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.model import Model
 
@@ -42,6 +43,18 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, list[Vi
     path = folder.parent / "pairs.txt"
     write_pairs(path, pairs)
     return folder, path, views
+
+
+def test_a_model_with_an_image_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+    """Figures over fewer images would not be those of the scene."""
+    names = write_views(tmp_path / "images", render_views(4))
+    rows = [f"{name},1,0,0,0,0,0,0,{K[0, 0]},{K[1, 1]},{K[0, 2]},{K[1, 2]}" for name in names]
+    table = tmp_path / "poses.csv"
+    table.write_text("\n".join(["name,qw,qx,qy,qz,tx,ty,tz,fx,fy,cx,cy", *rows]))
+    assert len(true_model(table, tmp_path / "images").poses) == 4
+    (tmp_path / "images" / names[2]).write_bytes(b"")
+    with pytest.raises(ImageError, match=rf"{names[2]} is empty"):
+        true_model(table, tmp_path / "images")
 
 
 def _relative(poses: dict[str, np.ndarray], a: str, b: str) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import pycolmap
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
-from command_line import assert_refused, contents, run
+from command_line import assert_all_bad, assert_refused, contents, run
 from worlds import SIZE, K, K_text, View, render_views, write_views
 
 from dgc_pose.cameras.camera import Camera
@@ -105,11 +105,13 @@ def test_bad_queries_are_named_and_the_others_located(
         assert data["R"] is None and data["references"] == []
     words = (bad[1], "--json", tmp_path / "none.json", "--add", tmp_path / "with")
     refused = locate(scene[0], *words, photo=bad[0])
-    assert_refused(refused, *map(str, bad[:2]), "cannot be decoded", "is corrupt")
+    assert_all_bad(refused, f"{bad[0]} cannot be decoded", f"{bad[1]} is corrupt")
     assert len(json.loads((tmp_path / "none.json").read_text())) == 2
     assert not (tmp_path / "with").exists()
     on_stdout = locate(scene[0], "--json", "-", "--plot", tmp_path / "o.png", photo=bad[0])
     assert on_stdout.exit_code == 2 and len(json.loads(on_stdout.stdout)) == 1
+    (line,) = on_stdout.stderr.splitlines()
+    assert line.startswith(f"error: {bad[0]} cannot be decoded")
     assert not (tmp_path / "o.png").exists()
 
 

@@ -7,7 +7,7 @@ import dense_scene
 import numpy as np
 import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
-from command_line import assert_refused, run
+from command_line import assert_all_bad, assert_refused, run
 
 
 @pytest.fixture
@@ -83,7 +83,7 @@ def test_bad_pictures_are_named_and_the_others_have_verdicts(folder):
         assert sum(name in line for line in lines) == 1
     assert data["bad/fine.png"]["verdict"] == data["still.png"]["verdict"] == "still"
     alone = moved("bad/cut.jpg", "bad/text.jpg", "--json", "none.json")
-    assert_refused(alone, "bad/cut.jpg cannot be decoded", "bad/text.jpg is not an image")
+    assert_all_bad(alone, "bad/cut.jpg cannot be decoded", "bad/text.jpg is not an image")
     assert len(json.loads((folder / "none.json").read_text())) == 2
 
 

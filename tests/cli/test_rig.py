@@ -1,12 +1,13 @@
 """`dgc-pose rig`: its text, exit codes and files, of a rig whose cameras are known."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from command_line import assert_refused, contents, run
+from command_line import assert_all_bad, assert_refused, contents, run
 from scipy.spatial.transform import Rotation
 from worlds import SIZE, K, render_views, write_views
 
@@ -68,6 +69,7 @@ def test_the_text_and_the_files(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     data = json.loads((folder / "out" / "rig.json").read_text())
     assert {*data["files"]} | {"model.html"} == {path.name for path in (folder / "out").iterdir()}
     assert data["not_placed"] == {"west": NOWHERE.reason} and data["unit"] == "m"
+    assert data["warnings"] == ["two have one pose"]
     assert {str(Path("out") / file) for file in data["files"]} <= {*lines}
     assert asked[0]["K"] == {"view0": "500,500,320,240", "view1": "auto"}
     assert (asked[0]["walk"], asked[0]["walk_K"]) == ("photos", "1,1,1,1")
@@ -82,6 +84,9 @@ def test_a_bad_picture_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -
     assert result.stderr == "bad image east: frames/east.jpg is empty\n"
     data = json.loads((folder / "out" / "rig.json").read_text())
     assert data["not_placed"]["east"] == bad.reason
+    estimated(monkeypatch, Rig({"west": replace(bad, reason="is cut"), "east": bad}))
+    assert_all_bad(run("rig", "frames", "--out", "none"), "west: is cut", bad.reason)
+    assert not (folder / "none" / "rig.json").exists()
 
 
 def test_nothing_placed_is_exit_code_3(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,7 +164,7 @@ def test_a_marker_gives_the_scale(tmp_path: Path) -> None:
         to_metres(model, paths(tmp_path, 3), ReconstructionOptions(marker=0.2))
 
 
-def test_the_command(tmp_path: Path) -> None:
+def test_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "photos"
     first, *_, last = (view.centre for view in view_folder(folder))
     metres = 7.5 * np.linalg.norm(last - first)
@@ -186,8 +186,16 @@ def test_the_command(tmp_path: Path) -> None:
     assert np.linalg.norm(centres[3] - centres[0]) == pytest.approx(metres)
     result = run(*words, "--resume", "--scale", f"view0.png,other.png,{metres}")
     assert result.exit_code == 2
-    assert result.stderr.endswith("sparse is up to scale: scale other.png is not in the model\n")
+    assert result.stderr.endswith("sparse is up to scale: --scale other.png is not in the model\n")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["registered"] == 4 and "unit" not in summary
     assert summary["not_in_metres"] == "scale other.png is not in the model"
     assert pycolmap.Reconstruction(tmp_path / "out" / "sparse").num_reg_images() == 4
+
+    def fails(*arguments: object) -> None:
+        raise RuntimeError("of pycolmap's own")
+
+    monkeypatch.setattr(pycolmap, "incremental_mapping", fails)
+    result = run(*words, "--resume")
+    assert result.exit_code == 2 and "no model" not in result.output
+    assert "database.db: pycolmap: of pycolmap's own" in result.stderr

@@ -7,6 +7,7 @@ import tempfile
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -19,8 +20,8 @@ from worlds import K, K_text, View, render_views, write_views
 from dgc_pose.batch.pairs import MatchedPair, row_of
 from dgc_pose.batch.result import Batch, read_batch
 from dgc_pose.colmap.options import MapperName, ReconstructionOptions
-from dgc_pose.colmap.reconstruction import MappingError, adjust, reconstruct
-from dgc_pose.errors import InputError
+from dgc_pose.colmap.reconstruction import NoModelError, adjust, map_database, reconstruct
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import RelativePose
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, require_model_folder
@@ -170,7 +171,7 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
     still; COLMAP's log is not shown, and no file of it is left."""
     view_folder(tmp_path / "two", 2)
     pair = run_sift(tmp_path / "two", tmp_path / "pair")
-    with pytest.raises(MappingError, match="incremental mapper found no model"):
+    with pytest.raises(NoModelError, match="incremental mapper found no model"):
         reconstruct(pair, tmp_path / "model")
     assert capfd.readouterr() == ("", "")
     assert not list(Path(tempfile.gettempdir()).glob(f".*.log.*.{os.getpid()}"))
@@ -182,6 +183,22 @@ def test_nothing_to_reconstruct(tmp_path: Path, capfd: pytest.CaptureFixture[str
     with pytest.raises(InputError, match=r"accepted pose; the first: .* stay at the same pixels"):
         reconstruct(pair, tmp_path / "other")
     assert not (tmp_path / "other" / "sparse").exists()
+
+
+def test_an_image_that_breaks_during_the_mapping_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view_folder(tmp_path / "photos", 3)
+    batch = run_sift(tmp_path / "photos", tmp_path / "batch")
+
+    def broken(*arguments: Any) -> list[Any]:
+        found = map_database(*arguments)
+        (tmp_path / "photos" / "view1.png").write_bytes(b"")
+        return found
+
+    monkeypatch.setattr("dgc_pose.colmap.reconstruction.map_database", broken)
+    with pytest.raises(ImageError, match=r"view1\.png is empty"):
+        reconstruct(batch, tmp_path / "model")
 
 
 def test_a_pair_that_shares_no_key_point_is_an_ordinary_pair(batch: Batch, tmp_path: Path) -> None:

@@ -166,4 +166,7 @@ def test_an_image_in_which_nothing_can_be_matched():
     half[:, :30] = 77
     left = np.arange(60) < np.full((40, 1), 30)
     assert unmatchable(Image(half)) == ""
-    assert unmatchable(Image(half, mask=left)) == "the picture has no contrast"
+    assert unmatchable(Image(half, mask=left)) == (
+        "the grey levels differ by 0.00 (standard deviation) where the picture is not masked, "
+        "and 2 are needed"
+    )

@@ -1,5 +1,6 @@
 """What a locator keeps of images."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -73,15 +74,31 @@ def test_of_many_images_one_that_is_bad_is_told(tmp_path: Path) -> None:
     for location, reason in zip(others, [*BAD_PICTURES.values(), "outside"], strict=True):
         assert reason in location.reason
     for path in bad:
-        if path.name in ("grey.png", "tiny.png"):
-            assert locator.locate(path, DATABASE_K).status == "bad_input"
-        else:
-            with pytest.raises((ImageError, InputError)):
-                locator.locate(path, DATABASE_K)
-    for name in ("view1.png", "view2.png"):
-        (tmp_path / "images" / name).write_bytes(b"")
-    with pytest.raises(ImageError, match=r"view0\.png"):
-        [*locate.Locator(model, load_matcher(), options).locate_all(queries)]
+        with pytest.raises(ImageError, match=re.escape(BAD_PICTURES[path.name])):
+            locator.locate(path, DATABASE_K)
+    view1, view2 = (tmp_path / "images" / name for name in ("view1.png", "view2.png"))
+    view2.write_bytes(b"")
+    (alone,) = locate.Locator(model, load_matcher(), options).locate_all([view1])
+    assert alone.status == "nowhere"
+    assert alone.reason == "1 of 3 images of the model can be used, and besides the query none"
+    view1.write_bytes(b"")
+    empty = locate.Locator(model, load_matcher(), options)
+    for _ in range(2):
+        with pytest.raises(ImageError, match=r"^none of the 3 images of the .*view0\.png"):
+            [*empty.locate_all([photo.pixels])]
+
+
+def test_an_error_in_the_middle_of_a_location_is_raised(tmp_path, monkeypatch) -> None:
+    """It is not one of the query."""
+    photo, *views = render_views(3, step=0.5)
+    model = known_model(tmp_path, views)
+
+    def fails(*arguments: Any) -> Any:
+        raise InputError("not of the query")
+
+    monkeypatch.setattr(locate, "solve_pair", fails)
+    with pytest.raises(InputError, match="not of the query"):
+        [*locate.Locator(model, load_matcher()).locate_all([photo.pixels], DATABASE_K)]
 
 
 def test_a_wrong_K_of_the_query_gives_way_and_is_told(tmp_path, monkeypatch) -> None:

@@ -8,7 +8,7 @@ import pytest
 from bad_pictures import BAD_PICTURES, write_bad_pictures
 from marker_scene import texture
 
-from dgc_pose.errors import InputError
+from dgc_pose.errors import ImageError, InputError
 from dgc_pose.images.decoding import read_pixels
 from dgc_pose.images.image import load_image
 from dgc_pose.rigs.frames import camera_frames, still_picture, still_pictures
@@ -25,6 +25,11 @@ def save(path: Path, pixels: np.ndarray = SCENE, orientation: int = 1) -> Path:
     return path
 
 
+def still(folder: Path, name: str, *paths: Path) -> Path:
+    """The still picture of a camera with these frames."""
+    return still_picture({path: load_image(path) for path in paths}, name, folder)
+
+
 def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
     """An image by its content, and a folder of frames, of which at most 15 are read."""
     rig = tmp_path / "rig"
@@ -33,7 +38,7 @@ def test_an_entry_of_the_folder_is_a_camera(tmp_path: Path) -> None:
     many = [save(rig / "west" / f"{number:02d}.png") for number in range(40)]
     (rig / "notes.txt").write_text("of the cameras")
     (rig / "empty").mkdir()
-    found, skipped = camera_frames(rig, tmp_path / "videos")
+    found, _, skipped = camera_frames(rig, tmp_path / "videos")
     assert skipped[0].startswith("2 files skipped (first: empty): neither a picture")
     expected = {"north": [rig / "north.jpg"], "south": [rig / "south.data"], "west": many[::3]}
     assert found == expected and not (tmp_path / "videos").exists()
@@ -56,9 +61,9 @@ def test_what_is_no_rig_is_refused(tmp_path: Path) -> None:
 
 def test_a_single_picture_is_copied_and_a_turned_one_is_upright(tmp_path: Path) -> None:
     path = save(tmp_path / "a.jpg")
-    copied = still_picture([path], "cam", tmp_path)
+    copied = still(tmp_path, "cam", path)
     assert copied.name == "cam.jpg" and copied.read_bytes() == path.read_bytes()
-    turned = still_picture([save(tmp_path / "b.png", np.rot90(SCENE), 6)], "turned", tmp_path)
+    turned = still(tmp_path, "turned", save(tmp_path / "b.png", np.rot90(SCENE), 6))
     np.testing.assert_array_equal(load_image(turned).pixels, SCENE)
     assert load_image(turned).exif.orientation == 1
 
@@ -72,7 +77,7 @@ def test_the_picture_is_without_what_moves_and_the_mask_black_there(tmp_path: Pa
         if number % 3 == 0:
             pixels[20:50, 60:100] = 255
         paths.append(save(tmp_path / "frames" / f"{number}.png", pixels.astype(np.uint8)))
-    picture = still_picture(paths, "cam.1", tmp_path)
+    picture = still(tmp_path, "cam.1", *paths)
     assert picture.name == "cam.1.png"
     mask = read_pixels(tmp_path / "cam.1.png.png")
     assert (mask[24:46, 64:96] == 0).all()
@@ -83,12 +88,42 @@ def test_the_picture_is_without_what_moves_and_the_mask_black_there(tmp_path: Pa
 
 
 def test_frames_that_give_no_picture_are_refused(tmp_path: Path) -> None:
+    """Without what moves, nothing may be left, or a single colour."""
     other = [save(tmp_path / "a" / "0.png"), save(tmp_path / "a" / "1.png", SCENE[:100])]
     with pytest.raises(InputError, match="a: frames of several sizes$"):
-        still_picture(other, "cam", tmp_path)
-    with pytest.raises(InputError, match=r"black\.png: the picture has no contrast$"):
-        still_picture([save(tmp_path / "black.png", 0 * SCENE)], "cam", tmp_path)
+        still(tmp_path, "cam", *other)
+    with pytest.raises(
+        ImageError, match=r"black\.png: the grey levels differ by 0\.00 .*, and 2 are needed$"
+    ):
+        still(tmp_path, "cam", save(tmp_path / "black.png", 0 * SCENE))
+    moved = [np.stack([texture(SIZE, 10 * n + k) for k in range(3)], -1) for n in range(5)]
+    paths = [save(tmp_path / "m" / f"{n}.png", pixels) for n, pixels in enumerate(moved)]
+    with pytest.raises(InputError, match="m: everything moves between the 5 frames$"):
+        still(tmp_path, "cam", *paths)
+    for path, pixels in zip(paths, moved, strict=True):
+        save(path, np.hstack([np.full_like(SCENE, 90)[:, :100], pixels[:, 100:]]))
+    with pytest.raises(
+        ImageError, match=r"0\.png: the grey levels .* where the picture is not masked, and 2 "
+    ):
+        still(tmp_path, "cam", *paths)
     assert not [*tmp_path.glob("cam*")]
+
+
+def test_files_that_cannot_be_read_displace_no_other(tmp_path: Path) -> None:
+    """Neither frames of a folder, of which at most 15 are read, nor a file of the same name."""
+    rig = tmp_path / "rig"
+    fine = [save(rig / "many" / f"{number:02d}.png") for number in range(15)]
+    empty = [path.with_suffix(".jpg") for path in fine] + [rig / "south.jpg", rig / "south.tif"]
+    south = save(rig / "south.png", SCENE[::-1])
+    for path in empty:
+        path.write_bytes(b"")
+    (rig / "south.mp4").write_text("not a video")
+    cameras, unreadable, _ = camera_frames(rig, tmp_path / "videos")
+    assert cameras == {"many": fine, "south": [south]}
+    pictures, bad, lines = still_pictures(cameras, unreadable, tmp_path)
+    assert {*pictures} == {*cameras} and not bad
+    no_video = f"{rig / 'south.mp4'} is not a video that can be read"
+    assert {*lines} == {no_video, *(f"{path}: empty" for path in empty)}
 
 
 def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
@@ -105,13 +140,14 @@ def test_bad_pictures_are_told_and_the_others_are_there(tmp_path: Path) -> None:
     write_bad_pictures(rig / "none")
     for name in ("tiny.png", "grey.png", "clear.png"):
         (rig / "none" / name).unlink()
-    cameras, skipped = camera_frames(rig, tmp_path / "videos")
+    cameras, unreadable, skipped = camera_frames(rig, tmp_path / "videos")
     assert not skipped
-    pictures, reasons, lines = still_pictures(cameras, tmp_path)
+    pictures, reasons, lines = still_pictures(cameras, unreadable, tmp_path)
     assert {*pictures} == {"fine", "many"}
     assert {*reasons} == {path.stem for path in bad} | {"video", "none"}
     for path in bad:
         assert BAD_PICTURES[path.name] in reasons[path.stem]
+    assert reasons["video"] == f"{rig / 'video.mp4'} is not a video that can be read"
     left_out = [path for path in frames if path.exists()]
     told = [line for line in lines if str(rig / "many") in line]
     assert len(told) == len(left_out)

@@ -1,6 +1,8 @@
 """Fixed cameras of a rendered scene by photographs of a walk, with the shipped network."""
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -26,7 +28,7 @@ from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model, load_model
-from dgc_pose.rigs.rig import Rig, estimate_rig
+from dgc_pose.rigs.rig import Rig, _checked, estimate_rig
 
 K = np.array([[180.0, 0, 120], [0, 180, 89.5], [0, 0, 1]])  # of the fixed cameras
 CENTRES = {"north": (-0.7, -0.5, 0.3), "south": (0.8, -0.3, -0.4), "west": (0.1, 0.4, 0.5)}
@@ -115,13 +117,17 @@ def test_cameras_that_share_nothing_have_no_place(tmp_path: Path) -> None:
 @pytest.mark.parametrize("walked", [False, True])
 def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: bool) -> None:
     """Bad pictures have their own, whether there is a walk or not; a bad one of the walk is told.
-    Bad pictures alone are refused."""
+    Bad pictures alone have theirs."""
     bad = [path for path in write_bad_pictures(tmp_path / "frames") if path.exists()]
     sift = QUICK | {"matcher": MatcherOptions("sift")}
-    with pytest.raises(InputError, match=r"cut\.jpg cannot be decoded.*no contrast"):
-        estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
+    alone = estimate_rig(tmp_path / "frames", tmp_path / "none", **sift)
+    assert {location.status for location in alone.cameras.values()} == {"bad_input"}
+    assert not alone.warnings and len(alone.cameras) == len(bad)
     pixels = np.random.default_rng(0).integers(0, 256, (3, *SIZE[::-1], 3), np.uint8)
     cv2.imwrite(str(tmp_path / "frames" / "north.png"), pixels[0])
+    scale = ReconstructionOptions(scale="north,empty,3.0")
+    with pytest.raises(InputError, match=r"^scale names empty, whose picture .*empty\.jpg: empty$"):
+        estimate_rig(tmp_path / "frames", tmp_path / "none", reconstruction=scale, **sift)
     walk = tmp_path / "walk" if walked else None
     if walk is not None:
         write_bad_pictures(walk)
@@ -131,8 +137,8 @@ def test_without_a_model_each_camera_has_a_reason(tmp_path: Path, *, walked: boo
     rig = estimate_rig(tmp_path / "frames", tmp_path / "out", walk, K=known, **sift)
     assert rig.model is None and {*rig.cameras} == {"north"} | {path.stem for path in bad}
     for path in bad:
-        of = rig.cameras[path.stem]
-        assert of.status == "bad_input" and BAD_PICTURES[path.name] in of.reason
+        location = rig.cameras[path.stem]
+        assert location.status == "bad_input" and BAD_PICTURES[path.name] in location.reason
     assert rig.cameras["north"].status == "nowhere"
     why = "the walk makes no model: " if walked else "the cameras' own pictures make no model"
     assert why in rig.cameras["north"].reason
@@ -145,6 +151,27 @@ def test_a_photograph_may_have_the_name_of_a_picture(tmp_path: Path) -> None:
     walk = walk_model(tmp_path / "walk", "north.png")
     rig = estimate_rig(frames, tmp_path / "out", walk, K={"south": K}, **QUICK)
     assert_true(rig, "north south", pycolmap.Sim3d())
+
+
+def test_an_image_of_the_model_that_cannot_be_read_is_told(tmp_path: Path) -> None:
+    """It counts not among those of which two must agree with a camera, or all but one."""
+    frames = write_cameras(tmp_path / "frames", "north", "south")
+    walk = walk_model(tmp_path / "walk")
+    path = tmp_path / "walk" / "view0.png"
+    path.write_bytes(path.read_bytes()[:-9000])
+    rig = estimate_rig(frames, tmp_path / "out", walk, K={"north": K, "south": K}, **QUICK)
+    (warning,) = rig.warnings
+    assert warning.startswith(f"{path} is corrupt")
+    assert {location.status for location in rig.cameras.values()} == {"located"}
+    north = rig.cameras["north"]
+    one, two = north.database_images
+    assert {one.name, two.name} == {"view1.png", "view2.png"} and one.agrees and two.agrees
+    alone = replace(north, database_images=(one, replace(two, agrees=False)))
+    whole = SimpleNamespace(model=walk, bad={})
+    assert _checked(alone, "north", whole).status == "nowhere"
+    assert (
+        _checked(alone, "north", SimpleNamespace(model=walk, bad={path.name: "corrupt"})) is alone
+    )
 
 
 def frame_of(poses: dict[str, np.ndarray], true: dict[str, np.ndarray]) -> pycolmap.Sim3d:
