@@ -36,6 +36,7 @@ _MIN_POINTS = 12  # model points with which a single database image determines t
 _KNOWN_FOCAL_STD = 0.01  # of ln f; below it, the camera counts as exact in further pairs
 _LIKELY = 0.1  # a pair's pose of higher probability is likely
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # sufficient errors: of R; of the centre / extent
+_RIGHT_DEG, _RIGHT_SHARE = 5.0, 0.05  # errors of a right location: of R; of the centre / extent
 _MIN_AGREEING = 3  # database images that must agree for the errors to suffice
 _MIN_AGAINST_K = 2  # more than half of at least this many database images contradict a wrong K
 _CANDIDATES = 12  # most similar database images, the candidates for the next one
@@ -239,7 +240,7 @@ class LocationSearch:
                 pose.R,
                 pose.centre,
                 covariance=self.covariance[:6, :6],
-                probability=self._probability() if is_known else None,
+                probability=self._probability() * self._has_small_errors() if is_known else None,
                 camera=self.fitted,
                 warnings=self._unusual_camera(),
             )
@@ -323,6 +324,17 @@ class LocationSearch:
         agreeing = [pair.pose for pair in self.pairs if pair.name in self.agreeing]
         surest = max((pose.same_place_probability for pose in agreeing), default=0.0)
         return min(surest, self._by_pairs())
+
+    def _has_small_errors(self) -> float:
+        """Probability that a location at the right place has small errors, by its covariance."""
+        assert self.covariance is not None
+        errors = error_radius_deg(self.covariance[:3, :3]), error_radius(self.covariance[3:6, 3:6])
+        limits = _RIGHT_DEG, _RIGHT_SHARE * self.model.extent
+        within = 1.0
+        for error, limit in zip(errors, limits, strict=True):
+            if error > 0:  # a Rayleigh distribution is below it in nine cases of ten
+                within *= 1 - 0.1 ** min((limit / error) ** 2, 300)
+        return within
 
     def _by_pairs(self) -> float:
         """Probability that the location is right, for pairs with independent errors: either exactly

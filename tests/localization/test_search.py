@@ -69,6 +69,24 @@ def test_database_images_that_agree_give_the_pose() -> None:
     assert data["position_error_90"] == pytest.approx(location.position_error_90)
 
 
+@pytest.mark.parametrize(("share", "most"), [(0.05, 0.9), (0.1, 0.5)])
+def test_the_probability_is_no_more_than_the_expected_errors_allow(
+    share: float, most: float
+) -> None:
+    """share: of the extent, the expected error of the centre."""
+    scene = world_scene()
+    search = _search_of(scene, _poses(scene))
+    before = search.location()
+    assert search.covariance is not None and before.position_error_90 is not None
+    factor = share * scene.model().extent / before.position_error_90
+    search.covariance = search.covariance.copy()
+    search.covariance[3:6, 3:6] *= factor**2
+    location = search.location()
+    assert location.success and location.probability is not None
+    assert location.position_error_90 == pytest.approx(share * scene.model().extent)
+    assert 0.5 * most < location.probability <= most
+
+
 def test_the_next_image_is_spread_around_the_query() -> None:
     """After two on the right, one of the left is worth more than further ones of the right."""
     centres = np.array([[1.2, 0, 0], [1.5, 0, 0], [1.8, 0.1, 0], [2.0, 0, 0], [-1.2, 1.0, 0]])
