@@ -57,13 +57,14 @@ def moved(
     """
     from dgc_pose.cameras.calibration import image_camera
     from dgc_pose.cameras.prior import with_lines
-    from dgc_pose.images.image import load_image
+    from dgc_pose.images.image import load_image, require_matchable
     from dgc_pose.motion import CameraMotion, camera_motion
 
     json_file = None if watch.json == STDOUT else watch.json
     motions: dict[str, CameraMotion] = {}
     with staged(json_file) as stage, scratch_folder() as scratch, progress_bars() as progress:
         first = load_image(reference)
+        require_matchable(first)
         stated = image_camera(cameras.k, first, "--K", cameras.details)
         (camera,) = with_lines([stated], [first])
         pictures: dict[str, Path | str] = {}

@@ -94,4 +94,6 @@ def test_unusable_input_is_one_line(folder):
     assert result.exit_code == 3 and "100 x 100, reference.png has 320 x 240" in result.stdout
     assert_refused(moved("empty"), "empty: no image is in this folder")
     assert_refused(moved("missing.png"), "missing.png")
+    result = run("moved", "black.png", "still.png", "--K", dense_scene.K_TEXT)
+    assert_refused(result, "black.png: ", "grey levels differ by 0.0")
     assert sorted(path.name for path in folder.glob("*.json")) == []
