@@ -112,9 +112,10 @@ def renormalised_slopes(
     points: np.ndarray, lens: Distortion | None, parameters: np.ndarray, undone: np.ndarray
 ) -> np.ndarray:
     """The derivatives (N, 2, SIZE) of `renormalised` by the parameters. undone: its result."""
-    axes = [np.tile(axis[:, None], len(points)) for axis in np.eye(2)]
-    rows = [by_parameters(points, lens, parameters, undone, axis).T for axis in axes]
-    return np.stack(rows, axis=1)
+    axes = np.repeat(np.eye(2), len(points), axis=1)
+    both = np.tile(points, (2, 1)), lens, parameters, np.tile(undone, (2, 1))
+    slopes = by_parameters(*both, axes).T.reshape(2, len(points), SIZE)
+    return slopes.transpose(1, 0, 2)
 
 
 def by_parameters(
