@@ -29,7 +29,7 @@ from dgc_pose.estimation.camera_fit import (
     start_at,
 )
 from dgc_pose.estimation.camera_model import EXPLAINED_BY_K, other_models
-from dgc_pose.estimation.intrinsics_prior import ASPECTS, FOCALS, SIZE, IntrinsicsPrior
+from dgc_pose.estimation.intrinsics_prior import FOCALS, SIZE, IntrinsicsPrior
 from dgc_pose.estimation.least_squares import cauchy_losses, loss_width
 from dgc_pose.estimation.model_fit import ModelFit, Quadratic, assumed_fit, joined
 from dgc_pose.estimation.probability import RIGHT_DEG, choice_shares
@@ -51,8 +51,8 @@ _MIN_SHARE, _MIN_STATED_SHARE = 0.25, 0.05
 # Without a K, another model may raise the cost of the assumed cameras' inliers by the first number;
 # by any if it has this many times as many inliers.
 _MAX_EXTRA_COST, _MORE = 1.0, 1.2
-# Standard deviations from the prior, and the least one, of ln f and ln fy / fx of another model.
-_MOST_STDS, _LEAST_STD = 3.0, 0.1
+# Standard deviations from the prior, and the least one, of ln f of another model.
+_MOST_STDS, _LEAST_FOCAL_STD = 3.0, 0.1
 _WORSE = 4.0  # loss by which a run may be worse than the fit of the assumed cameras
 _USUAL = 0.7  # standard deviations up to which fitted focal lengths are usual
 _MARGIN, _MARGIN_OF_K = 3.0, 5.0  # by which an estimate may be too low, without a K and with one
@@ -287,9 +287,9 @@ class _Sample:
         return best
 
     def valued(self, fit: ModelFit, pose: JointPose, joint: JointFit) -> ModelFit:
-        """The model fitted with a pose, and its evidence. If its focal lengths or fy / fx are far
-        from their prior, or if without a K it explains the inliers of the assumed cameras worse
-        than these do and has not far more inliers, the model without a pose."""
+        """The model fitted with a pose, and its evidence. If its focal lengths are far from their
+        prior, or if without a K it explains the inliers of the assumed cameras worse than these do
+        and has not far more inliers, the model without a pose."""
         error = _errors(joint, pose, self.pixels)
         losses = cauchy_losses(error, self.width)
         fit = replace(fit, is_fitted=True)
@@ -300,9 +300,9 @@ class _Sample:
             before = cauchy_losses(self.error[near], self.width)
             most = before.sum() + _MAX_EXTRA_COST
             is_worse = losses[near].sum() > most and not has_more
-        logs = [*FOCALS, *ASPECTS]
-        stds = np.maximum(np.linalg.norm(joint.prior.basis[logs], axis=1), _LEAST_STD)
-        is_far = bool((np.abs(joint.parameters(pose)[logs]) > _MOST_STDS * stds).any())
+        focals = joint.parameters(pose)[FOCALS]
+        stds = np.maximum(np.linalg.norm(joint.prior.basis[FOCALS], axis=1), _LEAST_FOCAL_STD)
+        is_far = bool((np.abs(focals) > _MOST_STDS * stds).any())
         if is_worse or (is_far and fit.model.name != "assumed"):
             return fit
         hessian, _ = joint.slopes(pose, self._width_of(joint), joint.prior)

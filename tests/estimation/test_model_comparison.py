@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.colmap_camera import Distortion
-from dgc_pose.estimation import EstimationOptions, RelativePose, estimate_pose
-from dgc_pose.estimation.camera_fit import JointFit, JointPose
+from dgc_pose.estimation import RelativePose, estimate_pose
+from dgc_pose.estimation.camera_fit import JointPose
 from dgc_pose.estimation.camera_model import other_models
-from dgc_pose.estimation.intrinsics_prior import ASPECTS, FOCALS, IntrinsicsPrior
+from dgc_pose.estimation.intrinsics_prior import FOCALS, IntrinsicsPrior
 from dgc_pose.estimation.model_comparison import _Sample
 from dgc_pose.estimation.model_fit import ModelFit, Quadratic
 from dgc_pose.estimation.probability import shipped_models
@@ -351,23 +351,3 @@ def test_the_doubt_is_of_matches_that_tell_as_much_as_after_further_steps(
     scene = camera_scene(*_one(CAMERA), count=count, outliers=0.0, seed=1, weights=NETWORK)
     scene.estimate(*_one(CAMERA))
     assert asked == [pytest.approx(times, rel=0.02)]
-
-
-@pytest.mark.parametrize(("log_aspect", "is_possible"), [(0.0, True), (0.7, True), (-1.5, False)])
-def test_pixels_of_no_camera_are_no_model(log_aspect: float, is_possible: bool) -> None:
-    """fy / fx of 0.22 is beyond three deviations of a squeezed picture's."""
-    scene = camera_scene(CAMERA, CAMERA, count=300, outliers=0.0, seed=2)
-    cameras = scene.auto()
-    assumed = JointPose(scene.R, scene.t, np.zeros(len(IntrinsicsPrior.of(*cameras))))
-    sample = _Sample.of(TwoViewProblem.of(scene.matches, *cameras), assumed)
-    model, variant = next(
-        (model, variant) for model, variant in other_models(cameras) if model.name == "squeezed"
-    )
-    all_count = EstimationOptions(threshold_px=1000.0)
-    joint = JointFit(TwoViewProblem.of(scene.matches, *variant.cameras, all_count))
-    off = np.zeros(12)
-    off[ASPECTS] = log_aspect
-    z = np.linalg.lstsq(joint.prior.basis, off, rcond=None)[0]
-    tried = replace(sample, error=np.full_like(sample.error, 2.0))  # nothing else decides
-    found = tried.valued(ModelFit(model, variant.cameras), replace(assumed, z=z), joint)
-    assert (found.pose is not None) == is_possible
