@@ -265,7 +265,8 @@ def collected(name: str, data: Path, out: Path) -> dict[str, Pairs]:
         )
         posed = (pair for pair in batch.pairs() if pair.row.pose and pair.row.pose.R is not None)
         np.save(labels, [pair.row.index for pair in posed if is_right(pair)])
-    batch, right = read_batch(folder), np.load(labels)
+    batch = read_batch(folder)
+    right = np.load(labels)
     steps = () if name.rpartition("_")[0] in KINDS else _STEPS
     parts = {f"{name}/{step}": batch.plan.names[::step] for step in steps}
     every = {name: batch.plan.names, **parts}

@@ -39,9 +39,11 @@ _CLEAR = 2.5  # times these limits: beyond, three poses disagree; in between, it
 _FEW = 2  # pairs of an image with inliers in a cell, up to which the cell counts as unshared
 # In folders of up to 9 photographs, `log_unshared_cells` of right pairs falls by this much per unit
 # of `log_rotation` (ten posed scenes). The weights below are of larger folders, without this.
-_SMALL_FOLDER, _FEWER_UNSHARED = 9, 1.17
+_SMALL_FOLDER = 9
+_FEWER_UNSHARED = 1.17
 # Bounds of the probability of a pair; two triples do not outweigh the upper bound
-_LEAST, _MOST = 0.007, 0.9999
+_LEAST = 0.007
+_MOST = 0.9999
 _UNKNOWN = 0.9  # probability of a pose if its own is not known
 _MOST_LOG_ODDS = 5.0  # in a folder with repeats
 # Log-odds per unit of each value of `evidence_of_pairs`, in a folder with repeats
@@ -49,7 +51,8 @@ _WEIGHTS, _INTERCEPT = np.array([0.228, 5.227, 0.689]), 0.391
 _QUANTILE = 0.75  # of the folder's pairs, with which each pair is compared
 # Prior log-odds for a folder without repeats: at least, and per pair, as pairs are not independent.
 # None of 300 folders of 4 to 9 photographs of 16 posed scenes is then taken for one with repeats
-_NO_REPEATS, _NO_REPEATS_PER_PAIR = 7.0, 0.3
+_NO_REPEATS = 7.0
+_NO_REPEATS_PER_PAIR = 0.3
 # Likelihoods that three poses agree, and that they disagree, if 0 to 3 of them are right, each up
 # to a factor
 _AGREE, _DISAGREE = np.array([[0.8, 1.0, 0.02, 1.0], [0.8, 1.0, 1.0, 0.02]])

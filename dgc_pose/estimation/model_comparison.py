@@ -42,7 +42,7 @@ _SAMPLED = 500  # matches
 # Most matches that a sampled match stands for, if K is stated. Further effects of lenses and
 # shutters are in all matches, and another camera would explain a part of these effects.
 _MOST_WEIGHT = 6.0
-_MOST_GROWTH = 3.0  # of what the matches tell, by further steps; docs/experiments.md
+_MOST_GROWTH = 3.0  # of the information of the matches, by further steps; docs/experiments.md
 _ITERATIONS = 120  # of a RANSAC run at most
 _LIMITS = (3.0, 3.0, 1.0, 1.0)  # largest errors in each round of a fit, thresholds
 _MIN_SHOWN = 0.02  # least probability of a model that counts against the pose of another

@@ -44,7 +44,7 @@ class ModelFit:
     # 10 degrees of its pose add; and the probability that the right pose is within 10 degrees.
     pose_covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     agreement: float = 1.0
-    # Log-odds of the likeliest other model if the matches told as much as after further steps.
+    # Log-odds of the likeliest other model with the information that further steps can give.
     doubt: float = -math.inf
 
     @property

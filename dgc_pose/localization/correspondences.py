@@ -150,19 +150,18 @@ class PointCorrespondences:
     def errors(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
         """The larger of the reprojection errors along x and y (N,), and whether the points are in
         front of the camera (N,)."""
-        offset, local = self._offset(pose)
+        offset, local, _ = self._offset(pose)
         return np.nan_to_num(np.abs(offset).max(1), nan=np.inf), local[:, 2] > 0
 
     def slopes(self, pose: WorldPose, prior: IntrinsicsPrior) -> tuple[np.ndarray, np.ndarray]:
         """As `PairCorrespondences.slopes`, with 2 N errors: first along x, then along y."""
-        offset, local = self._offset(pose)
+        offset, local, undone = self._offset(pose)
         x, y, z = local.T[:, :, None]
         none = np.zeros_like(x)
         by_local = np.hstack([1 / z, none, -x / z**2, none, 1 / z, -y / z**2]).reshape(-1, 2, 3)
         by_rotation = np.cross(local[:, None], by_local)
         by_centre = -by_local @ pose.R
         seen = _unskewed(self.seen, pose)
-        undone = renormalised(seen, self.lens, pose.parameters)
         by_camera = -renormalised_slopes(seen, self.lens, pose.parameters, undone)
         growth = math.exp(pose.parameters[0])
         by_camera[:, :, 0] += offset / growth
@@ -170,15 +169,14 @@ class PointCorrespondences:
         slopes = growth * np.concatenate([by_rotation, by_centre, by_camera], axis=2)
         return offset.T.ravel(), slopes.transpose(1, 0, 2).reshape(2 * len(offset), -1)
 
-    def _offset(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray]:
-        """Reprojection errors (N, 2), in a unit independent of the focal length, and the points
-        (N, 3) in the camera frame."""
+    def _offset(self, pose: WorldPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Reprojection errors (N, 2), in a unit independent of the focal length; the points (N, 3)
+        in the camera frame; and those of the photograph (N, 2), normalised by its camera."""
         local = (self.points - pose.centre) @ pose.R.T
         with np.errstate(divide="ignore", invalid="ignore"):
             projected = local[:, :2] / local[:, 2:]
-        seen = _unskewed(self.seen, pose)
-        offset = projected - renormalised(seen, self.lens, pose.parameters)
-        return offset * math.exp(pose.parameters[0]), local
+        undone = renormalised(_unskewed(self.seen, pose), self.lens, pose.parameters)
+        return (projected - undone) * math.exp(pose.parameters[0]), local, undone
 
 
 Correspondences = PairCorrespondences | PointCorrespondences
@@ -186,4 +184,6 @@ Correspondences = PairCorrespondences | PointCorrespondences
 
 def _unskewed(seen: np.ndarray, pose: WorldPose) -> np.ndarray:
     """Normalised points (N, 2) without the skew of the pose."""
+    if not pose.skew:
+        return seen
     return seen - pose.skew * np.column_stack([seen[:, 1], np.zeros(len(seen))])

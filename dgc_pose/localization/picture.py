@@ -23,13 +23,16 @@ from dgc_pose.localization.fit import even_sample, fitted, score, world_covarian
 
 # Deviations of the projective camera: of ln f and ln fy / fx, and of the principal point over the
 # longer side.
-_LOG_STD, _CENTRE_STD = 0.5, 0.4
+_LOG_STD = 0.5
+_CENTRE_STD = 0.4
 # Least squeeze, which is ln fy / fx and the skew together, and least distance of the principal
 # point, over the longer side, from where it is expected.
-_SQUEEZE, _SHIFT = 0.015, 0.04
+_SQUEEZE = 0.015
+_SHIFT = 0.04
 # Least skew with the principal point that far off, and with another: a shutter that reads line by
 # line skews what a camera sees that turns.
-_SKEW, _SKEW_OF_SHUTTER = 0.01, 0.03
+_SKEW = 0.01
+_SKEW_OF_SHUTTER = 0.03
 _STDS = 3.0  # by which each of them differs from 0
 _SAMPLED = 400  # matches of a pair
 _EXPLAINED = 0.4  # least score of a match on average, see `score`

@@ -36,7 +36,8 @@ _MIN_POINTS = 12  # model points with which a single database image determines t
 _KNOWN_FOCAL_STD = 0.01  # of ln f; below it, the camera counts as exact in further pairs
 _LIKELY = 0.1  # a pair's pose of higher probability is likely
 _ACCURATE_DEG, _ACCURATE_SHARE = 0.05, 0.001  # sufficient errors: of R; of the centre / extent
-_RIGHT_DEG, _RIGHT_SHARE = 5.0, 0.05  # errors of a right location: of R; of the centre / extent
+_RIGHT_DEG = 5.0  # largest error of R of a right location
+_RIGHT_SHARE = 0.05  # largest error of its centre, over the extent
 _MIN_AGREEING = 3  # database images that must agree for the errors to suffice
 _MIN_AGAINST_K = 2  # more than half of at least this many database images contradict a wrong K
 _CANDIDATES = 12  # most similar database images, the candidates for the next one
@@ -45,7 +46,8 @@ _PAIR_ERROR = 0.005  # error of a pair's direction, radians, for the choice of t
 # side, and of ln fy / fx; for a whole image, only of its centre, from the mounting of lenses.
 _EDITED_STDS, _CENTRE_STD = (0.1, 0.3), 0.02
 # Least ln fy / fx that is worth a warning; deviations by which it and the centre are unusual.
-_SQUEEZED, _UNUSUAL_STDS = 0.02, 3.0
+_SQUEEZED = 0.02
+_UNUSUAL_STDS = 3.0
 _CHANCE = 0.1  # probability that a wrong pair agrees with a wrong location
 _MOST_PROBABLE = 0.99  # limit of a pair's probability
 _MAX_RELATIVE_STD = 0.2  # of the position, over the distance to the database images

@@ -43,10 +43,13 @@ def camera_frames(
     for entry in sorted(path for path in folder.iterdir() if path.name[0] != "."):
         if entry.resolve() in not_cameras:
             continue
-        found, bad = [entry], list[str]()
+        found = list[Path]()
+        bad = list[str]()
         if entry.name in content.bad:
-            found, bad = [], [f"{entry}: {content.bad[entry.name]}"]
-        elif entry.name not in images:
+            bad.append(f"{entry}: {content.bad[entry.name]}")
+        elif entry.name in images:
+            found.append(entry)
+        else:
             found, bad = _frames(entry, videos / entry.name)
         name = camera_name(entry)
         if not found and not bad:

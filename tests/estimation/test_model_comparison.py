@@ -337,7 +337,7 @@ def test_an_unusual_focal_length_is_confirmed_by_the_cameras_without_K(
     ("count", "times"),
     [(100, 3.0), (500, 3.0), (1000, 3.0), (2000, 1.5), (4000, 1.0)],
 )
-def test_the_doubt_is_of_matches_that_tell_as_much_as_after_further_steps(
+def test_the_doubt_has_the_information_after_further_steps(
     count: int, times: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
