@@ -20,7 +20,7 @@ from dgc_pose.matching.correspondence_map import (
     select_matches,
 )
 from dgc_pose.matching.dense import dense_map, map_features
-from dgc_pose.matching.features import LONG_SIDE, feature_matches
+from dgc_pose.matching.features import LONG_SIDE, Encoded, encoded_views, feature_matches
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import context_ratio
 from dgc_pose.matching.view import View
@@ -36,7 +36,8 @@ MIN_ALIGNED = 100  # with fewer aligned matches, all that agree with their neigh
 
 class NetworkMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target. All steps except
-    `match` return None if refinement is off (`MatchingOptions.aligned`)."""
+    `match` return None if refinement is off (`MatchingOptions.aligned`). other: the matcher of the
+    step `second`; None to leave this step out."""
 
     engine: Engine
 
@@ -45,9 +46,11 @@ class NetworkMatcher(Matcher):
         engine: Engine,
         options: MatchingOptions | None = None,
         cache: ImageCache | None = None,
+        other: Matcher | None = None,
     ) -> None:
         self.cache = cache or ImageCache(None)
         self.engine, self.name = engine, engine.config.name
+        self.other = other
         self.options = options or MatchingOptions()
 
     @property
@@ -97,6 +100,21 @@ class NetworkMatcher(Matcher):
         first = result.aligned, result.matches
         return self._refined(image1, image2, dense, first=[first], hypotheses=hypotheses)
 
+    def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
+        """Add to a result the matches of the second matcher, refined as its own are."""
+        dense = result.correspondence_map
+        if self.other is None or self.options.aligned == "none" or dense is None:
+            return None
+        found = self.other.match(image1, image2).matches
+        found = replace(found, key_points=False, weights=self.fingerprint)
+        part = refine(image1, image2, found, self.options.max_matches)
+        if not len(part[1]):
+            return None
+        first = [] if result.aligned is None else [(result.aligned, result.matches)]
+        aligned, agreeing = self._joined(image1, image2, [*first, part])
+        encoded = encoded_views(self.engine, image1, image2, dense, self.cache)
+        return self._selected(image1, image2, dense, aligned, agreeing, encoded)
+
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         dense = dense_map(self.engine, image1, image2, self.cache)
         matches = select_matches(dense, self.options)
@@ -126,14 +144,33 @@ class NetworkMatcher(Matcher):
             return refine(image1, image2, part, most, radius)
 
         parts = [*first, *in_threads(aligned_and_agreeing, found)]
-        aligned, agreeing = (
-            self._textured(image1, image2, Matches.joined(of) if len(of) > 1 else of[0])
-            for of in zip(*parts, strict=True)
-        )
+        aligned, agreeing = self._joined(image1, image2, parts)
         too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
         if instead is not None and too_few:
-            part = aligned_and_agreeing(instead)
-            aligned, agreeing = (self._textured(image1, image2, of) for of in part)
+            aligned, agreeing = self._joined(image1, image2, [aligned_and_agreeing(instead)])
+        return self._selected(image1, image2, dense, aligned, agreeing, (views, scale))
+
+    def _joined(
+        self, image1: Image, image2: Image, parts: Sequence[tuple[Matches, Matches]]
+    ) -> tuple[Matches, Matches]:
+        """The aligned and the agreeing matches of all parts, where both images have structure."""
+        aligned, agreeing = (
+            self._textured(image1, image2, Matches.joined(some) if len(some) > 1 else some[0])
+            for some in zip(*parts, strict=True)
+        )
+        return aligned, agreeing
+
+    def _selected(
+        self,
+        image1: Image,
+        image2: Image,
+        dense: CorrespondenceMap,
+        aligned: Matches,
+        agreeing: Matches,
+        encoded: tuple[Sequence[Encoded], float],
+    ) -> MatchResult | None:
+        """The result of aligned and agreeing matches (see `refine`), evenly spread; None if too few
+        agree. encoded: the views of both images with their scale, see `encoded_views`."""
         # Patches of views far apart often differ too much. Few aligned matches are more accurate,
         # but cannot distinguish a pose from chance. All agreeing matches are then used, with the
         # error that they had before alignment.
@@ -141,7 +178,9 @@ class NetworkMatcher(Matcher):
         chosen = aligned if enough else agreeing
         if len(chosen) < MIN_MATCHES:
             return None
+        most = self.options.max_matches
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
+        views, scale = encoded
         share = context_ratio(views, self._textures(image1, image2), chosen, scale)
         chosen = replace(chosen, context_ratio=share)
         return MatchResult(chosen, dense, chosen if enough else aligned)
