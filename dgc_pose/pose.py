@@ -185,7 +185,8 @@ def may_change(step: Step, pose: RelativePose | None, options: EstimationOptions
     if step == "full":
         return options.effort != "fast" and not is_certain
     if step == "second":
-        return options.second == "auto" and (in_doubt(pose) or is_open(pose))
+        is_wanted = options.second == "auto" and options.effort != "fast"
+        return is_wanted and (in_doubt(pose) or is_open(pose))
     limit_deg = _ACCURATE_DEG if options.effort == "thorough" else _LOOSE_DEG
     return in_doubt(pose) or (pose.success and not _is_accurate(pose, limit_deg))
 

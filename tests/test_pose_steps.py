@@ -132,13 +132,25 @@ OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0
         ("auto", [LOOSER], ["coarse", "refine", "guided"]),
         ("auto", [OTHER_CAMERAS], ["coarse", "refine"]),  # few matches tell cameras apart less
         ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare with
-        ("auto", [_doubt(0.5)], ["coarse", "full", "guided", "second"]),  # a pose is of no mirror image
-        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", "guided", "second"]),  # one of two is right
+        (
+            "auto",
+            [_doubt(0.5)],
+            ["coarse", "full", "guided", "second"],
+        ),  # a pose is of no mirror image
+        (
+            "auto",
+            [_doubt(0.5, 0.495)],
+            ["coarse", "full", "guided", "second"],
+        ),  # one of two is right
         ("auto", [_refused(0.4)], ["coarse", "full", "guided", "second", "mirrored"]),
         ("auto", [_refused(0.001)], ["coarse", "full", "second", "mirrored"]),  # hopeless
         # The camera is what is wrong.
         ("auto", [_refused(0.4, camera_model="focal")], ["coarse", "full", "guided", "second"]),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided", "second"]),
+        (
+            "auto",
+            [ROTATION | {"hypotheses": (_of_share(0.8),)}],
+            ["coarse", "full", "guided", "second"],
+        ),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
         ("thorough", [CERTAIN], ["full"]),

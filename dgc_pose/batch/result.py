@@ -35,6 +35,7 @@ _COLUMNS = (
     *("lens_std", "aspect_std", "camera"),
     *("model", "coefficients"),  # of the lens
 )
+MISSING = "missing"  # in place of the second matcher's fingerprint, if it is not installed
 GROUP_BYTES = 4096  # more than HDF5 needs for a pair, without its arrays
 
 

@@ -21,6 +21,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pairs import FAILED, MatchedPair, PairRow
 from dgc_pose.batch.result import (
     MATCHES,
+    MISSING,
     PAIRS,
     SUMMARY,
     Batch,
@@ -47,6 +48,7 @@ from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
+from dgc_pose.matching.lightglue import LightGlueMatcher, is_available
 from dgc_pose.network.weights import find_weights, shipped
 from dgc_pose.system.files import only_writer, read_bytes
 
@@ -93,6 +95,9 @@ def run_batch(
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16] if file.is_file() else None
     if runtime == "auto" and digest is not None:  # the default differs between machines
         runtime = default_runtime(weights, matcher.device)
+    second = None
+    if matcher.is_network and estimation.second == "auto":
+        second = LightGlueMatcher().fingerprint if is_available() else MISSING
     settings = {
         "command": shlex.join(sys.argv),
         "pairs": "source" if choice is None else asdict(choice),
@@ -140,7 +145,7 @@ def run_batch(
                 store.begin(plan, again)
                 (out / SUMMARY).unlink(missing_ok=True)  # the old result is no longer valid
                 worked = _match(store, plan, run, options, progress)
-                if second is not None:
+                if second not in (None, MISSING):
                     _match_again(store, plan, run, options, progress)
                 poses = PoseRunner(store, run, options.worker_count)
                 with store.change():

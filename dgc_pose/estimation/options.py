@@ -30,8 +30,8 @@ class EstimationOptions:
     )
     second: Second = option(
         "auto",
-        "auto: matches of aliked-lightglue as well if the pose is in doubt and dgc_pose_lightglue is "
-        "installed; none: no second matcher.",
+        "auto: for a pose in doubt, also matches of aliked-lightglue, if it is installed; none: no "
+        "second matcher.",
         metavar="HOW",
         section="matching",
     )

@@ -48,6 +48,11 @@ class Matcher:
     name: str  # in results and tables
     engine: Engine | None = None  # the network of a `NetworkMatcher`, which has all steps
 
+    @property
+    def second_matcher(self) -> Matcher | None:
+        """The matcher of the step `second`, loaded on first use; None without one."""
+        return None
+
     @cached_property
     def cache(self) -> ImageCache:
         """Values computed of images; by default the values of the last three images are kept."""

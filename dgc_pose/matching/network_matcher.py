@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from dgc_pose.matching.correspondence_map import (
 )
 from dgc_pose.matching.dense import dense_map, map_features
 from dgc_pose.matching.features import LONG_SIDE, Encoded, encoded_views, feature_matches
+from dgc_pose.matching.lightglue import LightGlueMatcher, is_available
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import context_ratio
 from dgc_pose.matching.view import View
@@ -36,8 +38,7 @@ MIN_ALIGNED = 100  # with fewer aligned matches, all that agree with their neigh
 
 class NetworkMatcher(Matcher):
     """Matches by a frozen network; image 1 is its source, image 2 its target. All steps except
-    `match` return None if refinement is off (`MatchingOptions.aligned`). other: the matcher of the
-    step `second`; None to leave this step out."""
+    `match` return None if refinement is off (`MatchingOptions.aligned`)."""
 
     engine: Engine
 
@@ -46,16 +47,18 @@ class NetworkMatcher(Matcher):
         engine: Engine,
         options: MatchingOptions | None = None,
         cache: ImageCache | None = None,
-        other: Matcher | None = None,
     ) -> None:
         self.cache = cache or ImageCache(None)
         self.engine, self.name = engine, engine.config.name
-        self.other = other
         self.options = options or MatchingOptions()
 
     @property
     def fingerprint(self) -> str:
         return self.engine.fingerprint
+
+    @cached_property
+    def second_matcher(self) -> Matcher | None:
+        return LightGlueMatcher(self.cache) if is_available() else None
 
     def coarse_features(self, image: Image) -> np.ndarray:
         (features,) = map_features(self.engine, self.cache, View.whole(image))
@@ -101,17 +104,19 @@ class NetworkMatcher(Matcher):
         return self._refined(image1, image2, dense, first=[first], hypotheses=hypotheses)
 
     def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """Add to a result the matches of the second matcher, refined as its own are."""
+        """Add to a result the matches of `LightGlueMatcher`, refined as its own are. Returns None
+        if its distribution is not installed; raises WeightsError if that is damaged."""
         dense = result.correspondence_map
-        if self.other is None or self.options.aligned == "none" or dense is None:
+        if self.second_matcher is None or self.options.aligned == "none" or dense is None:
             return None
-        found = self.other.match(image1, image2).matches
+        found = self.second_matcher.match(image1, image2).matches
         found = replace(found, key_points=False, weights=self.fingerprint)
         part = refine(image1, image2, found, self.options.max_matches)
-        if not len(part[1]):
+        aligned, agreeing = self._joined(image1, image2, [part])
+        if not len(agreeing):
             return None
-        first = [] if result.aligned is None else [(result.aligned, result.matches)]
-        aligned, agreeing = self._joined(image1, image2, [*first, part])
+        if result.aligned is not None:
+            aligned = agreeing = Matches.joined([result.matches, aligned])
         encoded = encoded_views(self.engine, image1, image2, dense, self.cache)
         return self._selected(image1, image2, dense, aligned, agreeing, encoded)
 
