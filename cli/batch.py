@@ -15,7 +15,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options
-from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
+from dgc_pose.cli.process import name_bad_images, name_missing_second, progress_bars, to_stderr
 from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -101,8 +101,10 @@ def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 
 
 def report(batch: Batch) -> None:
     """Print the summary of a batch, its unusable images, and the first warning."""
+    from dgc_pose.batch.groups import joining
     from dgc_pose.batch.look_alikes import MOST_PAIRS
     from dgc_pose.batch.pairs import FAILED
+    from dgc_pose.batch.result import MISSING
     from dgc_pose.cli.output import SOURCES
 
     summary = batch.summary
@@ -116,6 +118,8 @@ def report(batch: Batch) -> None:
         to_stderr(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
         to_stderr(f"more than {MOST_PAIRS} pairs have a pose: the look-alike check is skipped")
+    if summary["second"] == MISSING and joining(batch.rows):
+        name_missing_second()
     if summary["rejected"]:
         number = sum(entry["pairs"] for entry in summary["rejected"])
         judged = counted(summary["judged_together"], "pair")

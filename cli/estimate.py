@@ -13,7 +13,7 @@ from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MaskChoice, dataclass_options, output_file
 from dgc_pose.cli.output import pose_text, row_lines, write_npz
-from dgc_pose.cli.process import to_stderr
+from dgc_pose.cli.process import name_missing_second, to_stderr
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
@@ -77,7 +77,7 @@ def estimate(
         start = time.perf_counter()
         first, second = load_pair((image1, image2), (masks.mask1, masks.mask2))
         pair = cameras.resolve(first, second)
-        from dgc_pose.pose import solve_pair  # slow to import: only for usable input
+        from dgc_pose.pose import may_change, solve_pair  # slow to import: only for usable input
 
         loaded = matcher.load()
         result = solve_pair(first, second, pair, loaded, estimation, scale, start=start)
@@ -110,6 +110,8 @@ def estimate(
     if cameras.k is None and cameras.k1 is None and cameras.fov is None:
         name = "K" if cameras.k2 is None else "K1"
         to_stderr(f"{name} is not stated: the focal length is estimated (--{name} auto)")
+    if matcher.is_network and may_change("second", pose, estimation):
+        name_missing_second()
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (result.prior1, result.prior2)))
         for number, image in enumerate((result.image1, result.image2), start=1):

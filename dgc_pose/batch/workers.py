@@ -22,6 +22,7 @@ from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, reason, require
 from dgc_pose.estimation import EstimationOptions, estimate_pose, reject_contradicted_K
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
+from dgc_pose.estimation.options import Second
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, require_matchable
 from dgc_pose.matchers import MatcherOptions
@@ -80,10 +81,14 @@ class Worker:
                 described[name] = self.matcher.coarse_features(image).astype(np.float16)
         return described
 
-    def match(self, pairs: Sequence[tuple[int, tuple[str, str]]]) -> list[MatchedPair]:
+    def match(
+        self, pairs: Sequence[tuple[int, tuple[str, str]]], second: Second = "none"
+    ) -> list[MatchedPair]:
         """Match pairs, given by index and names, and estimate the pose of each on its own."""
         cameras = self.job.cameras
-        return [_done(index, names, self._matched, names, cameras) for index, names in pairs]
+        return [
+            _done(index, names, self._matched, names, cameras, second) for index, names in pairs
+        ]
 
     def estimate(
         self, pairs: Sequence[MatchedPair], cameras: Cameras, fit_cameras: bool
@@ -97,13 +102,16 @@ class Worker:
             for pair in pairs
         ]
 
-    def _matched(self, names: tuple[str, str], cameras: Cameras) -> MatchedPair:
+    def _matched(
+        self, names: tuple[str, str], cameras: Cameras, second: Second = "none"
+    ) -> MatchedPair:
         image1, image2 = (self._image(name) for name in names)
         if image1 is None or image2 is None:
             bad = {name: self.bad[name] for name in names if name in self.bad}
             return MatchedPair(PairRow(*names, BAD_INPUT, "; ".join(bad.values()), bad_images=bad))
         pair = cameras[names[0]], cameras[names[1]]
-        solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
+        options = replace(self.job.estimation, second=second)
+        solved = solve_pair(image1, image2, pair, self.matcher, options)
         dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
         row = row_of(names, reject_contradicted_K(solved.pose, pair), solved.matches.error_px)
         return MatchedPair(row, solved.matches, None if dense is None or exact else dense.sample)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.errors import WeightsError, require
+from dgc_pose.errors import WeightsError, is_installed, require
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.key_points import KeyPointMatcher, KeyPoints, Rows, input_size, mutual
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from dgc_pose.runtime.session import Session
 
 NAME = "aliked-lightglue"
+PACKAGE = "dgc_pose_lightglue"
 FORMAT = 1  # of the graphs and weights
 ALIKED, LAYER, WEIGHTS, SHAPES = "aliked.onnx", "layer.onnx", "weights.safetensors", "weights.json"
 LAYERS = 9
@@ -173,11 +174,16 @@ def _log_softmax(logits: np.ndarray, axis: int) -> np.ndarray:
     return shifted
 
 
+def is_available() -> bool:
+    """Whether the graphs and weights are installed."""
+    return is_installed(PACKAGE)
+
+
 def installed() -> Path:
     """The folder of the installed graphs and weights. Raises InputError if they are missing,
     WeightsError if they have another format."""
     require({NAME: "lightglue"})
-    package = import_module("dgc_pose_lightglue")
+    package = import_module(PACKAGE)
     folder = Path(str(package.__file__)).parent
     if (found := getattr(package, "FORMAT", None)) != FORMAT:
         raise WeightsError(folder, f"has format {found}; {NAME} needs format {FORMAT}")
