@@ -156,8 +156,9 @@ def report(batch: Batch, where: Path | None = None) -> None:
         lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}{why}"))
     echo_each_camera(lines, "cameras.csv")
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
+    poses = f"{where or batch.folder}: {summary['poses']} poses"
     click.echo(
-        f"{where or batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "
+        f"{poses} of {summary['pairs']} pairs ({statuses}), "
         f"{summary['images']} images, {summary['matched_now']} pairs in {summary['seconds']:.0f} s"
     )
 

@@ -89,25 +89,25 @@ def judge(
     database's, and other focal lengths are estimated. An unusable pair has the status bad_input.
     Exits with 3 if no pair has a pose, with 2 if no pair can be judged.
     """
+    from dgc_pose.batch.given import read_given
     from dgc_pose.batch.judge import by_doubt, require_judged
     from dgc_pose.batch.source import given_source
     from dgc_pose.colmap.judged import require_key_points, write_judged
 
     if work.resume and outputs.batch is None:
         raise InputError(ArgumentName("resume"), "needs", ArgumentName("batch"))
-    opened = given_source(source, images)
-    given = opened.given
-    assert given is not None  # of a given source
+    given = read_given(source)
+    opened = given_source(given, images)
     if outputs.out is not None:
         require_key_points(given)
-    for line in given.said:
-        to_stderr(line)
     json_file = None if outputs.json == STDOUT else outputs.json
     with (
         staged(outputs.out, json_file, outputs.csv) as stage,
         _folder(outputs.batch) as folder,
     ):
         done = run_source(opened, folder, cameras, MatcherOptions(), estimation, work)
+        for line in given.said:
+            to_stderr(line)
         require_judged(done.rows)
         rows = by_doubt(done.rows)
         data = json_text({"pairs": [json.loads(row.to_json()) for row in rows]})

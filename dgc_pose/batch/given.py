@@ -6,7 +6,7 @@ process that judges it. Points are in pixels, (0, 0) the centre of the first one
 
 import hashlib
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -81,7 +81,7 @@ class GivenMatches:
             width, height = image_size(stated)
             size = round(width), round(height)
         if size is None:
-            unknown = f"{name}: {self.path} states no size: give"
+            unknown = f"{name} has no camera, and {self.path} states no size of it: give"
             raise InputError(unknown, ArgumentName("K"), "or", ArgumentName("images"))
         return Header("", size)
 
@@ -124,7 +124,8 @@ class IndexedMatches(GivenMatches):
                 odd = column.max() if column.min() >= 0 else column.min()
                 raise InputError(f"a match has key point {odd} of {name}, which has {len(points)}")
             chosen.append(points[column])
-        return Matches(*chosen, confidence, error_px, key_points=True)
+        points1, points2 = chosen
+        return Matches(points1, points2, confidence, error_px, key_points=True)
 
 
 @dataclass(frozen=True)
@@ -199,6 +200,27 @@ class NpzMatches(GivenMatches):
             )
 
 
+@dataclass(frozen=True)
+class HeldMatches(GivenMatches):
+    """Matches in memory."""
+
+    held: Mapping[Names, Matches] = field(default_factory=dict)
+    upright = True
+
+    @classmethod
+    def of(cls, matches: Mapping[Names, Matches]) -> GivenMatches:
+        """Raises InputError without a pair."""
+        if not matches:
+            raise InputError(ArgumentName("source"), "has no pairs")
+        return cls(Path("matches"), _images(matches), dict.fromkeys(matches, ""), (), held=matches)
+
+    def files(self) -> list[Path]:
+        return []
+
+    def read(self, names: Names) -> Matches:
+        return self.held[names]
+
+
 def read_given(path: Path) -> GivenMatches:
     """The images and pairs of a source: a COLMAP database, a folder with hloc's files of features
     and of matches, or a folder of .npz.
@@ -229,6 +251,7 @@ def _of_database(path: Path) -> DatabaseMatches:
     table: Table = "matches"
     with open_database(path) as database:
         ids, sizes, cameras = read_images(database)
+        database.execute("SELECT image_id, rows, cols, data FROM keypoints LIMIT 0")
         pairs = read_pairs(database, ids, table)
         said = [
             f"{path}: COLMAP's key points, whose first pixel has its centre at (0.5, 0.5): 0.5 "
@@ -331,5 +354,5 @@ def _each_once(pairs: Iterator[tuple[Names, str]]) -> dict[Names, str]:
     return dict(places.values())
 
 
-def _images(pairs: Sequence[Names] | Mapping[Names, str]) -> tuple[str, ...]:
+def _images(pairs: Iterable[Names]) -> tuple[str, ...]:
     return tuple(sorted(set(chain.from_iterable(pairs))))

@@ -13,7 +13,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from dgc_pose.batch.given import GivenMatches, read_given
+from dgc_pose.batch.given import GivenMatches
 from dgc_pose.cameras.by_image import Calibration, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database
@@ -85,16 +85,12 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
     return replace(source, masks=masks)
 
 
-def given_source(path: Path, images: Path | None = None) -> Source:
-    """The matches of another program, see `read_given`. images: folder of the photographs.
-
-    Raises InputError as `read_given` does, and if none of the images is in `images`.
-    """
-    given = read_given(path)
+def given_source(given: GivenMatches, images: Path | None = None) -> Source:
+    """Matches to judge. images: folder of the photographs. Raises InputError if none is there."""
     if images is not None:
-        _require_some(images, given.names, path, ArgumentName("images"))
+        _require_some(images, given.names, given.path, ArgumentName("images"))
         given = replace(given, with_images=True)
-    root = images or (path if path.is_dir() else path.parent)
+    root = images or (given.path if given.path.is_dir() else given.path.parent)
     return Source(root, given.names, tuple(given.places), given.cameras, given=given)
 
 

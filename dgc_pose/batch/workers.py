@@ -120,9 +120,9 @@ class Worker:
             raise InputError(f"matches of {names[0]} with itself")
         matches = given.read(names)
         if given.with_images:
-            images = [self.cache.read(self.job.root, name) for name in names]
-            upright = given.on_upright(matches, *images)
-            around = surroundings(self.matcher, *images, upright)
+            image1, image2 = (self.cache.read(self.job.root, name) for name in names)
+            upright = given.on_upright(matches, image1, image2)
+            around = surroundings(self.matcher, image1, image2, upright)
             matches = replace(matches, context_ratio=around)
         pair = cameras[names[0]], cameras[names[1]]
         pose = estimate_pose(matches, *pair, self.job.estimation)
