@@ -31,7 +31,7 @@ class Outputs:
     json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = output_file(
         "Write the matches: points1, points2 (N, 2), confidence and inliers (N), error_px, "
-        "key_points, and the names image1 and image2; `dgc-pose judge` reads them.",
+        "key_points, weights, and the names image1 and image2, as `dgc-pose judge` reads them.",
         "PATH.npz",
     )
     map: str | None = output_file(
@@ -91,6 +91,7 @@ def estimate(
             columns = ("points1", "points2", "confidence", "error_px", "key_points")
             arrays = {name: getattr(result.matches, name) for name in columns}
             arrays |= {"inliers": pose.inliers, "image1": image1, "image2": image2}
+            arrays |= {} if loaded.fingerprint is None else {"weights": loaded.fingerprint}
             write_npz(stage(outputs.matches), arrays)
         if outputs.map is not None:
             dense = result.correspondence_map

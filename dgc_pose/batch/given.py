@@ -197,6 +197,7 @@ class NpzMatches(GivenMatches):
                 arrays.get("confidence", np.ones(len(points1))),
                 float(arrays.get("error_px", ERROR_PX)),
                 bool(arrays.get("key_points", True)),
+                str(arrays["weights"]) if "weights" in arrays else None,
             )
 
 

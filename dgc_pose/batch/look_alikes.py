@@ -148,7 +148,7 @@ def evidence_of_pairs(
     folder's quantile; NaN if unknown."""
     number = {name: k for k, name in enumerate(plan.names)}
     cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
-    values = list[tuple[float, float]]()
+    values, key_points = list[tuple[float, float]](), list[bool]()
     posed = (p for p in pairs if p.row.pose is not None and p.row.pose.status in CONFIGURATIONS)
     for pair in islice(posed, most):
         row, pose = pair.row, pair.row.pose
@@ -161,10 +161,15 @@ def evidence_of_pairs(
         known = pose.one_place_probability if pose.success else pose.any_probability
         least = MIN_FOLDER_PROBABILITY if pose.success else _LEAST
         known = _UNKNOWN if known is None else min(max(known, least), _MOST)
-        around = pair.matches.context_ratio
+        # The check for repeats is fitted on poses that have a probability.
+        around = None if pose.any_probability is None else pair.matches.context_ratio
+        key_points.append(pair.matches.key_points)
         values.append((known, math.nan if around is None else rotation_corrected(around, pose.R)))
         rows.append(row)
     unshared = log_unshared_cells(placed)
+    # A map gives every pair about as many matches, spread over the images; a detector does not.
+    sizes = [np.mean([np.log1p(len(cells)) for cells in pair.cells]) for pair in placed]
+    unshared -= np.where(key_points, sizes, 0.0)
     if len({name for row in rows for name in row.names}) <= _SMALL_FOLDER:
         unshared += _FEWER_UNSHARED * np.array([log_rotation(pair.R) for pair in placed])
     found = np.column_stack([np.array(values).reshape(-1, 2), unshared])

@@ -146,7 +146,8 @@ class Worker:
         # Errors of two cameras are independent, and so are those of images without an identity.
         known = camera1.identity is not None and camera1.identity == camera2.identity
         known &= all(c.focal_std <= KNOWN_FOCAL_STD and not may_be_crop(c) for c in both)
-        weights = None if self.job.given else self.matcher.fingerprint
+        given = self.job.given
+        weights = self.matcher.fingerprint if given is None else given.read(names).weights
         matches = replace(pair.matches, weights=weights)
         pose = estimate_pose(
             *(matches, *both, self.job.estimation),

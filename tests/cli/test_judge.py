@@ -53,7 +53,7 @@ def test_a_table_and_its_files(database: Path, tmp_path: Path) -> None:
         else:
             assert row["qw"] == row["tx"] == ""
     stored = (tmp_path / "batch/pairs.jsonl").read_text().splitlines()
-    assert sorted(map(json.dumps, pairs)) == sorted(json.dumps(json.loads(l)) for l in stored)
+    assert sorted(map(json.dumps, pairs)) == sorted(json.dumps(json.loads(line)) for line in stored)
     only = run("judge", database, "--json", "-", *QUICK)
     assert json.loads(only.stdout)["pairs"] == pairs
 
