@@ -91,7 +91,7 @@ def estimate(
             columns = ("points1", "points2", "confidence", "error_px", "key_points")
             arrays = {name: getattr(result.matches, name) for name in columns}
             arrays |= {"inliers": pose.inliers, "image1": image1, "image2": image2}
-            arrays |= {} if loaded.fingerprint is None else {"weights": loaded.fingerprint}
+            arrays |= {"weights": result.matches.weights or ""}
             write_npz(stage(outputs.matches), arrays)
         if outputs.map is not None:
             dense = result.correspondence_map

@@ -60,6 +60,11 @@ class GivenMatches:
         states = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats]
         return hashlib.sha256(repr(states).encode()).hexdigest()[:16]
 
+    def has_size(self, name: str, stated: Camera | None) -> bool:
+        """Whether the size of an image is known, and not only by the principal point of its K."""
+        has_own = self.with_images or name in self.sizes
+        return has_own or (stated is not None and stated.size is not None)
+
     def header(self, path: Path, name: str, stated: Camera | None) -> Header:
         """The facts about the image that the points refer to. path: of its photograph. stated: the
         K that is given for it, which determines an unknown size.
@@ -78,8 +83,7 @@ class GivenMatches:
                 raise ImageError(f"{path}: {which}")
             return header
         if size is None and stated is not None:
-            width, height = image_size(stated)
-            size = round(width), round(height)
+            size = guessed_size(stated)
         if size is None:
             unknown = f"{name} has no camera, and {self.path} states no size of it: give"
             raise InputError(unknown, ArgumentName("K"), "or", ArgumentName("images"))
@@ -197,7 +201,7 @@ class NpzMatches(GivenMatches):
                 arrays.get("confidence", np.ones(len(points1))),
                 float(arrays.get("error_px", ERROR_PX)),
                 bool(arrays.get("key_points", True)),
-                str(arrays["weights"]) if "weights" in arrays else None,
+                str(arrays.get("weights", "")) or None,
             )
 
 
@@ -333,6 +337,12 @@ def _split(group: str, keys: Mapping[str, str]) -> Names | None:
         if len(known) == 1:
             return known[0]
     return None
+
+
+def guessed_size(camera: Camera) -> Size:
+    """The size of an image whose middle is the principal point."""
+    width, height = image_size(camera)
+    return round(width), round(height)
 
 
 def _names_of(file: Path) -> Names:

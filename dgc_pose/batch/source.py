@@ -172,7 +172,9 @@ def survey(
             failures.append(error)
             bad[name] = str(error)
         else:
-            cameras[name] = replace(camera, size=header.size)
+            stated = of_image.stated(source.root, name)
+            known = source.given is None or source.given.has_size(name, stated)
+            cameras[name] = replace(camera, size=header.size if known else None)
     if failures and not cameras:
         raise failures[0]
     return _with_lines(source, cameras), bad, states

@@ -2,11 +2,12 @@
 
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from dgc_pose.batch.given import DatabaseMatches, GivenMatches, IndexedMatches
+from dgc_pose.batch.given import DatabaseMatches, GivenMatches, IndexedMatches, guessed_size
 from dgc_pose.batch.pairs import PairRow
 from dgc_pose.batch.result import Batch
 from dgc_pose.cameras.formats.colmap import open_database
@@ -42,7 +43,10 @@ def write_judged(batch: Batch, given: GivenMatches, path: Path) -> int:
     if isinstance(source, DatabaseMatches):
         _write_copy(path, source, rows, pairs)
     else:
-        cameras = batch.plan.final_cameras
+        cameras = {
+            name: camera if camera.size else replace(camera, size=guessed_size(camera))
+            for name, camera in batch.plan.final_cameras.items()
+        }
         key_points = {name: source.key_points(name).points for name in cameras}
         write_database(
             path, batch.plan.names, cameras, SharedMatches(key_points, pairs), rows.values()

@@ -16,6 +16,7 @@ from worlds import K_text
 
 from dgc_pose import load_image
 from dgc_pose.batch.result import read_batch
+from dgc_pose.cameras.pair_list import rendered_pair
 from dgc_pose.geometry.rotation import rotation_of_quaternion
 from dgc_pose.matching.key_points import SiftMatcher
 
@@ -114,6 +115,33 @@ def test_photographs_tell_what_surrounds_the_matches(photographs: Path, tmp_path
     for pair in read_batch(tmp_path / "b").pairs():
         around = pair.matches.context_ratio
         assert around is not None and around > 0.3
+
+
+def test_the_matches_that_estimate_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have a probability, as matches of our network without their map."""
+    monkeypatch.chdir(tmp_path)
+    pair = rendered_pair()
+    K1, K2 = (camera.K[(0, 1, 0, 1), (0, 1, 2, 2)] for camera in (pair.camera1, pair.camera2))
+    lines = [",".join(map(str, (path, *K))) for path, K in ((pair.path1, K1), (pair.path2, K2))]
+    Path("K.csv").write_text("\n".join(["name,fx,fy,cx,cy", *lines, ""]))
+    (tmp_path / "npz").mkdir()
+    words = (
+        pair.path1,
+        pair.path2,
+        "--K",
+        "K.csv",
+        "--json",
+        "pose.json",
+        "--matches",
+        "npz/any.npz",
+    )
+    assert run("estimate", *words).exit_code == 0
+    done = run("judge", "npz", "--K", "K.csv", "--json", "-", "--workers", "1")
+    (judged,) = json.loads(done.stdout)["pairs"]
+    pose = json.loads(Path("pose.json").read_text())
+    assert (judged["name1"], judged["name2"]) == (str(pair.path1), str(pair.path2))
+    assert np.allclose(judged["R"], pose["R"], atol=1e-3)
+    assert judged["probability"] > 0.9 and pose["probability"] > 0.9
 
 
 def test_photographs_that_do_not_fit(photographs: Path, database: Path, tmp_path: Path) -> None:
