@@ -213,8 +213,7 @@ def read_database(path: Path) -> PairList:
     """Read the images, the cameras with a known focal length and the matched pairs of a COLMAP
     database. Raises InputError, with the path, if the database cannot be read."""
     with open_database(path) as database:
-        ids, sizes, cameras = read_images(database)
-        del sizes
+        ids, _, cameras = read_images(database)
         pairs = sorted(read_pairs(database, ids, "matches"))
         return PairList(tuple(sorted(ids)), tuple(pairs), cameras)
 
