@@ -30,7 +30,9 @@ class Outputs:
 
     json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = output_file(
-        "Write the matches: points1, points2 (N, 2), confidence and inliers (N).", "PATH.npz"
+        "Write the matches: points1, points2 (N, 2), confidence and inliers (N), error_px, "
+        "key_points, weights, and the names image1 and image2, as `dgc-pose judge` reads them.",
+        "PATH.npz",
     )
     map: str | None = output_file(
         "Write the dense map: map (H, W, 2), for each cell of a grid over image 2 its point in "
@@ -86,9 +88,11 @@ def estimate(
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
-            names = ("points1", "points2", "confidence")
-            arrays = {name: getattr(result.matches, name) for name in names}
-            write_npz(stage(outputs.matches), {**arrays, "inliers": pose.inliers})
+            columns = ("points1", "points2", "confidence", "error_px", "key_points")
+            arrays = {name: getattr(result.matches, name) for name in columns}
+            arrays |= {"inliers": pose.inliers, "image1": image1, "image2": image2}
+            arrays |= {"weights": result.matches.weights or ""}
+            write_npz(stage(outputs.matches), arrays)
         if outputs.map is not None:
             dense = result.correspondence_map
             if dense is None:

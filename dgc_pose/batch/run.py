@@ -96,7 +96,7 @@ def run_batch(
     if runtime == "auto" and digest is not None:  # the default differs between machines
         runtime = default_runtime(weights, matcher.device)
     second = None
-    if matcher.is_network and estimation.second == "auto":
+    if source.given is None and matcher.is_network and estimation.second == "auto":
         second = LightGlueMatcher().fingerprint if is_available() else MISSING
     settings = {
         "command": shlex.join(sys.argv),
@@ -108,6 +108,7 @@ def run_batch(
         "device": device_type(matcher.device),
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
+        "given": source.given and source.given.state,
     }
     with _locked_folder(out):
         before: Plan | None = None
@@ -134,7 +135,9 @@ def run_batch(
             if is_finished and is_written and not again:
                 return read_batch(out)
         limit = options.worker_bytes
-        job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks)
+        job = Job(
+            plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks, source.given
+        )
         # A matcher that cannot be loaded raises before anything is written.
         start_workers = ray_workers if options.engine == "ray" else local_workers
         with start_workers(job, options.worker_count) as run:

@@ -18,7 +18,6 @@ from scipy.special import erf, log_expit, log_softmax, softmax
 from dgc_pose import load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image, load_image, masked
-from dgc_pose.matching import lightglue
 from dgc_pose.matching.key_points import KeyPoints
 from dgc_pose.matching.lightglue import NAME, LightGlueMatcher
 
@@ -27,7 +26,7 @@ PACKAGE = "dgc_pose_lightglue"
 
 
 @pytest.fixture(scope="module")
-def matcher() -> LightGlueMatcher:
+def matcher(lightglue: None) -> LightGlueMatcher:
     matcher = load_matcher(NAME)
     assert isinstance(matcher, LightGlueMatcher)
     return matcher
@@ -136,7 +135,7 @@ def test_matches_are_those_of_a_plain_computation_with_pruning_or_without(
         one._replace(points=one.points[:600], descriptors=one.descriptors[:600]) for one in found
     ]
     pruned, pruned_rows2, _ = matcher._matched(*few)
-    monkeypatch.setattr(lightglue, "_MATCHABLE", 0.0)
+    monkeypatch.setattr("dgc_pose.matching.lightglue._MATCHABLE", 0.0)
     rows1, rows2, confidence = matcher._matched(*few)
     ours = dict(zip(zip(rows1, rows2, strict=True), confidence, strict=True))
     shares, worst = [], []
