@@ -137,7 +137,7 @@ def report(batch: Batch, where: Path | None = None) -> None:
         to_stderr(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
         to_stderr(f"more than {MOST_PAIRS} pairs have a pose: the look-alike check is skipped")
-    if summary["second"] == MISSING and joining(batch.rows):
+    if batch.plan.settings.get("second") == MISSING and joining(batch.rows):
         name_missing_second()
     if summary["rejected"]:
         number = sum(entry["pairs"] for entry in summary["rejected"])

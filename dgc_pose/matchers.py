@@ -59,6 +59,11 @@ class MatcherOptions:
             self.weights.startswith(PREFIX) or self.weights.endswith(_ONNX)
         )
 
+    @property
+    def takes_second(self) -> bool:
+        """Whether the matches of a second matcher can join those of this one."""
+        return self.is_network and self.matching.aligned != "none"
+
     def load(self, cache: ImageCache | None = None, engine: Engine | None = None) -> Matcher:
         """The matcher; see `load_matcher`. engine: the engine of a network, if it is loaded."""
         name = self.weights

@@ -185,8 +185,7 @@ def may_change(step: Step, pose: RelativePose | None, options: EstimationOptions
     if step == "full":
         return options.effort != "fast" and not is_certain
     if step == "second":
-        is_wanted = options.second == "auto" and options.effort != "fast"
-        return is_wanted and (in_doubt(pose) or is_open(pose))
+        return wants_second(options) and (in_doubt(pose) or is_open(pose))
     limit_deg = _ACCURATE_DEG if options.effort == "thorough" else _LOOSE_DEG
     return in_doubt(pose) or (pose.success and not _is_accurate(pose, limit_deg))
 
@@ -219,6 +218,11 @@ def in_doubt(pose: RelativePose) -> bool:
     share = pose.hypotheses[0].share
     of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
     return of_others > _MIN_SEARCHED and not _is_clear(pose)
+
+
+def wants_second(options: EstimationOptions) -> bool:
+    """Whether the steps of a pair include a second matcher."""
+    return options.second == "auto" and "second" in STEPS[options.effort]
 
 
 def is_open(pose: RelativePose) -> bool:

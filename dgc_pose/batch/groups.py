@@ -20,8 +20,9 @@ def connected(rows: Iterable[PairRow], joined: Iterable[PairRow]) -> Groups:
 
 
 def joining(rows: Sequence[PairRow]) -> list[PairRow]:
-    """The pairs without a pose that may have one and would join two groups, which pairs with a pose
-    connect. rows: of all pairs, each on its own."""
-    groups = connected(rows, (row for row in rows if row.success))
+    """The pairs for the second matcher: they may have a pose, and would join two groups, which the
+    other pairs with a pose connect. rows: of all pairs, each on its own; those that the second
+    matcher matched already are among the result."""
+    groups = connected(rows, (row for row in rows if row.success and not row.second))
     apart = (row for row in rows if row.name2 not in groups[row.name1])
-    return [row for row in apart if row.pose is not None and is_open(row.pose)]
+    return [row for row in apart if row.second or (row.pose is not None and is_open(row.pose))]

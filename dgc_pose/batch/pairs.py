@@ -37,6 +37,7 @@ class PairRow:
     camera_model: ModelName = "assumed"  # the model that the matches agree with
     bad_images: Mapping[str, str] = field(default_factory=dict)  # by name, why they are unusable
     index: int = 0  # of the pair in the batch
+    second: bool = False  # whether the second matcher matched it too
     # Probability of the pose given the whole folder; None without a pose, and before the result
     folder_probability: float | None = None
     # Triples whose two other pairs are accepted: how many agree with it, and how many do not
@@ -83,7 +84,7 @@ class PairRow:
 
         Times are omitted, so that the same input gives the same row.
         """
-        names = {"name1": self.name1, "name2": self.name2}
+        names = {"name1": self.name1, "name2": self.name2, "second": self.second}
         if self.pose is None:
             facts = {"status": self.status, "success": False, "warnings": [self.reason]}
             return json.dumps({**names, **facts, "bad_images": dict(self.bad_images)})
@@ -106,9 +107,10 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
     with read_as("a row of a batch", where):
         data: Any = json.loads(text)
         names, status = (str(data["name1"]), str(data["name2"])), data["status"]
+        second = bool(data.get("second", False))  # rows of earlier versions lack it
         if status in (BAD_INPUT, FAILED):
             reason, bad = str(data["warnings"][0]), dict(data["bad_images"])
-            return PairRow(*names, status, reason, bad_images=bad, index=index)
+            return PairRow(*names, status, reason, bad_images=bad, index=index, second=second)
         try:
             pose = RelativePose.from_dict(data | {"seconds": {}})
         except InputError as error:
@@ -118,6 +120,7 @@ def parse_row(text: str, index: int, where: str) -> PairRow:
         return PairRow(
             *(*names, status, pose.reason, pose, data["error_px"], model),
             index=index,
+            second=second,
             folder_probability=None if probability is None else float(probability),
             folder_triples=(int(agree), int(differ)),
         )

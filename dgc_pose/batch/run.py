@@ -48,14 +48,19 @@ from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
-from dgc_pose.matching.lightglue import LightGlueMatcher, is_available
+from dgc_pose.matching.lightglue import (
+    LightGlueMatcher,
+    installed_fingerprint,
+    is_available,
+)
 from dgc_pose.network.weights import find_weights, shipped
+from dgc_pose.pose import wants_second
 from dgc_pose.system.files import only_writer, read_bytes
 
 Progress = Callable[[str, int, int], None]  # stage, items done, all items
 _RESUME = ArgumentName("resume")
 _EXHAUSTIVE_UP_TO = 20  # images
-_MOST_SECOND = 4  # blocks for the second matcher: each worker that gets one needs 1 GB for it
+_MOST_SECOND = 4  # workers that load the second matcher, which takes 1 GB
 _MIN_KEPT_INLIERS = 0.5  # of the inliers that a pair had on its own: with fewer there is a warning
 
 
@@ -97,8 +102,8 @@ def run_batch(
     if runtime == "auto" and digest is not None:  # the default differs between machines
         runtime = default_runtime(weights, matcher.device)
     second = None
-    if source.given is None and matcher.is_network and estimation.second == "auto":
-        second = LightGlueMatcher().fingerprint if is_available() else MISSING
+    if source.given is None and matcher.takes_second and wants_second(estimation):
+        second = installed_fingerprint() if is_available() else MISSING
     settings = {
         "command": shlex.join(sys.argv),
         "pairs": "source" if choice is None else asdict(choice),
@@ -109,17 +114,18 @@ def run_batch(
         "device": device_type(matcher.device),
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
+        "second": second,
         "given": source.given and source.given.state,
     }
     with _locked_folder(out):
         before: Plan | None = None
-        again: set[int] = set()
+        matched: list[PairRow] = []
         if (out / STORE).is_file():
             with open_store(out) as store:
-                before, summary = store.plan, store.summary
-                is_finished = summary is not None and summary.get("second") == second
+                before, is_finished = store.plan, store.summary is not None
                 if before is not None:
-                    again = {row.index for row in store.rows("matched") if row.status == FAILED}
+                    matched = store.rows("matched")
+        again = {row.index for row in matched if row.status == FAILED}
         if before is not None and not options.resume:
             raise InputError(f"{out} has a batch already:", _RESUME, "continues it")
         place = {name: i for i, name in enumerate(source.names)}
@@ -132,8 +138,11 @@ def run_batch(
             plan = continued(before, plan, out)
             changed = {n for n in plan.names if plan.states.get(n) != before.states.get(n)}
             again |= {i for i in range(len(plan.pairs)) if changed.intersection(plan.pair(i))}
+            same_second = before.settings.get("second") == second
+            if again or not same_second:  # the second matcher's pairs are chosen anew
+                again |= {row.index for row in matched if row.second}
             is_written = all((out / name).is_file() for name in (PAIRS, MATCHES, SUMMARY))
-            if is_finished and is_written and not again:
+            if is_finished and is_written and same_second and not again:
                 return read_batch(out)
         limit = options.worker_bytes
         job = Job(
@@ -156,7 +165,6 @@ def run_batch(
                     plan, cameras = _pose(store, plan, poses, progress)
                     store.rewrite(folder_probabilities(store.pairs("result"), plan))
                     summary = summary_of(plan, store.rows("result"), cameras)
-                    summary["second"] = second
                     summary["matched_now"] = worked
                     summary["seconds"] = round(time.perf_counter() - start, 2)
                     store.finish(plan, summary)
@@ -288,17 +296,24 @@ def _match(
 def _match_again(
     store: BatchStore, plan: Plan, run: Run, options: BatchOptions, progress: Progress
 ) -> None:
-    """Match the pairs that would join two groups again, with the second matcher. They are stored
-    together: after a kill, the next run chooses the same pairs."""
-    left = [row.index for row in joining(store.rows("matched"))]
-    size = -(-len(left) // _MOST_SECOND) or 1
+    """Match the pairs that would join two groups again, with the second matcher."""
+    chosen = joining(store.rows("matched"))
+    left = [row.index for row in chosen if not row.second]
+    if not left:
+        return
+    LightGlueMatcher()  # raises if it is damaged
+    workers = options.worker_count
+    size = block_size(len(left), workers)
+    if workers > _MOST_SECOND:
+        size = -(-len(left) // _MOST_SECOND)
+    done = len(chosen) - len(left)
+    progress("pairs in doubt", done, len(chosen))
     blocks = blocks_of(_ordered(plan, left, options), size)
-    done = 0
-    with store.change():
-        for pairs in run(Worker.match, [(block, "auto") for block in blocks]):
+    for pairs in run(Worker.match, [(block, "auto") for block in blocks]):
+        with store.change():
             store.add("matched", pairs)
-            done += len(pairs)
-            progress("pairs in doubt", done, len(left))
+        done += len(pairs)
+        progress("pairs in doubt", done, len(chosen))
 
 
 def _ordered(

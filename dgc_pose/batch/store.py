@@ -55,7 +55,9 @@ class Plan:
     states: Mapping[str, FileState]  # of the photographs' files, by name
     names: tuple[str, ...]
     pairs: np.ndarray  # (P, 2) int64, indices of `names`
-    # Everything else that the result depends on, and the `command` of the batch; values of JSON
+    # Everything else that the result depends on, and the `command` of the batch; values of JSON.
+    # `second` is the fingerprint of the second matcher: None without one, `MISSING` if it is not
+    # installed. A batch may be resumed with another one.
     settings: Mapping[str, Any]
     # The cameras pooled from all pairs; None before the result, and if all cameras are exact
     pooled: Mapping[str, Camera] | None = None
@@ -155,7 +157,7 @@ def _facts(plan: Plan, names: Collection[str], *, pairs: bool) -> Any:
         # Without a given K, the photographs determine the camera, and the lines of one affect all.
         open_ = _FITTED_CAMERA_FIELDS if data["focal_source"] != "given" else ()
         cameras.append({k: v for k, v in data.items() if k not in ("warnings", *open_)})
-    settings = {k: v for k, v in plan.settings.items() if k != "command"}
+    settings = {k: v for k, v in plan.settings.items() if k not in ("command", "second")}
     named = [plan.pair(i) for i in range(len(plan.pairs))] if pairs else []
     return json.loads(json.dumps([str(plan.root), settings, named, cameras]))
 

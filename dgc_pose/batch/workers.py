@@ -88,10 +88,11 @@ class Worker:
         self, pairs: Sequence[tuple[int, tuple[str, str]]], second: Second = "none"
     ) -> list[MatchedPair]:
         """Match pairs, given by index and names, and estimate the pose of each on its own."""
-        cameras = self.job.cameras
-        return [
-            _done(index, names, self._matched, names, cameras, second) for index, names in pairs
+        rows = [
+            PairRow(*names, FAILED, "", index=index, second=second == "auto")
+            for index, names in pairs
         ]
+        return [_done(row, self._matched, row.names, self.job.cameras, second) for row in rows]
 
     def estimate(
         self, pairs: Sequence[MatchedPair], cameras: Cameras, fit_cameras: bool
@@ -100,10 +101,7 @@ class Worker:
 
         fit_cameras: whether each pair also refits cameras that are known already.
         """
-        return [
-            _done(pair.row.index, pair.row.names, self._estimated, pair, cameras, fit_cameras)
-            for pair in pairs
-        ]
+        return [_done(pair.row, self._estimated, pair, cameras, fit_cameras) for pair in pairs]
 
     def _matched(
         self, names: tuple[str, str], cameras: Cameras, second: Second = "none"
@@ -150,7 +148,8 @@ class Worker:
         may_be_mirrored = row.status == "ambiguous" and row.pose.evidence is None
         if row.status == "mirrored" or may_be_mirrored:  # wrong cameras may be the cause
             exact = camera1.exact and camera2.exact
-            return pair if exact else self._matched(names, cameras)
+            second: Second = "auto" if row.second else "none"
+            return pair if exact else self._matched(names, cameras, second)
         # Errors of two cameras are independent, and so are those of images without an identity.
         known = camera1.identity is not None and camera1.identity == camera2.identity
         known &= all(c.focal_std <= KNOWN_FOCAL_STD and not may_be_crop(c) for c in both)
@@ -181,19 +180,17 @@ class Worker:
             return None
 
 
-def _done(
-    index: int, names: tuple[str, str], work: Callable[..., MatchedPair], *arguments: Any
-) -> MatchedPair:
-    """The outcome of work on a pair; after an error, a row with the error as its reason."""
+def _done(row: PairRow, work: Callable[..., MatchedPair], *arguments: Any) -> MatchedPair:
+    """The outcome of work on the pair of a row; after an error, a row with it as its reason."""
     try:
         pair = work(*arguments)
     except MemoryError:  # every further pair would raise it too
         raise
     except DgcPoseError as error:
-        pair = MatchedPair(PairRow(*names, BAD_INPUT, str(error)))
+        pair = MatchedPair(PairRow(*row.names, BAD_INPUT, str(error)))
     except Exception as error:  # one pair of a million must not end the batch
-        pair = MatchedPair(PairRow(*names, FAILED, f"{type(error).__name__}: {error}"))
-    return replace(pair, row=replace(pair.row, index=index))
+        pair = MatchedPair(PairRow(*row.names, FAILED, f"{type(error).__name__}: {error}"))
+    return replace(pair, row=replace(pair.row, index=row.index, second=row.second))
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
 from dgc_pose.matching import Matcher
 from dgc_pose.model import Model
-from dgc_pose.pose import solve_pair
+from dgc_pose.pose import solve_pair, wants_second
 from dgc_pose.system.options import check_type
 
 if TYPE_CHECKING:
@@ -179,8 +179,8 @@ class Locator:
         seconds |= {"match": 0.0, "estimate": 0.0}
         first = replace(self.options, second="none")
         location = self._searched(image, camera, names, first, seconds, whole=whole)
-        may_change = self.options.second == "auto" and self.matcher.second_matcher is not None
-        if may_change and not location.success:
+        is_open = not location.success and wants_second(self.options)
+        if is_open and self.matcher.second_matcher is not None:
             location = self._searched(image, camera, names, self.options, seconds, whole=whole)
         self.matcher.cache.forget(image)
         return replace(

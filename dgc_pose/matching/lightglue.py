@@ -190,6 +190,12 @@ def installed() -> Path:
     return folder
 
 
+def installed_fingerprint() -> str:
+    """`LightGlueMatcher.fingerprint`, without the graphs. Raises as `installed` and
+    `read_weights`."""
+    return fingerprint(read_weights(installed()).items())
+
+
 def read_weights(folder: Path) -> Mapping[str, np.ndarray]:
     """The weights in single precision. Raises WeightsError, with the file, if it is damaged."""
     with reading("a table of shapes", folder / SHAPES):

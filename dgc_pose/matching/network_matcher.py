@@ -58,7 +58,9 @@ class NetworkMatcher(Matcher):
 
     @cached_property
     def second_matcher(self) -> Matcher | None:
-        return LightGlueMatcher(self.cache) if is_available() else None
+        if self.options.aligned == "none" or not is_available():
+            return None
+        return LightGlueMatcher(self.cache)
 
     def coarse_features(self, image: Image) -> np.ndarray:
         (features,) = map_features(self.engine, self.cache, View.whole(image))
@@ -107,7 +109,7 @@ class NetworkMatcher(Matcher):
         """Add to a result the matches of `LightGlueMatcher`, refined as its own are. Returns None
         if its distribution is not installed; raises WeightsError if that is damaged."""
         dense = result.correspondence_map
-        if self.second_matcher is None or self.options.aligned == "none" or dense is None:
+        if self.second_matcher is None or dense is None:
             return None
         found = self.second_matcher.match(image1, image2).matches
         found = replace(found, key_points=False, weights=self.fingerprint)
