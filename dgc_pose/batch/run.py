@@ -109,7 +109,7 @@ def run_batch(
         "device": device_type(matcher.device),
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
-        "given": source.given and source.given.state,
+        "given": source.given and [source.given.state, source.given.with_images],
     }
     with _locked_folder(out):
         before: Plan | None = None

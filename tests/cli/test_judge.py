@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from batch_runs import view_folder
+from batch_runs import killed_after, view_folder
 from command_line import assert_refused, contents, run
 from given_world import given_world, write_hloc, write_npz, write_with_pycolmap
 from worlds import K_text
@@ -59,15 +59,30 @@ def test_a_table_and_its_files(database: Path, tmp_path: Path) -> None:
     assert json.loads(only.stdout)["pairs"] == pairs
 
 
-def test_a_stopped_run_goes_on(database: Path, tmp_path: Path) -> None:
-    """A finished one is read; one of another source, or of one that has changed, is not."""
+def test_a_stopped_run_goes_on(
+    database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the pairs that it has. A finished one is read; one of a source that has changed, or
+    without photographs where these are given now, is not."""
     source = tmp_path / "a.db"
     shutil.copy2(database, source)
     words = ("--batch", tmp_path / "batch", *QUICK)
-    assert run("judge", source, *words).exit_code == 0
+    whole = run("judge", source, "--json", "-", *QUICK)
+    with monkeypatch.context() as patch:
+        patch.setattr("dgc_pose.batch.run.local_workers", killed_after(2))
+        killed = run("judge", source, *words)
+    assert killed.exit_code == 1 and "Killed" in killed.stderr
+    resumed = run("judge", source, *words, "--resume", "--json", "-")
+    assert resumed.exit_code == 0 and resumed.stdout == whole.stdout
+    assert read_batch(tmp_path / "batch").summary["matched_now"] == 4
     assert_refused(run("judge", source, *words), "has a batch already", "--resume continues it")
     again = run("judge", source, *words, "--resume", "--csv", tmp_path / "p.csv")
     assert again.exit_code == 0 and (tmp_path / "p.csv").is_file()
+    (tmp_path / "rows").mkdir()
+    for name in WORLD.names:
+        cv2.imwrite(str(tmp_path / name), np.zeros((800, 1000, 3), np.uint8))
+    with_images = run("judge", source, *words, "--resume", "--images", tmp_path)
+    assert_refused(with_images, "--resume needs the same")
     with pycolmap.Database.open(source) as changed:
         changed.clear_two_view_geometries()
     source.touch()
