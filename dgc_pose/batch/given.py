@@ -17,7 +17,13 @@ import numpy as np
 
 from dgc_pose.cameras.by_image import times
 from dgc_pose.cameras.camera import Camera, image_size
-from dgc_pose.cameras.formats.colmap import Table, open_database, read_images, read_pairs
+from dgc_pose.cameras.formats.colmap import (
+    Table,
+    database_files,
+    open_database,
+    read_images,
+    read_pairs,
+)
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
 from dgc_pose.images.decoding import Header, image_header
@@ -138,6 +144,9 @@ class DatabaseMatches(IndexedMatches):
 
     ids: Mapping[str, int] = field(default_factory=dict)  # of the images
     table: Table = "matches"
+
+    def files(self) -> list[Path]:
+        return database_files(self.path)
 
     def key_points(self, name: str) -> KeyPoints:
         with open_database(self.path) as database:

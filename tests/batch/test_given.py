@@ -128,8 +128,14 @@ def test_a_database_with_a_log(tmp_path: Path) -> None:
         database.execute("UPDATE keypoints SET data = ?, cols = 2", (shifted,))
         database.commit()
         assert (tmp_path / "a.db-wal").stat().st_size
-        found = read_given(path).read(PAIR[::-1])
-    assert (found.points1 == 1 - COLMAP_CENTRE).all()
+        given = read_given(path)
+        before = given.state
+        assert (given.read(PAIR[::-1]).points1 == 1 - COLMAP_CENTRE).all()
+        assert given.state == before  # which reading does not change
+        assert given.files() == [path, tmp_path / "a.db-wal"]
+        database.execute("UPDATE keypoints SET data = ?", (shifted[::-1],))
+        database.commit()
+        assert given.state != before
 
 
 def test_inliers_stand_for_matches_that_are_missing(tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for first, second in ((0, 1), (0, 2), (1, 2)):
         pair = names[first], names[second]
         found = SiftMatcher().match(*(images[name] for name in pair)).matches
-        arrays = {"points1": found.points1, "points2": found.points2}
+        arrays = {"points1": found.points1, "points2": found.points2, "key_points": True}
         np.savez(folder / "npz" / f"{'_'.join(pair)}.npz", **arrays)
     return folder
 
