@@ -133,7 +133,8 @@ def test_photographs_tell_what_surrounds_the_matches(photographs: Path, tmp_path
 
 
 def test_the_matches_that_estimate_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They have a probability, as matches of our network without their map."""
+    """They have a probability, as matches of our network without their map. Their names are those
+    in the photographs' folder."""
     monkeypatch.chdir(tmp_path)
     pair = rendered_pair()
     K1, K2 = (camera.K[(0, 1, 0, 1), (0, 1, 2, 2)] for camera in (pair.camera1, pair.camera2))
