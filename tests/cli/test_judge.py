@@ -155,9 +155,30 @@ def test_the_matches_that_estimate_writes(tmp_path: Path, monkeypatch: pytest.Mo
     done = run("judge", "npz", "--K", "K.csv", "--json", "-", "--workers", "1")
     (judged,) = json.loads(done.stdout)["pairs"]
     pose = json.loads(Path("pose.json").read_text())
-    assert (judged["name1"], judged["name2"]) == (str(pair.path1), str(pair.path2))
+    assert (judged["name1"], judged["name2"]) == (pair.path1.name, pair.path2.name)
     assert np.allclose(judged["R"], pose["R"], atol=1e-3)
     assert judged["probability"] > 0.9 and pose["probability"] > 0.9
+    with_images = ("--images", pair.path1.parent, "--K", "K.csv", *QUICK)
+    assert run("judge", "npz", *with_images).exit_code == 0
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    for folder, path in (("a", pair.path1), ("b", pair.path2)):
+        shutil.copy(path, tmp_path / folder / "same.png")
+    words = ("a/same.png", "b/../b/same.png", "--runs", "1", "--matches", "same.npz")
+    run("estimate", *words)
+    with np.load("same.npz") as file:
+        assert (file["image1"], file["image2"]) == ("a/same.png", "b/same.png")
+
+
+def test_a_damaged_file_stops_no_other(tmp_path: Path) -> None:
+    folder = write_npz(WORLD, tmp_path / "n", named=False)
+    file = min(folder.iterdir())
+    file.write_bytes(file.read_bytes()[:200])
+    done = run("judge", folder, "--K", "900,905,500,390", "--json", "-", *QUICK)
+    pairs = json.loads(done.stdout)["pairs"]
+    (bad,) = (pair for pair in pairs if pair["status"] == "bad_input")
+    assert "_".join((bad["name1"], bad["name2"], "")) == f"{file.stem}_"
+    assert done.exit_code == 0 and len(pairs) == 6 and f"{file} cannot be read" in str(bad)
 
 
 def test_photographs_that_do_not_fit(photographs: Path, database: Path, tmp_path: Path) -> None:
