@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import time
 from dataclasses import dataclass
@@ -31,7 +32,8 @@ class Outputs:
     json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = output_file(
         "Write the matches: points1, points2 (N, 2), confidence and inliers (N), error_px, "
-        "key_points, weights, and the names image1 and image2, as `dgc-pose judge` reads them.",
+        "key_points, weights, and the names image1 and image2 in the folder that holds both, as "
+        "`dgc-pose judge` reads them.",
         "PATH.npz",
     )
     map: str | None = output_file(
@@ -90,7 +92,8 @@ def estimate(
         if outputs.matches is not None:
             columns = ("points1", "points2", "confidence", "error_px", "key_points")
             arrays = {name: getattr(result.matches, name) for name in columns}
-            arrays |= {"inliers": pose.inliers, "image1": image1, "image2": image2}
+            name1, name2 = _names(image1, image2)
+            arrays |= {"inliers": pose.inliers, "image1": name1, "image2": name2}
             arrays |= {"weights": result.matches.weights or ""}
             write_npz(stage(outputs.matches), arrays)
         if outputs.map is not None:
@@ -126,6 +129,13 @@ def estimate(
         if not pose.success:
             click.echo(f"no pose: {pose.reason}", err=True)
     return 0 if pose.success else NO_POSE
+
+
+def _names(*images: str) -> list[str]:
+    """The paths of images relative to the folder that holds all of them."""
+    paths = [os.path.abspath(image) for image in images]
+    folder = os.path.commonpath(map(os.path.dirname, paths))
+    return [os.path.relpath(path, folder) for path in paths]
 
 
 @click.command()

@@ -43,7 +43,7 @@ class Outputs:
 
     out: str | None = output_file(
         "Write a COLMAP database: a copy of SOURCE's, or hloc's key points and matches. Its "
-        "two-view geometries are the claimed pairs with their inliers.",
+        "two-view geometries are the claimed poses and rotations with their inliers.",
         "DB",
     )
     json: str | None = output_file(
@@ -82,7 +82,8 @@ def judge(
 
     SOURCE is a COLMAP database; a folder with hloc's .h5 of features and of matches; or a folder
     of .npz, one for each pair, with points1, points2 (N, 2) and optionally confidence (N,),
-    error_px, key_points, image1 and image2, the names, by default those of NAME1_NAME2.npz.
+    error_px, key_points (False), image1 and image2, the names, by default those of
+    NAME1_NAME2.npz.
 
     Prints a table of the pairs: the claimed ones, the least probable first, then the others. Poses
     refer to the pixels as SOURCE has them. Without --K, cameras of known focal length are the

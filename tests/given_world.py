@@ -25,10 +25,11 @@ class GivenWorld:
     names: tuple[str, ...]
     key_points: dict[str, np.ndarray]
     matches: dict[Pair, np.ndarray]
+    right: dict[Pair, np.ndarray]  # (M,) bool: which matches are of one point
     unrelated: frozenset[Pair]  # whose matches are wrong
 
     def errors_deg(self, names: Pair, R: np.ndarray, t: np.ndarray) -> tuple[float, float]:
-        """Of R and of t."""
+        """The errors of R and of t."""
         (R1, centre1), (R2, centre2) = (self.scene.references[self.names.index(n)] for n in names)
         return (
             rotation_error_deg(R, R2 @ R1.T),
@@ -46,7 +47,8 @@ def given_world(
     centres = np.column_stack([x, 0.3 * np.cos(3 * x), 0.1 * x**2])
     scene = world_scene(centres, count=points, seed=seed)
     names = tuple(f"rows/photo {number}.jpg" for number in range(count))
-    order, key_points = {}, {}
+    order = {}
+    key_points = {}
     for name, pose in zip(names, scene.references, strict=True):
         pixels = scene.pixels(CAMERA, *pose)
         pixels += rng.normal(0, 0.4, pixels.shape)
@@ -55,13 +57,15 @@ def given_world(
         order[name] = rng.permutation(points)
         key_points[name] = pixels[order[name]]
     matches = {}
+    right = {}
     for first, second in combinations(names, 2):
         index = np.column_stack([np.argsort(order[first]), np.argsort(order[second])])
         odd = np.flatnonzero(rng.random(points) < wrong)
         index[odd, 1] = rng.permutation(index[odd, 1])
         matches[first, second] = index.astype(np.uint32)
+        right[first, second] = index[:, 1] == np.argsort(order[second])
     apart = {pair for pair in matches if {*pair} & {*names[count - unrelated :]}}
-    return GivenWorld(scene, names, key_points, matches, frozenset(apart))
+    return GivenWorld(scene, names, key_points, matches, right, frozenset(apart))
 
 
 def write_with_pycolmap(
@@ -111,12 +115,12 @@ def write_hloc(world: GivenWorld, folder: Path, mark: str = "/", *, sizes: bool 
 
 
 def write_npz(world: GivenWorld, folder: Path, *, named: bool = True) -> Path:
-    """The world as a folder of points of pairs. named: whether the files state the images."""
+    """The world as a folder of key points of pairs. named: whether the files state the images."""
     folder.mkdir(exist_ok=True)
     for (first, second), index in world.matches.items():
         points1 = world.key_points[first][index[:, 0]]
         points2 = world.key_points[second][index[:, 1]]
-        names = {"image1": first, "image2": second} if named else {}
+        stated = {"image1": first, "image2": second} if named else {}
         file = f"{Path(first).name}_{Path(second).name}.npz"
-        np.savez(folder / file, points1=points1, points2=points2, **names)
+        np.savez(folder / file, points1=points1, points2=points2, key_points=True, **stated)
     return folder

@@ -185,7 +185,8 @@ def _unit_samples(levels: list[Tensor], points: Tensor) -> Tensor:
     pixels; zero beyond the edges."""
     x, y = points.unbind(1)
     last_row, last_column = (torch.arange(side)[-1] for side in levels[0].shape[2:])
-    x0, y0 = x.floor(), y.floor()
+    x0 = x.floor()
+    y0 = y.floor()
     columns, rows = (torch.stack([axis, axis + 1]).long() for axis in (x0, y0))
     across = torch.stack([x0 + 1 - x, x - x0]) * ((columns >= 0) & (columns <= last_column))
     down = torch.stack([y0 + 1 - y, y - y0]) * ((rows >= 0) & (rows <= last_row))
@@ -207,10 +208,12 @@ def _key_points(scores: Tensor) -> tuple[Tensor, Tensor]:
     width = torch.arange(maxima.shape[1])[-1] + 1
     best = torch.where(values > 0, best, 0)
     row = torch.div(best, width, rounding_mode="floor")
-    y, x = row + _RADIUS, best - row * width + _RADIUS
+    y = row + _RADIUS
+    x = best - row * width + _RADIUS
     steps = torch.arange(-_RADIUS, _RADIUS + 1)
     count = len(steps)
-    down, across = steps.repeat_interleave(count), steps.repeat(count)
+    down = steps.repeat_interleave(count)
+    across = steps.repeat(count)
     windows = flat.take((y[:, None] + down) * scores.shape[1] + x[:, None] + across)
     share = torch.softmax(windows / _TEMPERATURE, -1)
     offset = share @ torch.stack([across, down], -1).float()
@@ -242,7 +245,8 @@ def aliked_state(released: Mapping[str, Tensor]) -> dict[str, Tensor]:
         state[f"conv{level}.weight"] = given[f"conv{level}.weight"]
         state[f"score{level}.weight"] = given["score_head.0.weight"].split(32, 1)[level - 1]
         for i in (1, 2):
-            name, norm = f"block{level}.conv{i}", f"block{level}.bn{i}"
+            name = f"block{level}.conv{i}"
+            norm = f"block{level}.bn{i}"
             scale = given[f"{norm}.weight"] / (given[f"{norm}.running_var"] + _EPSILON).sqrt()
             plain = given.get(f"{name}.weight", given.get(f"{name}.regular_conv.weight"))
             assert plain is not None

@@ -21,7 +21,7 @@ from dgc_pose.matching import lightglue
 from dgc_pose.network.weights import load_checkpoint
 from dgc_pose.training.aliked import Aliked, aliked_state
 from dgc_pose.training.export_graphs import onnx_graph, without_weights
-from dgc_pose.training.lightglue import LAYERS, WIDTH, Layer, head_state, layer_state
+from dgc_pose.training.lightglue import WIDTH, Layer, head_state, layer_state
 
 _ALIKED, _LIGHTGLUE = "aliked-n16.pth", "aliked_lightglue.pth"
 
@@ -32,7 +32,7 @@ def export(released: Path, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     given = {name: load_checkpoint(released / name) for name in (_ALIKED, _LIGHTGLUE)}
     parts = {"aliked": aliked_state(given[_ALIKED]), "": head_state(given[_LIGHTGLUE])}
-    parts |= {f"layers.{i}": layer_state(given[_LIGHTGLUE], i) for i in range(LAYERS)}
+    parts |= {f"layers.{i}": layer_state(given[_LIGHTGLUE], i) for i in range(lightglue.LAYERS)}
     weights = {
         f"{part}.{key}".removeprefix("."): value.numpy().astype(np.float16)
         for part, state in parts.items()

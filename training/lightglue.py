@@ -11,7 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-LAYERS = 9
+from dgc_pose.matching.lightglue import LAYERS
+
 WIDTH = 256  # of a descriptor within the layers
 _HEADS = 4
 _PART = WIDTH // _HEADS  # of a head

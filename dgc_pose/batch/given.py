@@ -6,7 +6,7 @@ process that judges it. Points are in pixels, (0, 0) the centre of the first one
 
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -17,7 +17,13 @@ import numpy as np
 
 from dgc_pose.cameras.by_image import times
 from dgc_pose.cameras.camera import Camera, image_size
-from dgc_pose.cameras.formats.colmap import Table, open_database, read_images, read_pairs
+from dgc_pose.cameras.formats.colmap import (
+    Table,
+    database_files,
+    open_database,
+    read_images,
+    read_pairs,
+)
 from dgc_pose.errors import ArgumentName, ImageError, InputError
 from dgc_pose.geometry.pixels import Size, exif_turn, turn_points
 from dgc_pose.images.decoding import Header, image_header
@@ -28,7 +34,7 @@ from dgc_pose.system.files import open_file, read_as
 
 ERROR_PX = 1.0  # of a match along one axis, pixels, unless the source states it
 _HALF_PIXEL = 0.5  # COLMAP's centre of the first pixel
-_PICTURE = re.compile(r"(.+\.\w+)_(.+)")  # a name with an ending, and another name
+_PICTURE = re.compile(r".+\.[^\W\d_][^\W_]*")  # a name with an ending
 Names = tuple[str, str]
 
 
@@ -120,16 +126,17 @@ class IndexedMatches(GivenMatches):
 
     def read(self, names: Names) -> Matches:
         index, confidence = self.indices(names)
-        chosen, error_px = [], ERROR_PX
+        chosen = []
+        errors_px = []
         for name, column in zip(names, index.T, strict=True):
-            points, own_error = self.key_points(name)
-            error_px = max(error_px, own_error)
+            points, error_px = self.key_points(name)
+            errors_px.append(error_px)
             if len(column) and not 0 <= column.min() <= column.max() < len(points):
                 odd = column.max() if column.min() >= 0 else column.min()
                 raise InputError(f"a match has key point {odd} of {name}, which has {len(points)}")
             chosen.append(points[column])
         points1, points2 = chosen
-        return Matches(points1, points2, confidence, error_px, key_points=True)
+        return Matches(points1, points2, confidence, max(errors_px), key_points=True)
 
 
 @dataclass(frozen=True)
@@ -138,6 +145,9 @@ class DatabaseMatches(IndexedMatches):
 
     ids: Mapping[str, int] = field(default_factory=dict)  # of the images
     table: Table = "matches"
+
+    def files(self) -> list[Path]:
+        return database_files(self.path)
 
     def key_points(self, name: str) -> KeyPoints:
         with open_database(self.path) as database:
@@ -194,13 +204,13 @@ class NpzMatches(GivenMatches):
         path = self.path / self.places[names]
         with read_as("matches", path):
             arrays = read_arrays(path)
-            points1, points2 = arrays["points1"], arrays["points2"]
+            points1 = arrays["points1"]
             return Matches(
                 points1,
-                points2,
+                arrays["points2"],
                 arrays.get("confidence", np.ones(len(points1))),
                 float(arrays.get("error_px", ERROR_PX)),
-                bool(arrays.get("key_points", True)),
+                bool(arrays.get("key_points", False)),
                 str(arrays.get("weights", "")) or None,
             )
 
@@ -231,28 +241,28 @@ def read_given(path: Path) -> GivenMatches:
     and of matches, or a folder of .npz.
 
     An .npz has `points1` and `points2` (N, 2), and optionally `confidence` (N,), `error_px` and
-    `key_points`. `image1` and `image2` are the names of its images; without them its own name is
-    NAME1_NAME2.npz.
+    `key_points`, by default False. `image1` and `image2` are the names of its images; without them
+    its own name is NAME1_NAME2.npz. A damaged one with such a name is a pair, whose `read` raises.
 
     Raises InputError, with the path, if the source is none of these or has no matches; OSError if
     it cannot be read.
     """
     if not path.is_dir():
-        return _of_database(path)
+        return _read_database(path)
     if any(path.glob("*.h5")):
-        return _of_hloc(path)
+        return _read_hloc(path)
     files = sorted(path.glob("*.npz"))
     if not files:
         raise InputError(path, "holds neither hloc's .h5 nor an .npz")
-    places = _each_once((_names_of(file), file.name) for file in files)
+    places, repeated = _each_once(path, ((_pair_names(file), file.name) for file in files))
     said = (
-        f"{len(places)} .npz: points in pixels of the upright images, (0, 0) the first one's "
-        "centre",
+        f"{len(files)} .npz: points in pixels of the upright images, (0, 0) the first one's centre",
+        *repeated,
     )
     return NpzMatches(path, _images(places), places, said)
 
 
-def _of_database(path: Path) -> DatabaseMatches:
+def _read_database(path: Path) -> DatabaseMatches:
     table: Table = "matches"
     with open_database(path) as database:
         ids, sizes, cameras = read_images(database)
@@ -274,7 +284,7 @@ def _of_database(path: Path) -> DatabaseMatches:
     )
 
 
-def _of_hloc(folder: Path) -> HlocMatches:
+def _read_hloc(folder: Path) -> HlocMatches:
     found: dict[str, dict[Path, list[str]]] = {"keypoints": {}, "matches0": {}}
     for path in sorted(folder.glob("*.h5")):
         groups = _groups(path)
@@ -292,11 +302,15 @@ def _of_hloc(folder: Path) -> HlocMatches:
         raise InputError(features, 'has names that differ only in "/" and "-"')
     split = {group: _split(group, keys) for group in groups_of_pairs}
     odd = [group for group, pair in split.items() if pair is None]
-    places = _each_once((pair, group) for group, pair in split.items() if pair is not None)
+    known = ((pair, group) for group, pair in split.items() if pair is not None)
+    places, repeated = _each_once(matches, known)
     if not places:
         first = f" (first: {odd[0]})" if odd else ""
         raise InputError(matches, f"has no pair of images of {features.name}{first}")
-    said = [f"{folder}: hloc's key points, whose first pixel has its centre at (0, 0), as here"]
+    said = [
+        f"{folder}: hloc's key points, whose first pixel has its centre at (0, 0), as here",
+        *repeated,
+    ]
     if odd:
         said.append(
             f"{matches}: {len(odd)} groups name no two images of {features.name} (first: {odd[0]})"
@@ -345,24 +359,40 @@ def guessed_size(camera: Camera) -> Size:
     return round(width), round(height)
 
 
-def _names_of(file: Path) -> Names:
-    arrays = read_arrays(file)
+def _pair_names(file: Path) -> Names:
+    """The names in an .npz; if it has none or is damaged, those of which its own name consists."""
+    arrays: Mapping[str, np.ndarray] = {}
+    damage: InputError | OSError | None = None
+    try:
+        arrays = read_arrays(file)
+    except (InputError, OSError) as error:
+        damage = error
     if "image1" in arrays and "image2" in arrays:
-        return str(arrays["image1"]), str(arrays["image2"])
-    match = _PICTURE.fullmatch(file.stem)
-    halves = match.groups() if match else file.stem.split("_")
-    if len(halves) != 2 or not all(halves):
-        raise InputError(file, "has no image1 and image2, and its name is not NAME1_NAME2.npz")
-    first, second = halves
-    return first, second
+        with read_as("names of images", file):
+            return arrays["image1"].astype(str).item(), arrays["image2"].astype(str).item()
+    ends = [match.start() for match in re.finditer("(?<=.)_(?=.)", file.stem)]
+    splits = [(file.stem[:end], file.stem[end + 1 :]) for end in ends]
+    pictures = [pair for pair in splits if all(map(_PICTURE.fullmatch, pair))]
+    halves = pictures or splits
+    if len(halves) == 1:
+        return halves[0]
+    ways = f"its name can be read as NAME1_NAME2.npz in {len(halves)} ways"
+    raise damage or InputError(file, f"has no image1 and image2, and {ways}")
 
 
-def _each_once(pairs: Iterator[tuple[Names, str]]) -> dict[Names, str]:
-    """The places of pairs; of a pair in both orders, the first counts."""
+def _each_once(
+    path: Path, pairs: Iterable[tuple[Names, str]]
+) -> tuple[dict[Names, str], list[str]]:
+    """The places of pairs, and a line about those left out: of several places of a pair, in either
+    order of its images, the first counts."""
     places: dict[frozenset[str], tuple[Names, str]] = {}
+    repeated = []
     for names, place in pairs:
-        places.setdefault(frozenset(names), (names, place))
-    return dict(places.values())
+        if places.setdefault(frozenset(names), (names, place)) != (names, place):
+            repeated.append(place)
+    line = f"{path}: {len(repeated)} of pairs that have matches already are left out"
+    lines = [f"{line} (first: {repeated[0]})"] if repeated else []
+    return dict(places.values()), lines
 
 
 def _images(pairs: Iterable[Names]) -> tuple[str, ...]:

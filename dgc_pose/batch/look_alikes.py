@@ -146,14 +146,15 @@ def evidence_of_pairs(
     folder's quantile; NaN if unknown."""
     number = {name: k for k, name in enumerate(plan.names)}
     cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
-    values, key_points = list[tuple[float, float]](), list[bool]()
+    values = list[tuple[float, float]]()
+    key_points = list[bool]()
     posed = (p for p in pairs if p.row.pose is not None and p.row.pose.status in CONFIGURATIONS)
     for pair in islice(posed, most):
         row, pose = pair.row, pair.row.pose
         assert pose is not None and pose.R is not None  # by its status
         name1, name2 = row.names
-        of_pair = row.fitted_cameras or (cameras[name1], cameras[name2])
-        placed.append(PlacedPair.of(pair, (number[name1], number[name2]), of_pair))
+        both = row.fitted_cameras or (cameras[name1], cameras[name2])
+        placed.append(PlacedPair.of(pair, (number[name1], number[name2]), both))
         # A success starts as accepted, and only other pairs can reject it. Most rotations without a
         # likely pose are wrong.
         known = pose.one_place_probability if pose.success else pose.any_probability

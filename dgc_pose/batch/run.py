@@ -115,7 +115,7 @@ def run_batch(
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
         "second": second,
-        "given": source.given and source.given.state,
+        "given": source.given and [source.given.state, source.given.with_images],
     }
     with _locked_folder(out):
         before: Plan | None = None

@@ -50,6 +50,11 @@ class Source:
     bad: Mapping[str, str] = field(default_factory=dict)  # pictures that are not in `names`, why
     given: GivenMatches | None = None  # matches to judge, instead of matching the photographs
 
+    @property
+    def has_photographs(self) -> bool:
+        """Whether the photographs count. To matches alone, those in `root` are of no concern."""
+        return self.given is None or self.given.with_images
+
 
 def open_source(path: Path, root: Path | None = None, masks: Path | None = None) -> Source:
     """A folder of photographs, a list of pairs, or a COLMAP database.
@@ -143,8 +148,9 @@ def survey(
     for name in source.names:
         path = source.root / name
         with suppress(OSError):
-            files = [file.stat() for file in (path, mask_file(source.masks, name)) if file]
-            states[name] = tuple(n for s in files for n in (s.st_size, s.st_mtime_ns))
+            used = (path, mask_file(source.masks, name)) if source.has_photographs else ()
+            if files := [file.stat() for file in used if file]:
+                states[name] = tuple(n for s in files for n in (s.st_size, s.st_mtime_ns))
         try:
             header = _header(source, calibration, name)
         except (ImageError, InputError) as error:
@@ -177,7 +183,9 @@ def survey(
             cameras[name] = replace(camera, size=header.size if known else None)
     if failures and not cameras:
         raise failures[0]
-    return _with_lines(source, cameras), bad, states
+    if source.has_photographs:
+        cameras = _with_lines(source, cameras)
+    return cameras, bad, states
 
 
 def _header(source: Source, calibration: Calibration, name: str) -> Header:

@@ -3,6 +3,7 @@
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,8 @@ def require_key_points(given: GivenMatches) -> IndexedMatches:
 def write_judged(batch: Batch, given: GivenMatches, path: Path) -> int:
     """Write a database whose two-view geometries are the poses and rotations that the folder
     accepts, with their inliers. The source's database is copied, with all its key points, matches
-    and cameras. Returns the number of pairs. Raises what `write_database` raises."""
+    and cameras; of hloc's images, those of such a pair have key points. Returns the number of
+    pairs. Raises what `write_database` raises."""
     source = require_key_points(given)
     rows: dict[tuple[str, str], PairRow] = {}
     pairs: dict[tuple[str, str], np.ndarray] = {}
@@ -47,7 +49,8 @@ def write_judged(batch: Batch, given: GivenMatches, path: Path) -> int:
             name: camera if camera.size else replace(camera, size=guessed_size(camera))
             for name, camera in batch.plan.final_cameras.items()
         }
-        key_points = {name: source.key_points(name).points for name in cameras}
+        names = set(chain.from_iterable(pairs))
+        key_points = {name: source.key_points(name).points for name in sorted(names)}
         write_database(
             path, batch.plan.names, cameras, SharedMatches(key_points, pairs), rows.values()
         )
@@ -60,7 +63,7 @@ def _write_copy(
     rows: dict[tuple[str, str], PairRow],
     pairs: dict[tuple[str, str], np.ndarray],
 ) -> None:
-    room = _ROOM * source.path.stat().st_size + 2**20
+    room = _ROOM * sum(file.stat().st_size for file in source.files()) + 2**20
     with written_database(path, room) as temporary:
         with open_database(source.path) as before, closing(sqlite3.connect(temporary)) as copy:
             before.backup(copy)

@@ -184,8 +184,9 @@ class OnnxMatcher(KeyPointMatcher):
 
 def input_size(size: Size) -> Size:
     """(width, height) at which a model of any size sees an image: at most `LONG_SIDE`."""
-    scale = min(1.0, LONG_SIDE / max(size))
-    columns, rows = (max(1, int(side * scale) // _MULTIPLE) for side in size)
+    longest = max(size)
+    seen = min(longest, LONG_SIDE)
+    columns, rows = (max(1, side * seen // longest // _MULTIPLE) for side in size)
     return _MULTIPLE * columns, _MULTIPLE * rows
 
 

@@ -136,7 +136,7 @@ class LightGlueMatcher(KeyPointMatcher):
         return values @ self._weights[f"{name}.weight"] + self._weights[f"{name}.bias"]
 
     def _session(self, part: str) -> Session:
-        """Of the graph for the weights whose names begin with `part`."""
+        """The session of the graph for the weights whose names begin with `part`."""
         from dgc_pose.runtime.session import Session
 
         def make() -> Session:

@@ -83,8 +83,9 @@ def assert_the_world(given: GivenMatches, step: int = 1, sizes: bool = True) -> 
         names = (first, second) if (first, second) in given.places else (second, first)
         found = given.read(names)
         found = found if names == (first, second) else found.swapped()
-        points1, points2 = WORLD.key_points[first], WORLD.key_points[second]
-        expected = np.column_stack([points1[index[:, 0]], points2[index[:, 1]]])[::step]
+        points1 = WORLD.key_points[first][index[:, 0]]
+        points2 = WORLD.key_points[second][index[:, 1]]
+        expected = np.column_stack([points1, points2])[::step]
         read = np.column_stack([found.points1, found.points2])
         order, same = (np.lexsort(np.rint(a * 100).T) for a in (read, expected))
         assert np.abs(read[order] - expected[same]).max() < 1e-3  # float32
@@ -128,8 +129,14 @@ def test_a_database_with_a_log(tmp_path: Path) -> None:
         database.execute("UPDATE keypoints SET data = ?, cols = 2", (shifted,))
         database.commit()
         assert (tmp_path / "a.db-wal").stat().st_size
-        found = read_given(path).read(PAIR[::-1])
-    assert (found.points1 == 1 - COLMAP_CENTRE).all()
+        given = read_given(path)
+        before = given.state
+        assert (given.read(PAIR[::-1]).points1 == 1 - COLMAP_CENTRE).all()
+        assert given.state == before  # which reading does not change
+        assert given.files() == [path, tmp_path / "a.db-wal"]
+        database.execute("UPDATE keypoints SET data = ?", (shifted[::-1],))
+        database.commit()
+        assert given.state != before
 
 
 def test_inliers_stand_for_matches_that_are_missing(tmp_path: Path) -> None:
@@ -150,9 +157,14 @@ def test_files_of_hloc(tmp_path: Path, mark: str) -> None:
     assert_the_world(given)
     assert given.read(PAIR).confidence[0] == pytest.approx(0.9, abs=1e-3)
     assert "(0, 0), as here" in given.said[0]
-    with h5py.File(tmp_path / "h/feats-any.h5", "r+") as file:
-        file[f"{PAIR[1]}/keypoints"].attrs["uncertainty"] = 2.5
-    assert read_given(tmp_path / "h").read(PAIR).error_px == 2.5
+    for uncertainties, error_px in (((None, 2.5), 2.5), ((0.5, 0.7), 0.7), ((0.5, None), 1.0)):
+        with h5py.File(tmp_path / "h/feats-any.h5", "r+") as file:
+            for name, uncertainty in zip(PAIR, uncertainties, strict=True):
+                attributes = file[f"{name}/keypoints"].attrs
+                attributes.pop("uncertainty", None)
+                if uncertainty is not None:
+                    attributes["uncertainty"] = uncertainty
+        assert read_given(tmp_path / "h").read(PAIR).error_px == error_px
 
 
 @pytest.mark.parametrize("named", [True, False])
@@ -163,6 +175,80 @@ def test_a_folder_of_npz(tmp_path: Path, named: bool) -> None:
     else:
         assert given.names == tuple(Path(name).name for name in WORLD.names)
     assert given.upright and len(given.places) == len(WORLD.matches)
+
+
+def _npz(path: Path, **arrays: object) -> Path:
+    path.parent.mkdir(exist_ok=True)
+    points = np.array([[1.0, 2.0]])
+    np.savez(path, points1=points, points2=points, **arrays)  # type: ignore[arg-type]
+    return path.parent
+
+
+@pytest.mark.parametrize(
+    ("file", "names"),
+    [
+        ("a_b", ("a", "b")),
+        ("IMG_0001.JPG_IMG_0002.JPG", ("IMG_0001.JPG", "IMG_0002.JPG")),
+        ("IMG_1.jpg_b_2.png", ("IMG_1.jpg", "b_2.png")),
+        ("2024.05.01_7.jpg_2024.05.01_8.jpg", ("2024.05.01_7.jpg", "2024.05.01_8.jpg")),
+        ("a.jpg_b", ("a.jpg", "b")),
+        ("a.b_c.jpg_d.jpg", None),
+        ("a_b_c", None),
+        ("_a", None),
+    ],
+)
+def test_the_names_of_an_npz_by_its_own(
+    tmp_path: Path, file: str, names: tuple[str, str] | None
+) -> None:
+    """If it can be read in one way alone; also of a file that is damaged, until it is read."""
+    folder = _npz(tmp_path / "n" / f"{file}.npz")
+    if names is None:
+        with pytest.raises(InputError, match=r"NAME1_NAME2.npz in [02] ways"):
+            read_given(folder)
+        return
+    assert [*read_given(folder).places] == [names]
+    (folder / f"{file}.npz").write_bytes(b"PK")
+    given = read_given(folder)
+    assert [*given.places] == [names]
+    with pytest.raises(InputError, match="cannot be read as"):
+        given.read(names)
+
+
+@pytest.mark.parametrize(
+    "stated", [("a.jpg", "b.jpg"), (["a.jpg"], ["b.jpg"]), (b"a.jpg", [b"b.jpg"])]
+)
+def test_the_names_that_an_npz_states(tmp_path: Path, stated: tuple[object, object]) -> None:
+    folder = _npz(tmp_path / "n/one.npz", image1=stated[0], image2=stated[1])
+    assert [*read_given(folder).places] == [("a.jpg", "b.jpg")]
+    _npz(tmp_path / "n/two.npz", image1=["a", "b"], image2="c")
+    with pytest.raises(InputError, match=r"two.npz cannot be read as names of images"):
+        read_given(folder)
+
+
+@pytest.mark.parametrize(
+    ("flag", "expected"), [({}, False), ({"key_points": True}, True), ({"key_points": 0}, False)]
+)
+def test_matches_are_of_key_points_if_the_npz_says_so(
+    tmp_path: Path, flag: dict[str, object], expected: bool
+) -> None:
+    given = read_given(_npz(tmp_path / "n/a_b.npz", **flag))
+    assert given.read(("a", "b")).key_points is expected
+
+
+def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
+    for file in ("a_b", "b_a", "c_a"):
+        _npz(tmp_path / "n" / f"{file}.npz")
+    given = read_given(tmp_path / "n")
+    assert [*given.places] == [("a", "b"), ("c", "a")]
+    first, second = given.said
+    assert first.startswith("3 .npz: ")
+    assert second.endswith("1 of pairs that have matches already are left out (first: b_a.npz)")
+    write_hloc(WORLD, tmp_path / "h")
+    with h5py.File(tmp_path / "h/feats-any_matches-any.h5", "r+") as file:
+        names = [name.replace("/", "-") for name in PAIR]
+        file.copy("/".join(names), "/".join(reversed(names)))
+    given = read_given(tmp_path / "h")
+    assert len(given.places) == len(WORLD.matches) and "1 of pairs" in given.said[1]
 
 
 def test_the_state_changes_with_a_file(tmp_path: Path) -> None:

@@ -10,8 +10,10 @@ import pytest
 from boxes import box_picture
 
 from dgc_pose.batch import source as of_batch
+from dgc_pose.batch.given import read_given
 from dgc_pose.batch.source import (
     Source,
+    given_source,
     most_similar,
     open_source,
     parse_pair_choice,
@@ -164,6 +166,22 @@ def test_the_lines_of_photographs_tell_their_camera(tmp_path, K, focals, sources
             assert error < min(0.1, 3 * camera.focal_std)
             if K == "auto":
                 assert camera.focal == cameras["0.png"].focal and camera.focal_std < 0.13
+
+
+def test_photographs_that_nobody_names_do_not_count(tmp_path):
+    """Beside matches, with their names; unless their folder is stated."""
+    names = ("a.png", "b.png")
+    points = np.ones((1, 2))
+    np.savez(tmp_path / "one.npz", points1=points, points2=points, image1=names[0], image2=names[1])
+    given = replace(read_given(tmp_path), sizes=dict.fromkeys(names, (480, 360)))
+    before = survey(given_source(given), read_calibration(None))
+    for name in names:
+        cv2.imwrite(str(tmp_path / name), box_picture(1.2, size=(480, 360)))
+    after = survey(given_source(given), read_calibration(None))
+    assert repr(after) == repr(before)  # arrays have no ==
+    cameras, _, states = survey(given_source(given, tmp_path), read_calibration(None))
+    assert [camera.focal_source for camera in cameras.values()] == ["lines"] * 2
+    assert [*states] == [*names] and [*before[0]] == [*names] and not before[2]
 
 
 def test_the_lines_of_some_photographs_of_a_camera_are_enough(tmp_path, monkeypatch):

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from batch_runs import view_folder
+from batch_runs import killed_after, view_folder
 from command_line import assert_refused, contents, run
 from given_world import given_world, write_hloc, write_npz, write_with_pycolmap
 from worlds import K_text
@@ -59,15 +59,30 @@ def test_a_table_and_its_files(database: Path, tmp_path: Path) -> None:
     assert json.loads(only.stdout)["pairs"] == pairs
 
 
-def test_a_stopped_run_goes_on(database: Path, tmp_path: Path) -> None:
-    """A finished one is read; one of another source, or of one that has changed, is not."""
+def test_a_stopped_run_goes_on(
+    database: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After the pairs that it has. A finished one is read; one of a source that has changed, or
+    without photographs where these are given now, is not."""
     source = tmp_path / "a.db"
     shutil.copy2(database, source)
     words = ("--batch", tmp_path / "batch", *QUICK)
-    assert run("judge", source, *words).exit_code == 0
+    whole = run("judge", source, "--json", "-", *QUICK)
+    with monkeypatch.context() as patch:
+        patch.setattr("dgc_pose.batch.run.local_workers", killed_after(2))
+        killed = run("judge", source, *words)
+    assert killed.exit_code == 1 and "Killed" in killed.stderr
+    resumed = run("judge", source, *words, "--resume", "--json", "-")
+    assert resumed.exit_code == 0 and resumed.stdout == whole.stdout
+    assert read_batch(tmp_path / "batch").summary["matched_now"] == 4
     assert_refused(run("judge", source, *words), "has a batch already", "--resume continues it")
     again = run("judge", source, *words, "--resume", "--csv", tmp_path / "p.csv")
     assert again.exit_code == 0 and (tmp_path / "p.csv").is_file()
+    (tmp_path / "rows").mkdir()
+    for name in WORLD.names:
+        cv2.imwrite(str(tmp_path / name), np.zeros((800, 1000, 3), np.uint8))
+    with_images = run("judge", source, *words, "--resume", "--images", tmp_path)
+    assert_refused(with_images, "--resume needs the same")
     with pycolmap.Database.open(source) as changed:
         changed.clear_two_view_geometries()
     source.touch()
@@ -103,7 +118,7 @@ def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for first, second in ((0, 1), (0, 2), (1, 2)):
         pair = names[first], names[second]
         found = SiftMatcher().match(*(images[name] for name in pair)).matches
-        arrays = {"points1": found.points1, "points2": found.points2}
+        arrays = {"points1": found.points1, "points2": found.points2, "key_points": True}
         np.savez(folder / "npz" / f"{'_'.join(pair)}.npz", **arrays)
     return folder
 
@@ -118,7 +133,8 @@ def test_photographs_tell_what_surrounds_the_matches(photographs: Path, tmp_path
 
 
 def test_the_matches_that_estimate_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """They have a probability, as matches of our network without their map."""
+    """They have a probability, as matches of our network without their map. Their names are those
+    in the photographs' folder."""
     monkeypatch.chdir(tmp_path)
     pair = rendered_pair()
     K1, K2 = (camera.K[(0, 1, 0, 1), (0, 1, 2, 2)] for camera in (pair.camera1, pair.camera2))
@@ -139,9 +155,30 @@ def test_the_matches_that_estimate_writes(tmp_path: Path, monkeypatch: pytest.Mo
     done = run("judge", "npz", "--K", "K.csv", "--json", "-", "--workers", "1")
     (judged,) = json.loads(done.stdout)["pairs"]
     pose = json.loads(Path("pose.json").read_text())
-    assert (judged["name1"], judged["name2"]) == (str(pair.path1), str(pair.path2))
+    assert (judged["name1"], judged["name2"]) == (pair.path1.name, pair.path2.name)
     assert np.allclose(judged["R"], pose["R"], atol=1e-3)
     assert judged["probability"] > 0.9 and pose["probability"] > 0.9
+    with_images = ("--images", pair.path1.parent, "--K", "K.csv", *QUICK)
+    assert run("judge", "npz", *with_images).exit_code == 0
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    for folder, path in (("a", pair.path1), ("b", pair.path2)):
+        shutil.copy(path, tmp_path / folder / "same.png")
+    words = ("a/same.png", "b/../b/same.png", "--runs", "1", "--matches", "same.npz")
+    run("estimate", *words)
+    with np.load("same.npz") as file:
+        assert (file["image1"], file["image2"]) == ("a/same.png", "b/same.png")
+
+
+def test_a_damaged_file_stops_no_other(tmp_path: Path) -> None:
+    folder = write_npz(WORLD, tmp_path / "n", named=False)
+    file = min(folder.iterdir())
+    file.write_bytes(file.read_bytes()[:200])
+    done = run("judge", folder, "--K", "900,905,500,390", "--json", "-", *QUICK)
+    pairs = json.loads(done.stdout)["pairs"]
+    (bad,) = (pair for pair in pairs if pair["status"] == "bad_input")
+    assert "_".join((bad["name1"], bad["name2"], "")) == f"{file.stem}_"
+    assert done.exit_code == 0 and len(pairs) == 6 and f"{file} cannot be read" in str(bad)
 
 
 def test_photographs_that_do_not_fit(photographs: Path, database: Path, tmp_path: Path) -> None:

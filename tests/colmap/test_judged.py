@@ -1,7 +1,10 @@
 """Judged databases, as pycolmap reads them and maps from them."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pycolmap
 import pytest
@@ -54,6 +57,39 @@ def test_the_claimed_pairs_have_geometries(tmp_path: Path, kind: str) -> None:
             assert before.num_matches() == after.num_matches() == 3000
             assert before.num_keypoints() == after.num_keypoints()
             assert before.num_verified_image_pairs() == 0
+
+
+def test_key_points_of_an_unusable_image_stop_no_other(tmp_path: Path) -> None:
+    source = write_hloc(WORLD, tmp_path / "h")
+    odd = WORLD.names[-1]
+    with h5py.File(source / "feats-any.h5", "r+") as file:
+        del file[f"{odd}/keypoints"]
+        file[f"{odd}/keypoints"] = np.array([b"none"])
+    done = run("judge", source, "--out", tmp_path / "a.db", *HLOC_K, *QUICK)
+    assert done.exit_code == 0 and "bad_input 5" in done.stdout, done.output
+    with pycolmap.Database.open(tmp_path / "a.db") as database:
+        images = {image.name: image.image_id for image in database.read_all_images()}
+        filled = {name for name in images if database.num_keypoints_for_image(images[name])}
+        assert filled == {*WORLD.names} - {odd} and database.num_verified_image_pairs() == 10
+
+
+def test_the_room_for_a_copy_is_that_of_the_log_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms = []
+    monkeypatch.setattr(
+        "dgc_pose.colmap.database.require_room", lambda path, size: rooms.append(size)
+    )
+    source = write_with_pycolmap(WORLD, tmp_path / "a.db")
+    with closing(sqlite3.connect(source)) as log:
+        log.execute("PRAGMA journal_mode = WAL")
+        log.execute("PRAGMA wal_autocheckpoint = 0")
+        log.execute("CREATE TABLE more AS SELECT zeroblob(1000000)")
+        log.commit()
+        done = run("judge", source, "--out", tmp_path / "judged.db", *QUICK)
+        assert done.exit_code == 0, done.output
+        assert source.stat().st_size < 10**6 < (tmp_path / "judged.db").stat().st_size
+    assert rooms[0] > 2 * 10**6
 
 
 def test_the_mapper_goes_on_from_there(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import tiny_onnx
 from dgc_pose import load_matcher
 from dgc_pose.errors import InputError, WeightsError
 from dgc_pose.images.image import Image
-from dgc_pose.matching.key_points import RATIO, SiftMatcher
+from dgc_pose.matching.key_points import LONG_SIDE, RATIO, SiftMatcher, input_size
 
 
 def test_sift_s_matches_lie_on_the_surface() -> None:
@@ -21,6 +21,15 @@ def test_sift_s_matches_lie_on_the_surface() -> None:
     assert np.median(off) < 1.0 and (off < 3).mean() > 0.8 and len(matches) > 60
     assert matches.confidence.min() >= 1 - RATIO
     assert matches.key_points and result.correspondence_map is None
+
+
+def test_larger_images_are_seen_at_the_long_side() -> None:
+    """Exactly, whatever the width; smaller ones at the next multiple of 32 below their size."""
+    for width in range(1, 12_000):
+        longer, shorter = input_size((width, -(-width // 2)))
+        assert longer == (LONG_SIDE if width > LONG_SIDE else max(32, width // 32 * 32))
+        assert shorter == max(32, longer // 2 // 32 * 32) or width < LONG_SIDE
+        assert input_size((-(-width // 2), width)) == (shorter, longer)
 
 
 SHIFT = (16, 8)  # pixels, x and y: whole cells of the grid

@@ -188,15 +188,21 @@ def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
     return Camera(K, size, distortion)
 
 
+def database_files(path: Path) -> list[Path]:
+    """The file of a database, and the logs of SQLite that complete it."""
+    file = path.resolve()
+    logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
+    return [path, *(log for log in logs if log.stat().st_size)]
+
+
 @contextmanager
 def open_database(path: Path) -> Iterator[sqlite3.Connection]:
     """A COLMAP database to read, including what is in SQLite's log beside it. The file is not
     modified. Raises InputError, with the path, for whatever the block cannot read."""
     open_file(path).close()
-    file = path.resolve()
-    logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
-    names = [log.name for log in logs if log.stat().st_size]  # they complete the database
-    uri = f"{file.as_uri()}?{'mode=ro' if names else 'immutable=1'}"
+    _, *logs = database_files(path)
+    names = [log.name for log in logs]
+    uri = f"{path.resolve().as_uri()}?{'mode=ro' if logs else 'immutable=1'}"
     with (
         read_as(" with ".join(["a COLMAP database", *names]), path),
         closing(sqlite3.connect(uri, uri=True)) as database,
