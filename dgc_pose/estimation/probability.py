@@ -20,7 +20,9 @@ from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 5  # of the file
-MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
+MatchKind = Literal[
+    "network", "matches", "key_points", "network_auto", "matches_auto", "key_points_auto"
+]
 _MAX_REASONS = 2
 # 8 % of the pairs of the fit show two places, and 2 % of the pairs in use.
 _FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))
@@ -31,11 +33,11 @@ _PRIOR_FOCAL_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
-def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
-    """The kind of model for matches with a dense map, without one, or of key points; `_auto` if the
-    focal lengths are fitted."""
-    if key_points:
-        return "key_points"
+def match_kind(*, known: bool, with_map: bool, fitted: bool) -> MatchKind:
+    """The kind of model for matches of known weights with a dense map, without one, or for matches
+    of any other matcher, whose map counts for nothing; `_auto` if the focal lengths are fitted."""
+    if not known:
+        return "key_points_auto" if fitted else "key_points"
     if fitted:
         return "network_auto" if with_map else "matches_auto"
     return "network" if with_map else "matches"
@@ -165,6 +167,8 @@ class ProbabilityModel:
     translation_error: ErrorModel
     choice: Mapping[str, float]  # log-odds per unit of each of `CHOICE_FEATURES`, and "lapse"
     same_place: SamePlace
+    # Names of the matchers that a model for any matcher was tested on; () for one of known weights.
+    tested: tuple[str, ...] = ()
 
     def probability(self, evidence: Evidence) -> float:
         """The probability that a pose with R and t within 10 degrees is among those that explain
@@ -231,20 +235,23 @@ class FittedModels(NamedTuple):
     weights: frozenset[str]  # fingerprints of the networks whose matches were used for the fit
 
     def model(
-        self, weights: str | None, *, key_points: bool, with_map: bool, fitted: bool
+        self, weights: str | None, *, with_map: bool, fitted: bool
     ) -> ProbabilityModel | None:
         """The model for matches, see `match_kind`; None if none is fitted for such matches.
-        weights: from `Matches`. The model for key points is for any detector."""
-        if not key_points and weights not in self.weights:
-            return None
-        return self.by_kind.get(match_kind(key_points=key_points, with_map=with_map, fitted=fitted))
+        weights: from `Matches`."""
+        known = weights in self.weights
+        return self.by_kind.get(match_kind(known=known, with_map=with_map, fitted=fitted))
 
 
 @cache
 def shipped_models() -> FittedModels:
     """The models in the package."""
-    file = files("dgc_pose.estimation").joinpath("probability.json")
-    return parse_models(file.read_text("utf-8"))
+    return parse_models(shipped_text())
+
+
+def shipped_text() -> str:
+    """The package's `probability.json`."""
+    return files("dgc_pose.estimation").joinpath("probability.json").read_text("utf-8")
 
 
 def parse_models(text: str) -> FittedModels:
@@ -259,6 +266,7 @@ def parse_models(text: str) -> FittedModels:
             ErrorModel(**values["translation_error"]),
             values["choice"],
             SamePlace(**data["same_place"]),
+            tuple(values.get("tested", ())),
         )
         for kind, values in data["models"].items()
     }
