@@ -48,6 +48,9 @@ EXTRAS = {
     "torch": {"torch": "torch"},
 }
 
+# Distributions of this repository that no extra has: each installs from its folder.
+FOLDERS = {"lightglue": {"dgc_pose_lightglue": "dgc_pose_lightglue"}}
+
 
 def is_installed(module: str) -> bool:
     """Whether a module is installed; does not import it."""
@@ -55,9 +58,10 @@ def is_installed(module: str) -> bool:
 
 
 def require(needs: Mapping[str, str]) -> None:
-    """Raise InputError, with the command that installs it, if one of these extras is missing.
+    """Raise InputError, with the command that installs it, if one of these extras or folders is
+    missing.
 
-    needs: by feature, such as an option, the name of the extra that it needs.
+    needs: by feature, such as an option, the name of the extra or folder that it needs.
     """
     for what, extra in needs.items():
         if message := _missing(what, extra):
@@ -75,11 +79,13 @@ def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | N
 
 
 def _missing(what: str, extra: str) -> str | None:
-    lacks = sorted({name for module, name in EXTRAS[extra].items() if not is_installed(module)})
+    modules = EXTRAS.get(extra) or FOLDERS[extra]
+    lacks = sorted({name for module, name in modules.items() if not is_installed(module)})
     if not lacks:
         return None
     names, verb = " and ".join(lacks), "is" if len(lacks) == 1 else "are"
-    return f"{what} needs {names}, which {verb} not installed: pip install '.[{extra}]'"
+    source = f"./{extra}" if extra in FOLDERS else f"'.[{extra}]'"
+    return f"{what} needs {names}, which {verb} not installed: pip install {source}"
 
 
 def reason(failure: BaseException) -> str:

@@ -12,6 +12,7 @@ from dgc_pose.errors import ArgumentName, InputError, WeightsError, is_installed
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.matching import Matcher, MatchingOptions, NetworkMatcher
 from dgc_pose.matching.key_points import OnnxMatcher, SiftMatcher
+from dgc_pose.matching.lightglue import LightGlueMatcher
 from dgc_pose.matching.vismatch import PREFIX, VismatchMatcher
 from dgc_pose.network.config import DEFAULT_WEIGHTS, PRESETS
 from dgc_pose.network.weights import SUFFIX, choose_device, find_weights, load_network, shipped
@@ -24,7 +25,8 @@ RUNTIME_HELP = (
     "onnx: ONNX Runtime, on the CPU; torch; auto: onnx for dgcm-lite0 on the CPU, else torch."
 )
 _ONNX = ".onnx"
-NAMES = ("sift", f"*{_ONNX}", f"{PREFIX}*")  # of matchers other than our networks
+_NAMED = {matcher.name: matcher for matcher in (SiftMatcher, LightGlueMatcher)}
+NAMES = (*_NAMED, f"*{_ONNX}", f"{PREFIX}*")  # of matchers other than our networks
 _DRIVERS = ("/dev/nvidiactl", "/dev/kfd", "/dev/dxg")  # devices of GPUs, on Linux and in WSL
 
 
@@ -39,7 +41,7 @@ class MatcherOptions:
     weights: str = option(
         DEFAULT_WEIGHTS,
         "Shipped weights by name; a file, .safetensors or an authors' .pth; or another matcher: "
-        "sift, MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
+        "sift, aliked-lightglue, MODEL.onnx (a detector with descriptors), or vismatch:NAME.",
         metavar="NAME|FILE",
     )
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
@@ -53,15 +55,15 @@ class MatcherOptions:
     def is_network(self) -> bool:
         """Whether the matcher is one of our networks: it makes a dense map, and its features refine
         the matches and choose pairs."""
-        return self.weights != "sift" and not (
+        return self.weights not in _NAMED and not (
             self.weights.startswith(PREFIX) or self.weights.endswith(_ONNX)
         )
 
     def load(self, cache: ImageCache | None = None, engine: Engine | None = None) -> Matcher:
         """The matcher; see `load_matcher`. engine: the engine of a network, if it is loaded."""
         name = self.weights
-        if name == "sift":
-            return SiftMatcher(cache)
+        if name in _NAMED:
+            return _NAMED[name](cache)
         if name.startswith(PREFIX):
             return VismatchMatcher(name, self.device)
         if name.endswith(_ONNX):

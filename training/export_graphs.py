@@ -74,8 +74,8 @@ def export(folder: Path) -> None:
     weights_of: dict[str, list[str]] = {}
 
     def write(graph: str, module: nn.Module, inputs: list[Any], shapes: list[Any]) -> None:
-        model = _graph(module.eval(), tuple(inputs), (tuple(shapes),))
-        weights_of[graph] = _without_weights(model, set(net.state_dict()))
+        model = onnx_graph(module.eval(), tuple(inputs), (tuple(shapes),))
+        weights_of[graph] = without_weights(model, set(net.state_dict()))
         onnx.save_model(model, folder / graph)
 
     def resample(features: Tensor, like: Tensor) -> Tensor:
@@ -107,7 +107,9 @@ def export(folder: Path) -> None:
     (folder / graphs.WEIGHTS).write_text(text + "\n", encoding="utf-8")
 
 
-def _graph(module: nn.Module, inputs: tuple[Any, ...], shapes: tuple[Any, ...]) -> onnx.ModelProto:
+def onnx_graph(
+    module: nn.Module, inputs: tuple[Any, ...], shapes: tuple[Any, ...]
+) -> onnx.ModelProto:
     """The graph of a module, with its weights and without the exporter's notes."""
     program = torch.onnx.export(
         module,
@@ -128,7 +130,7 @@ def _graph(module: nn.Module, inputs: tuple[Any, ...], shapes: tuple[Any, ...]) 
     return model
 
 
-def _without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
+def without_weights(model: onnx.ModelProto, names: set[str]) -> list[str]:
     """Remove the values of the initializers in `names`; return the names of those removed."""
     removed = [tensor for tensor in model.graph.initializer if tensor.name in names]
     for tensor in removed:

@@ -43,11 +43,16 @@ _LEAST_SCORE = 0.05  # least probability of a key point
 _RADIUS = 2  # pixels around a key point that contain no other one
 
 
+# Rows (M,) of the first and of the second key points, and confidences (M,) of these matches
+Rows = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
 class KeyPoints(NamedTuple):
     """The key points of an image and their descriptors."""
 
-    points: np.ndarray  # (N, 2), pixels of the image
+    points: np.ndarray  # (N, 2), pixels of the image at `size`
     descriptors: np.ndarray  # (N, D)
+    size: Size  # (width, height) at which they were found
 
     @property
     def nbytes(self) -> int:
@@ -64,27 +69,29 @@ class KeyPointMatcher(Matcher):
     def _detect(self, image: Image) -> KeyPoints:
         raise NotImplementedError
 
-    def _matched(
-        self, descriptors1: np.ndarray, descriptors2: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows (M,) of the first and of the second descriptors that match, and confidences (M,)."""
+    def _matched(self, found1: KeyPoints, found2: KeyPoints) -> Rows:
+        """The rows of the first and of the second key points that match, and their confidences."""
         raise NotImplementedError
 
-    def _error_px(self, image1: Image, image2: Image) -> float:
-        """Expected error of a good match, pixels of the images."""
-        return ERROR_PX
-
     def _match(self, image1: Image, image2: Image) -> MatchResult:
-        (points1, descriptors1), (points2, descriptors2) = (
-            self.cache.get(image, "key points", partial(self._detect, image))
-            for image in (image1, image2)
-        )
+        images = image1, image2
+        found = [
+            self.cache.get(image, "key points", partial(self._detect, image)) for image in images
+        ]
         rows1 = rows2 = np.zeros(0, int)
         confidence = np.zeros(0)
-        if min(len(points1), len(points2)) > 1:  # a ratio test needs two
-            rows1, rows2, confidence = self._matched(descriptors1, descriptors2)
-        error_px = self._error_px(image1, image2)
-        matches = Matches(points1[rows1], points2[rows2], confidence, error_px, key_points=True)
+        if min(len(one.points) for one in found) > 1:  # a ratio test needs two
+            rows1, rows2, confidence = self._matched(*found)
+        points1, points2 = (
+            rescale(one.points[rows], one.size, image.size)
+            for one, rows, image in zip(found, (rows1, rows2), images, strict=True)
+        )
+        scales = [
+            math.sqrt(math.prod(image.size) / math.prod(one.size))
+            for one, image in zip(found, images, strict=True)
+        ]
+        error_px = ERROR_PX * sum(scales) / 2
+        matches = Matches(points1, points2, confidence, error_px, key_points=True)
         return MatchResult(matches, None)
 
 
@@ -99,15 +106,15 @@ class SiftMatcher(KeyPointMatcher):
         grey = cv2.cvtColor(image.pixels, cv2.COLOR_RGB2GRAY)
         points, descriptors = detector.detectAndCompute(grey, None)
         if descriptors is None:
-            return KeyPoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32))
-        return KeyPoints(np.array([point.pt for point in points], np.float64), descriptors)
+            return KeyPoints(np.zeros((0, 2)), np.zeros((0, 128), np.float32), image.size)
+        at = np.array([point.pt for point in points], np.float64)
+        return KeyPoints(at, descriptors, image.size)
 
-    def _matched(
-        self, descriptors1: np.ndarray, descriptors2: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _matched(self, found1: KeyPoints, found2: KeyPoints) -> Rows:
         matcher = cv2.BFMatcher(cv2.NORM_L2)
-        forward = matcher.knnMatch(descriptors1, descriptors2, k=2)
-        backward = {m.queryIdx: m.trainIdx for m in matcher.match(descriptors2, descriptors1)}
+        forward = matcher.knnMatch(found1.descriptors, found2.descriptors, k=2)
+        other_way = matcher.match(found2.descriptors, found1.descriptors)
+        backward = {m.queryIdx: m.trainIdx for m in other_way}
         kept = [
             (best.queryIdx, best.trainIdx, 1 - best.distance / max(second.distance, 1e-12))
             for best, second in forward
@@ -124,7 +131,7 @@ class OnnxMatcher(KeyPointMatcher):
     """
 
     def __init__(self, path: str | Path, cache: ImageCache | None = None) -> None:
-        from dgc_pose.runtime.onnx_engine import Session  # ONNX Runtime is slow to import
+        from dgc_pose.runtime.session import Session  # ONNX Runtime is slow to import
 
         super().__init__(cache)
         self.path = find_weights(path)
@@ -161,29 +168,33 @@ class OnnxMatcher(KeyPointMatcher):
         best = np.argsort(-scores, kind="stable")[:MAX_POINTS]
         lengths = np.linalg.norm(descriptors[best], axis=1, keepdims=True)
         unit = descriptors[best] / np.maximum(lengths, 1e-9)
-        points = rescale(points[best].astype(np.float64), size, image.size)
-        return KeyPoints(points, unit.astype(np.float32))
+        return KeyPoints(points[best].astype(np.float64), unit.astype(np.float32), size)
 
-    def _matched(
-        self, descriptors1: np.ndarray, descriptors2: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        cosines = descriptors1 @ descriptors2.T
-        nearest = cosines.argmax(1)
-        rows = np.flatnonzero(cosines.argmax(0)[nearest] == np.arange(len(nearest)))
-        return rows, nearest[rows], cosines[rows, nearest[rows]].clip(0, 1)
-
-    def _error_px(self, image1: Image, image2: Image) -> float:
-        areas = [math.prod(image.size) / math.prod(self._size(image)) for image in (image1, image2)]
-        return ERROR_PX * sum(map(math.sqrt, areas)) / 2
+    def _matched(self, found1: KeyPoints, found2: KeyPoints) -> Rows:
+        rows1, rows2, cosines = mutual(found1.descriptors @ found2.descriptors.T)
+        return rows1, rows2, cosines.clip(0, 1)
 
     def _size(self, image: Image) -> Size:
         """(width, height) of the model's input."""
         height, width = self._sides
         if isinstance(width, int) and isinstance(height, int):
             return width, height
-        scale = min(1.0, LONG_SIDE / max(image.size))
-        columns, rows = (max(1, int(side * scale) // _MULTIPLE) for side in image.size)
-        return _MULTIPLE * columns, _MULTIPLE * rows
+        return input_size(image.size)
+
+
+def input_size(size: Size) -> Size:
+    """(width, height) at which a model of any size sees an image: at most `LONG_SIDE`."""
+    scale = min(1.0, LONG_SIDE / max(size))
+    columns, rows = (max(1, int(side * scale) // _MULTIPLE) for side in size)
+    return _MULTIPLE * columns, _MULTIPLE * rows
+
+
+def mutual(scores: np.ndarray) -> Rows:
+    """The entries of a matrix that are the highest of their row and of their column: rows, columns
+    and values."""
+    nearest = scores.argmax(1)
+    rows = np.flatnonzero(scores.argmax(0)[nearest] == np.arange(len(nearest)))
+    return rows, nearest[rows], scores[rows, nearest[rows]]
 
 
 def _find_roles(shapes: Sequence[Shape]) -> dict[str, int]:

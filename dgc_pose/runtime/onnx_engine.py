@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
-import threading
-from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import PIL.Image
 
-from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.errors import InputError
 from dgc_pose.images.image import resize
 from dgc_pose.network.config import (
     COARSEST,
@@ -33,13 +29,8 @@ from dgc_pose.network.correlation import consensus, match_scores, peaks, pooled_
 from dgc_pose.network.weights import check_state, fingerprint, folded, read_safetensors
 from dgc_pose.runtime import engine as graphs
 from dgc_pose.runtime.engine import MapFeatures, NativeFeatures
-from dgc_pose.system.files import open_file
-from dgc_pose.system.onnx_library import SHARED_ARENA, onnxruntime
+from dgc_pose.runtime.session import Session, Sessions
 from dgc_pose.system.parallel import in_threads
-
-_QUIET = 4  # log level: errors are raised, and need not be printed
-_MOST_THREADS = 8  # the graphs are small: more threads would only wait for each other
-_MAKING = threading.Lock()  # held while a session is made: two threads may need the same one
 
 
 class OnnxEngine:
@@ -63,7 +54,7 @@ class OnnxEngine:
         self._weights = folded(self._stored)
         self.correlation_scales = self._weights["correlation_scales"]  # in no graph
         self._names = names["graphs"]
-        self._sessions: dict[tuple[int, str], Session] = {}
+        self._sessions = Sessions()
         # Source, target, level and state (1, 3, h, w) of the last map: a finer map continues it
         self._begun: tuple[MapFeatures, MapFeatures, int, np.ndarray] | None = None
 
@@ -134,12 +125,11 @@ class OnnxEngine:
         return [[l2_normalised(level[0]) for level in levels] for levels in scales]
 
     def _session(self, graph: str) -> Session:
-        key = os.getpid(), graph
-        with _MAKING:
-            if key not in self._sessions:
-                weights = {name: self._weights[name] for name in self._names[graph]}
-                self._sessions[key] = Session(graphs.GRAPHS / graph, weights)
-            return self._sessions[key]
+        def make() -> Session:
+            weights = {name: self._weights[name] for name in self._names[graph]}
+            return Session(graphs.GRAPHS / graph, weights)
+
+        return self._sessions.get(graph, make)
 
 
 def l2_normalised(features: np.ndarray) -> np.ndarray:
@@ -174,50 +164,3 @@ def _shrunk(image: np.ndarray, ratio: float) -> np.ndarray:
         for plane in np.ascontiguousarray(image.transpose(2, 0, 1))
     ]
     return np.stack([np.asarray(plane) for plane in planes], -1)
-
-
-class Session:
-    """A graph, called with arrays in the order of its inputs, from any thread.
-
-    weights: exactly the graph's initializers, by name. Raises WeightsError if weights are missing
-    or do not fit, OSError, with the path, if the graph cannot be read.
-    """
-
-    def __init__(self, path: Path, weights: Mapping[str, np.ndarray]) -> None:
-        open_file(path, WeightsError).close()  # ONNX Runtime hides the system's message
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = session_threads()
-        options.inter_op_num_threads = 1
-        options.log_severity_level = _QUIET
-        options.add_session_config_entry(SHARED_ARENA, "1")
-        # Threads without work must not take the processor from other processes.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        # The values must outlive the session.
-        self._values = [
-            onnxruntime.OrtValue.ortvalue_from_numpy(value) for value in weights.values()
-        ]
-        options.add_external_initializers(list(weights), self._values)
-        try:
-            self._session = onnxruntime.InferenceSession(
-                str(path),
-                options,
-                providers=["CPUExecutionProvider"],
-                enable_fallback=0,  # would try the same again, and print
-            )
-        except Exception as error:  # onnxruntime's errors have no common base
-            raise WeightsError(f"{path.name}: {str(error).splitlines()[0]}") from error
-        self.inputs, self.outputs = (
-            [(tensor.name, tensor.shape) for tensor in tensors]
-            for tensors in (self._session.get_inputs(), self._session.get_outputs())
-        )
-
-    def __call__(self, *arrays: np.ndarray) -> list[np.ndarray]:
-        inputs = {name: array for (name, _), array in zip(self.inputs, arrays, strict=True)}
-        return self._session.run(None, inputs)
-
-
-def session_threads() -> int:
-    """As many threads as OpenCV uses, but at most `_MOST_THREADS` and OMP_NUM_THREADS."""
-    most = min(_MOST_THREADS, max(1, cv2.getNumThreads()))
-    allowed = os.environ.get("OMP_NUM_THREADS", "").split(",")[0]
-    return min(most, int(allowed)) if allowed.isdigit() and int(allowed) > 0 else most

@@ -19,7 +19,8 @@ from dgc_pose.network.config import preset
 from dgc_pose.network.net import DGCNet, normalise
 from dgc_pose.network.weights import find_weights, folded, load_network
 from dgc_pose.runtime.engine import GRAPHS, WEIGHTS
-from dgc_pose.runtime.onnx_engine import OnnxEngine, session_threads
+from dgc_pose.runtime.onnx_engine import OnnxEngine
+from dgc_pose.runtime.session import session_threads
 from dgc_pose.runtime.torch_engine import TorchEngine, for_inference
 from dgc_pose.training.run import save_weights
 
@@ -115,7 +116,7 @@ def test_the_same_in_threads_and_in_a_forked_process(pictures):
 
 
 def test_threads_are_opencv_s_and_no_more_than_openmp_allows(monkeypatch):
-    monkeypatch.setattr("dgc_pose.runtime.onnx_engine.cv2.getNumThreads", lambda: 4)
+    monkeypatch.setattr("dgc_pose.runtime.session.cv2.getNumThreads", lambda: 4)
     for allowed, expected in (("", 4), ("1", 1), ("3,2", 3), ("6", 4), ("many", 4), ("0", 4)):
         monkeypatch.setenv("OMP_NUM_THREADS", allowed)
         assert session_threads() == expected
