@@ -193,8 +193,8 @@ def _logistic(
 
 
 def _ridge_fit(X: np.ndarray, right: np.ndarray, strength: float) -> tuple[np.ndarray, float]:
-    """As `regression`, by Newton's method: coefficients (F,) and the intercept. The cross-validation
-    makes some thousand such fits, and scikit-learn's checks take longer than the fit."""
+    """As `regression`, by Newton's method: coefficients (F,) and the intercept. Cross-validation
+    makes a thousand such fits; the checks of scikit-learn would take longer than these."""
     columns = np.column_stack([X, np.ones(len(X))])
     penalty = np.append(np.full(X.shape[1], 1 / strength), 0.0)
     weights = np.zeros(len(penalty))

@@ -1,4 +1,4 @@
-"""Whether the model for any matcher holds for matchers that it is not fitted on."""
+"""Whether the model for key points holds for matchers that it is not fitted on."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,23 +19,30 @@ _MOST_LEFT_OUT = 2  # matchers
 
 
 def generality_text(rows: Mapping[str, Sequence[Record]], kind: MatchKind) -> str:
-    """A table of the claims for matchers that a model is not fitted on, and a first part with the
-    model of all matchers. rows: the records by matcher.
+    """A table of the claims for each matcher, by models fitted on all matchers of key points and
+    without some of them. rows: the records by matcher.
 
     "report": of the part `report`. "scenes": of the part `fit`, by models fitted on other scenes.
     """
+    fitted_on = [name for name in rows if are_key_points(rows[name])]
+    others = tuple(name for name in rows if name not in fitted_on)
     bins = [f"{low:g} to {high:g}" for low, high in zip(_EDGES, _EDGES[1:], strict=False)]
     heading = ("matches of", "fitted without", "on", "pairs", *bins, "claims", "wrong", "R", "t")
     table = [heading]
-    for count in range(min(_MOST_LEFT_OUT, len(rows) - 1) + 1):
-        for left_out in combinations(rows, count):
-            fitted = [row for name in rows if name not in left_out for row in rows[name]]
+    for count in range(min(_MOST_LEFT_OUT, len(fitted_on) - 1) + 1):
+        for left_out in combinations(fitted_on, count):
+            fitted = [r for name in fitted_on if name not in left_out for r in rows[name]]
             fields = {"report": [fit_model(fitted, kind)], "scenes": _by_fold(fitted, kind)}
-            for name in left_out or rows:
+            for name in (*(left_out or fitted_on), *others):
                 for part, models in fields.items():
                     poses = _of_part(rows[name], part, [one_place(f, kind) for f in models])
                     table.append((name, ", ".join(left_out) or "-", part, *_cells(poses)))
     return aligned(table)
+
+
+def are_key_points(rows: Iterable[Record]) -> bool:
+    """Whether the matches of a matcher are key points."""
+    return any(row.evidence is not None and row.evidence.key_points for row in rows)
 
 
 def one_place(fields: Mapping[str, Any], kind: MatchKind) -> ProbabilityModel:

@@ -15,7 +15,11 @@ from dgc_pose.benchmarks.probability.fitting import (
     fit_model,
     fit_same_place,
 )
-from dgc_pose.benchmarks.probability.generality import generality_text, one_place
+from dgc_pose.benchmarks.probability.generality import (
+    are_key_points,
+    generality_text,
+    one_place,
+)
 from dgc_pose.benchmarks.probability.judging import Judged, judged
 from dgc_pose.benchmarks.probability.planned import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
@@ -36,8 +40,8 @@ _KINDS: dict[MatchKind, str] = {
     "matches": "the same matches without the map",
     "network_auto": "matches of a network, K withheld",
     "matches_auto": "the same without the map, K withheld",
-    "key_points": "matches of other matchers",
-    "key_points_auto": "matches of other matchers, K withheld",
+    "key_points": "key points",
+    "key_points_auto": "key points, K withheld",
 }
 
 
@@ -121,7 +125,10 @@ def fit_all(
             used[method] = engine
         by_kind = {**kinds, **by_kind}
     by_matcher = _by_matcher(pieces, settings["others"], entries)
-    joined = {kind: [*chain(*rows.values())] for kind, rows in by_matcher.items()}
+    joined = {
+        kind: [*chain(*(members for members in rows.values() if are_key_points(members)))]
+        for kind, rows in by_matcher.items()
+    }
     if not by_kind and not joined:
         raise InputError("no pose was found in any pair")
     data = json.loads(shipped_text())
@@ -137,7 +144,8 @@ def fit_all(
         }
         models = {**fitted, **models}
     for kind, rows in joined.items():
-        models[kind] = {**fit_model(rows, kind), "tested": [*by_matcher[kind]]}
+        tested = [name for name, own in by_matcher[kind].items() if are_key_points(own)]
+        models[kind] = {**fit_model(rows, kind), "tested": tested}
     data["models"] = models
     text = json.dumps(data, indent=1) + "\n"
     parsed = parse_models(text).by_kind
@@ -147,7 +155,7 @@ def fit_all(
     }
     parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
     parts += [
-        f"{_KINDS[kind]}: by matcher\n\n{generality_text(rows, kind)}"
+        f"{_KINDS[kind]}, by matcher\n\n{generality_text(rows, kind)}"
         for kind, rows in by_matcher.items()
     ]
     lines = f"lines of the images: {fit_lines(pieces)}"
@@ -178,7 +186,7 @@ def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
         members = [row for row in rows if row.cameras == cameras]
         known = [row.evidence for row in members if row.evidence is not None]
         for with_map in {e.map_agreement is not None for e in known}:
-            of = {"known": True, "fitted": cameras == "auto"}
+            of = {"key_points": False, "fitted": cameras == "auto"}
             kinds[match_kind(with_map=with_map, **of)] = members
             if with_map:
                 kinds[match_kind(with_map=False, **of)] = _without_map(members)
@@ -193,8 +201,8 @@ def _by_matcher(
     kinds: dict[MatchKind, dict[str, list[Record]]] = {}
     for cameras in ("exact", "auto"):
         own = {name: [r for r in rows if r.cameras == cameras] for name, rows in by_name.items()}
-        if any(row.evidence for rows in own.values() for row in rows):
-            kind = match_kind(known=False, with_map=False, fitted=cameras == "auto")
+        if any(map(are_key_points, own.values())):
+            kind = match_kind(key_points=True, with_map=False, fitted=cameras == "auto")
             kinds[kind] = own
     return kinds
 

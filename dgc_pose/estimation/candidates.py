@@ -91,6 +91,7 @@ def candidates(
         map_problem = TwoViewProblem.of(map_matches, *model.cameras, map_options)
     logistic = shipped_models().model(
         stated.matches.weights,
+        key_points=stated.matches.key_points,
         with_map=bool(map_problem),
         fitted=fitted and any(camera.focal_std for camera in model.cameras),
     )

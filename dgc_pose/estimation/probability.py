@@ -33,10 +33,10 @@ _PRIOR_FOCAL_LOG_ODDS, _OPEN_FOCAL_PERCENT = math.log(9.0), (15.0, 40.0)
 _MAX_LOG_FACTOR = 4.0  # of the calibrated error over the raw one
 
 
-def match_kind(*, known: bool, with_map: bool, fitted: bool) -> MatchKind:
-    """The kind of model for matches of known weights with a dense map, without one, or for matches
-    of any other matcher, whose map counts for nothing; `_auto` if the focal lengths are fitted."""
-    if not known:
+def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
+    """The kind of model for matches with a dense map, without one, or of key points; `_auto` if the
+    focal lengths are fitted."""
+    if key_points:
         return "key_points_auto" if fitted else "key_points"
     if fitted:
         return "network_auto" if with_map else "matches_auto"
@@ -167,7 +167,7 @@ class ProbabilityModel:
     translation_error: ErrorModel
     choice: Mapping[str, float]  # log-odds per unit of each of `CHOICE_FEATURES`, and "lapse"
     same_place: SamePlace
-    # Names of the matchers that a model for any matcher was tested on; () for one of known weights.
+    # Names of the matchers that the model of key points was tested on; () for others.
     tested: tuple[str, ...] = ()
 
     def probability(self, evidence: Evidence) -> float:
@@ -235,12 +235,13 @@ class FittedModels(NamedTuple):
     weights: frozenset[str]  # fingerprints of the networks whose matches were used for the fit
 
     def model(
-        self, weights: str | None, *, with_map: bool, fitted: bool
+        self, weights: str | None, *, key_points: bool, with_map: bool, fitted: bool
     ) -> ProbabilityModel | None:
         """The model for matches, see `match_kind`; None if none is fitted for such matches.
-        weights: from `Matches`."""
-        known = weights in self.weights
-        return self.by_kind.get(match_kind(known=known, with_map=with_map, fitted=fitted))
+        weights: from `Matches`. The model for key points is for any detector."""
+        if not key_points and weights not in self.weights:
+            return None
+        return self.by_kind.get(match_kind(key_points=key_points, with_map=with_map, fitted=fitted))
 
 
 @cache

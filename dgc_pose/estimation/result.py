@@ -66,8 +66,8 @@ class RelativePose:
             similar part, from the surroundings of the matches; 1 if unknown. The probabilities of a
             success and its alternatives, or of the poses of an ambiguous pair, add up to this times
             `any_probability`.
-        tested_matchers: Names of the matchers whose matches the probability was tested on, if the
-            matches are of another matcher than the network; else ().
+        tested_matchers: Names of the matchers that the probability of key points was tested on;
+            () for a network's matches and without a probability.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
             well, the likeliest first: from a plane, repeated structure, mirrored depth or another
             motion. With "ambiguous" all poses, none if an image may be mirrored; with any other

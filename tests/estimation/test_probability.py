@@ -44,7 +44,7 @@ MODEL = {
 
 
 def _text(**changes: object) -> str:
-    models = {"network": MODEL | changes, "key_points": {**MODEL, "tested": ["sift", "dis"]}}
+    models = {"network": MODEL | changes, "key_points": {**MODEL, "tested": ["sift", "xfeat"]}}
     engines = {"net": {"fingerprint": "abc"}}
     data = {"engine": engines, "focal_error": ERROR, "same_place": SAME_PLACE, "models": models}
     return json.dumps(data)
@@ -161,8 +161,8 @@ def test_the_error_of_a_right_pose_is_that_of_normal_errors_up_to_10_degrees(err
 
 def test_the_kind_of_matches_chooses_the_model() -> None:
     kinds = [
-        match_kind(known=known, with_map=with_map, fitted=fitted)
-        for known in (True, False)
+        match_kind(key_points=key_points, with_map=with_map, fitted=fitted)
+        for key_points in (False, True)
         for with_map, fitted in ((True, False), (False, False), (True, True), (False, True))
     ]
     assert kinds[:4] == ["network", "matches", "network_auto", "matches_auto"]
@@ -170,17 +170,16 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
 
 
 @pytest.mark.parametrize(
-    ("weights", "kind", "tested"),
-    [("abc", "network", ()), ("def", "key_points", ("sift", "dis"))]
-    + [(None, "key_points", ("sift", "dis"))],
+    ("weights", "key_points", "kind"),
+    [("abc", False, "network"), ("def", False, None), (None, False, None)]
+    + [(weights, True, "key_points") for weights in ("abc", "def", None)],
 )
-def test_a_network_that_is_fitted_on_has_its_own_model_and_any_other_matcher_a_common_one(
-    weights, kind, tested
-) -> None:
+def test_a_model_is_of_the_networks_that_it_is_fitted_on(weights, key_points, kind) -> None:
+    """And one of key points of any detector, which names those that it was tested on."""
     models = parse_models(_text())
-    found = models.model(weights, with_map=True, fitted=False)
-    assert found is models.by_kind[kind] and found.tested == tested
-    assert models.model(weights, with_map=True, fitted=True) is None
+    found = models.model(weights, key_points=key_points, with_map=True, fitted=False)
+    assert found is (kind and models.by_kind[kind])
+    assert found is None or found.tested == (("sift", "xfeat") if key_points else ())
 
 
 def test_the_package_s_own_file_can_be_read() -> None:

@@ -26,6 +26,7 @@ from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)
+BOTH = ("report", "scenes")  # rows of a matcher in the table by matcher
 PARTS: tuple[Part, ...] = ("fit", "report")
 FOCAL_ERROR = {"slope": 0.0, "intercept": 0.0}
 SAME_PLACE = {"slope": 0.0, "intercept": 30.0}
@@ -85,11 +86,11 @@ def test_models_and_report_come_of_records_alone():
     assert own == shipped  # without a network's records, its models stay
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
-    assert "calibration error" in report and "other matchers" in report
+    assert "calibration error" in report and "key points, by matcher" in report
     assert "lines of the images: {'sharpness': " in report
     by_matcher = [line.split()[:3] for line in report.splitlines() if line[:2] in ("a ", "b ")]
-    without = [(name, out) for out in "-ba" for name in "ab" if name != out or out == "-"]
-    assert by_matcher == [[*both, part] for both in without for part in ("report", "scenes")]
+    rows = [[name, out, part] for name, out in ("a-", "b-", "aa", "bb") for part in BOTH]
+    assert by_matcher == rows
     assert len(figure.axes[0].lines) > 1
     known = [row for row in records(pieces, "a", sources) if row.evidence is not None]
     likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
