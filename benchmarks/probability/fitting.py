@@ -25,6 +25,7 @@ from dgc_pose.estimation.probability import (
     FEATURES,
     FITTED_FOCAL_FEATURES,
     MAP_FEATURES,
+    MATCHER_FEATURES,
     MatchKind,
     choice_shares,
     log_error,
@@ -66,6 +67,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
         )
     left_out = (
         *(() if kind.startswith("network") else MAP_FEATURES),
+        *(MATCHER_FEATURES if kind.startswith("key_points") else ()),
         *(() if kind.endswith("auto") else FITTED_FOCAL_FEATURES),
     )
     names = [name for name in FEATURES if name not in left_out]

@@ -110,6 +110,8 @@ FEATURES: Mapping[str, Feature] = {
 }
 FITTED_FOCAL_FEATURES = ("camera_agreement", "focal_error")  # features of fitted focal lengths
 MAP_FEATURES = ("matchability", "map_agreement", "map_over_chance")
+# They depend on the matcher more than on the pose, so the model of key points does without.
+MATCHER_FEATURES = ("confidence", "threshold")
 
 
 CHOICE_FEATURES = ("likelihood", "map_agreement")
