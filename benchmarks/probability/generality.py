@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -15,28 +14,33 @@ from dgc_pose.system.texts import aligned
 
 _EDGES = (0.5, 0.8, 0.95, 1.0)  # of the probabilities in the table
 _FOLDS = 4  # of the scenes of the fit
-_MOST_LEFT_OUT = 2  # matchers
+_NONE = "-"  # no matcher
 
 
 def generality_text(rows: Mapping[str, Sequence[Record]], kind: MatchKind) -> str:
     """A table of the claims for each matcher, by models fitted on all matchers of key points and
-    without some of them. rows: the records by matcher.
+    without one of them. rows: the records by matcher.
 
     "report": of the part `report`. "scenes": of the part `fit`, by models fitted on other scenes.
+    The last rows are of all matchers together, each by the model fitted without it or with it.
     """
     fitted_on = [name for name in rows if are_key_points(rows[name])]
-    others = tuple(name for name in rows if name not in fitted_on)
+    others = [name for name in rows if name not in fitted_on]
     bins = [f"{low:g} to {high:g}" for low, high in zip(_EDGES, _EDGES[1:], strict=False)]
     heading = ("matches of", "fitted without", "on", "pairs", *bins, "claims", "wrong", "R", "t")
-    table = [heading]
-    for count in range(min(_MOST_LEFT_OUT, len(fitted_on) - 1) + 1):
-        for left_out in combinations(fitted_on, count):
-            fitted = [r for name in fitted_on if name not in left_out for r in rows[name]]
-            fields = {"report": [fit_model(fitted, kind)], "scenes": _by_fold(fitted, kind)}
-            for name in (*(left_out or fitted_on), *others):
-                for part, models in fields.items():
-                    poses = _of_part(rows[name], part, [one_place(f, kind) for f in models])
-                    table.append((name, ", ".join(left_out) or "-", part, *_cells(poses)))
+    table, joined = [heading], dict[tuple[str, str], list[Judged]]()
+    for left_out in (_NONE, *fitted_on):
+        fitted = [row for name in fitted_on if name != left_out for row in rows[name]]
+        fields = {"report": [fit_model(fitted, kind)], "scenes": _by_fold(fitted, kind)}
+        own = fitted_on if left_out == _NONE else [left_out]
+        for name in (*own, *others):
+            for part, models in fields.items():
+                poses = _of_part(rows[name], part, [one_place(f, kind) for f in models])
+                table.append((name, left_out, part, *_cells(poses)))
+                if name in own:
+                    without = _NONE if left_out == _NONE else "each"
+                    joined.setdefault((without, part), []).extend(poses)
+    table += [("all", without, part, *_cells(poses)) for (without, part), poses in joined.items()]
     return aligned(table)
 
 

@@ -90,7 +90,7 @@ def test_models_and_report_come_of_records_alone():
     assert "lines of the images: {'sharpness': " in report
     by_matcher = [line.split()[:3] for line in report.splitlines() if line[:2] in ("a ", "b ")]
     rows = [[name, out, part] for name, out in ("a-", "b-", "aa", "bb") for part in BOTH]
-    assert by_matcher == rows
+    assert by_matcher == rows and report.count("\nall  ") == 2 * len(BOTH) + 1
     assert len(figure.axes[0].lines) > 1
     known = [row for row in records(pieces, "a", sources) if row.evidence is not None]
     likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
