@@ -8,7 +8,6 @@ BIN := $(CURDIR)/$(VENV)/bin
 INSTALLED := build/installed
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt
 PACKAGING := setup.cfg pyproject.toml constraints.txt
-LIGHTGLUE := lightglue/pyproject.toml $(wildcard lightglue/dgc_pose_lightglue/*.*)
 
 # The same value as in cli/main.py, so that the tests tolerate a busy machine.
 export GOMP_SPINCOUNT ?= 10000
@@ -75,10 +74,9 @@ $(VENV)/.installed: $(PACKAGING) | $(BIN)/python
 	$(INSTALL) --editable .
 	touch $@
 
-$(VENV)/.installed-dev: $(PACKAGING) $(LIGHTGLUE) | $(BIN)/python
+$(VENV)/.installed-dev: $(PACKAGING) | $(BIN)/python
 	@echo "Installing into $(VENV) (a few minutes the first time)"
 	$(INSTALL) --editable '.[dev]'
-	$(INSTALL) --no-deps --no-build-isolation ./lightglue
 	touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-docs: $(PACKAGING) | $(BIN)/python

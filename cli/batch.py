@@ -15,7 +15,7 @@ from dgc_pose.batch.options import BatchOptions
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options
-from dgc_pose.cli.process import name_bad_images, progress_bars, to_stderr
+from dgc_pose.cli.process import name_bad_images, name_missing_second, progress_bars, to_stderr
 from dgc_pose.errors import InputError, printable
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import MatcherOptions
@@ -24,7 +24,7 @@ from dgc_pose.system.options import option
 if TYPE_CHECKING:
     from dgc_pose.batch.pairs import PairRow
     from dgc_pose.batch.result import Batch
-    from dgc_pose.batch.source import Source
+    from dgc_pose.batch.source import PairChoice, Source
 
 CAMERAS_SHOWN = 5
 PAIRS_SHOWN = 20
@@ -67,42 +67,63 @@ class BatchChoice(KChoice):
 
 def work_through(source: str, out: Path, choice: BatchChoice, min_images: int = 2) -> Batch:
     """Run a batch and show its progress. Raises InputError for fewer images than `min_images`."""
-    from dgc_pose.batch.run import run_batch
-    from dgc_pose.batch.source import parse_pair_choice, without_camera
-    from dgc_pose.cameras.calibration import read_calibration
+    from dgc_pose.batch.source import parse_pair_choice
 
     images = choice.open(source, out)
     for line in images.skipped:
         to_stderr(f"warning: {line}")
     if len(images.names) < min_images:
         raise InputError(f"{source}: {len(images.names)} images, and a model needs {min_images}")
-    calibration = read_calibration(choice.k, "--K", choice.details)
+    pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
+    return run_source(
+        images, out, choice, choice.matcher, choice.estimation, choice.work, pairs=pairs
+    )
+
+
+def run_source(
+    images: Source,
+    out: Path,
+    cameras: KChoice,
+    matcher: MatcherOptions,
+    estimation: EstimationOptions,
+    work: BatchOptions,
+    *,
+    pairs: PairChoice | None = None,
+) -> Batch:
+    """`run_batch` with its progress, and a line on the images without a camera."""
+    from dgc_pose.batch.run import run_batch
+    from dgc_pose.batch.source import without_camera
+    from dgc_pose.cameras.calibration import read_calibration
+
+    calibration = read_calibration(cameras.k, "--K", cameras.details)
     lacking = without_camera(images, calibration)
     some = ""
     if 0 < len(lacking) < len(images.names):
         some = f" for {len(lacking)} of {len(images.names)} images (first: {lacking[0]})"
-    if choice.k is None and lacking:
+    if cameras.k is None and lacking:
         to_stderr(f"K is not stated{some}: the focal lengths are estimated (--K auto)")
     elif some:
         to_stderr(f"warning: {calibration.where} has no camera{some}")
-    pairs = None if choice.pairs is None else parse_pair_choice(choice.pairs)
     with progress_bars() as progress:
         return run_batch(
             images,
             calibration,
             pairs,
             out,
-            matcher=choice.matcher,
-            estimation=choice.estimation,
-            options=choice.work,
+            matcher=matcher,
+            estimation=estimation,
+            options=work,
             progress=progress,
         )
 
 
-def report(batch: Batch) -> None:
-    """Print the summary of a batch, its unusable images, and the first warning."""
+def report(batch: Batch, where: Path | None = None) -> None:
+    """Print the summary of a batch, its unusable images, and the first warning. where: the name of
+    the batch, by default its folder."""
+    from dgc_pose.batch.groups import joining
     from dgc_pose.batch.look_alikes import MOST_PAIRS
     from dgc_pose.batch.pairs import FAILED
+    from dgc_pose.batch.result import MISSING
     from dgc_pose.cli.output import SOURCES
 
     summary = batch.summary
@@ -116,6 +137,8 @@ def report(batch: Batch) -> None:
         to_stderr(f"warning: {warnings[0]}{more}")
     if summary["poses"] and not summary["judged_together"]:
         to_stderr(f"more than {MOST_PAIRS} pairs have a pose: the look-alike check is skipped")
+    if summary["second"] == MISSING and joining(batch.rows):
+        name_missing_second()
     if summary["rejected"]:
         number = sum(entry["pairs"] for entry in summary["rejected"])
         judged = counted(summary["judged_together"], "pair")
@@ -137,8 +160,9 @@ def report(batch: Batch) -> None:
         lines.append((camera["images"], f"f = {focal:.0f} +- {focal * std:.0f} px {source}{why}"))
     echo_each_camera(lines, "cameras.csv")
     statuses = ", ".join(f"{name} {count}" for name, count in summary["by_status"].items())
+    poses = f"{where or batch.folder}: {summary['poses']} poses"
     click.echo(
-        f"{batch.folder}: {summary['poses']} poses of {summary['pairs']} pairs ({statuses}), "
+        f"{poses} of {summary['pairs']} pairs ({statuses}), "
         f"{summary['images']} images, {summary['matched_now']} pairs in {summary['seconds']:.0f} s"
     )
 
@@ -156,7 +180,7 @@ def echo_each_camera(cameras: Sequence[tuple[int, str]], file: str | Path) -> No
         click.echo(f"{more} more cameras: see {file}")
 
 
-def _echo_pairs(rows: Sequence[PairRow]) -> None:
+def echo_pairs(rows: Sequence[PairRow]) -> None:
     """Print a table of the first pairs, and the number of the others."""
     from dgc_pose.estimation.status import percent_text
     from dgc_pose.geometry.rotation import rotation_angle_deg
@@ -198,7 +222,7 @@ def batch(source: str, out: Path, choice: BatchChoice) -> int:
     from dgc_pose.batch.result import CAMERAS, MATCHES, PAIRS
 
     done = work_through(source, out, choice)
-    _echo_pairs(done.rows)
+    echo_pairs(done.rows)
     report(done)
     click.echo(f"{out / PAIRS}: status, R, t and errors of each pair")
     click.echo(f"{out / MATCHES}: the matches, in hloc's layout")

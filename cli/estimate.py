@@ -13,7 +13,7 @@ from dgc_pose.cameras.pair_list import bundled_photographs, rendered_pair
 from dgc_pose.cli.guard import STDOUT, OutputFile
 from dgc_pose.cli.options import CameraChoice, MaskChoice, dataclass_options, output_file
 from dgc_pose.cli.output import pose_text, row_lines, write_npz
-from dgc_pose.cli.process import to_stderr
+from dgc_pose.cli.process import name_missing_second, to_stderr
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.scale import ScaleSource
@@ -30,7 +30,9 @@ class Outputs:
 
     json: str | None = output_file("Write the pose as JSON; - for stdout.", "PATH|-", stdout=True)
     matches: str | None = output_file(
-        "Write the matches: points1, points2 (N, 2), confidence and inliers (N).", "PATH.npz"
+        "Write the matches: points1, points2 (N, 2), confidence and inliers (N), error_px, "
+        "key_points, weights, and the names image1 and image2, as `dgc-pose judge` reads them.",
+        "PATH.npz",
     )
     map: str | None = output_file(
         "Write the dense map: map (H, W, 2), for each cell of a grid over image 2 its point in "
@@ -77,7 +79,7 @@ def estimate(
         start = time.perf_counter()
         first, second = load_pair((image1, image2), (masks.mask1, masks.mask2))
         pair = cameras.resolve(first, second)
-        from dgc_pose.pose import solve_pair  # slow to import: only for usable input
+        from dgc_pose.pose import may_change, solve_pair  # slow to import: only for usable input
 
         loaded = matcher.load()
         result = solve_pair(first, second, pair, loaded, estimation, scale, start=start)
@@ -86,9 +88,11 @@ def estimate(
         if json_file is not None:
             save_text(stage(json_file), data)
         if outputs.matches is not None:
-            names = ("points1", "points2", "confidence")
-            arrays = {name: getattr(result.matches, name) for name in names}
-            write_npz(stage(outputs.matches), {**arrays, "inliers": pose.inliers})
+            columns = ("points1", "points2", "confidence", "error_px", "key_points")
+            arrays = {name: getattr(result.matches, name) for name in columns}
+            arrays |= {"inliers": pose.inliers, "image1": image1, "image2": image2}
+            arrays |= {"weights": result.matches.weights or ""}
+            write_npz(stage(outputs.matches), arrays)
         if outputs.map is not None:
             dense = result.correspondence_map
             if dense is None:
@@ -110,6 +114,8 @@ def estimate(
     if cameras.k is None and cameras.k1 is None and cameras.fov is None:
         name = "K" if cameras.k2 is None else "K1"
         to_stderr(f"{name} is not stated: the focal length is estimated (--{name} auto)")
+    if matcher.is_network and may_change("second", pose, estimation):
+        name_missing_second()
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (result.prior1, result.prior2)))
         for number, image in enumerate((result.image1, result.image2), start=1):

@@ -38,6 +38,7 @@ SECTIONS = {
     },
     "Many photographs": {
         "batch": "Match many pairs: a folder, a list, a database.",
+        "judge": "Judge the matches of another program.",
         "reconstruct": "Make a COLMAP model from a folder of photographs.",
         "locate": "Place photographs in a model of known poses.",
         "rig": "Place fixed cameras in one frame.",

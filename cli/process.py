@@ -14,7 +14,7 @@ from typing import Any
 
 import click
 
-from dgc_pose.errors import InputError, printable
+from dgc_pose.errors import InputError, missing, printable
 
 INTERVAL_S = 60.0  # between the lines of progress in a log file
 
@@ -71,6 +71,12 @@ def name_bad_images(bad: Mapping[str, str], names: Iterable[str]) -> None:
         to_stderr(f"bad image {text}")
     if len(bad) == len(every):
         raise InputError(f"none of the {len(every)} images can be used")
+
+
+def name_missing_second() -> None:
+    """Print how the second matcher is installed, for a pose in doubt, if it is not."""
+    if text := missing("a second matcher, for poses in doubt,", "lightglue"):
+        to_stderr(text)
 
 
 def _stop(number: int, frame: FrameType | None) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     __version__: str
+    from dgc_pose.batch.judge import judge as judge
     from dgc_pose.cameras.calibration import pair_cameras as pair_cameras
     from dgc_pose.cameras.calibration import parse_camera as parse_camera
     from dgc_pose.cameras.camera import Camera as Camera
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 # The public names of each module. Imported on first use, so that `dgc-pose --help` is quick.
 _PUBLIC = {
+    "batch.judge": ("judge",),
     "cameras.calibration": ("pair_cameras", "parse_camera"),
     "cameras.camera": ("Camera",),
     "errors": ("DgcPoseError", "ImageError", "InputError", "WeightsError"),

@@ -64,7 +64,7 @@ def require(needs: Mapping[str, str]) -> None:
     needs: by feature, such as an option, the name of the extra or folder that it needs.
     """
     for what, extra in needs.items():
-        if message := _missing(what, extra):
+        if message := missing(what, extra):
             raise InputError(message)
 
 
@@ -75,10 +75,12 @@ def missing_package(failure: ModuleNotFoundError, what: str = "this") -> str | N
     """
     module = (failure.name or "").split(".")[0]
     extra = next((extra for extra, modules in EXTRAS.items() if module in modules), None)
-    return None if extra is None else _missing(what, extra)
+    return None if extra is None else missing(what, extra)
 
 
-def _missing(what: str, extra: str) -> str | None:
+def missing(what: str, extra: str) -> str | None:
+    """The message that `what` needs an extra or folder, with the command that installs it; None if
+    it is installed."""
     modules = EXTRAS.get(extra) or FOLDERS[extra]
     lacks = sorted({name for module, name in modules.items() if not is_installed(module)})
     if not lacks:

@@ -37,15 +37,18 @@ if TYPE_CHECKING:
 # - refine: more accurate matches from the map of the coarse step, for a pose that is certain
 # - full: `Matcher.match`
 # - guided: matches of squeezed images and near epipolar lines, pooled with the matches so far
-Step = Literal["coarse", "refine", "full", "guided"]
+# - second: the matches of a second matcher, pooled as well
+Step = Literal["coarse", "refine", "full", "guided", "second"]
 STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("coarse", "full"),
-    "auto": ("coarse", "refine", "full", "guided"),
-    "thorough": ("full", "guided"),
+    "auto": ("coarse", "refine", "full", "guided", "second"),
+    "thorough": ("full", "guided", "second"),
 }
 # The search for matches ends if all hypotheses together are less probable than the first number;
 # or if they are at least as probable as the second and the likeliest has the third as its share.
 _MIN_SEARCHED, _MAX_SEARCHED, _CLEAR_SHARE = 0.005, 0.99, 0.95
+# Statuses without a pose that further matches hardly change.
+_FINAL = ("rotation_only", "mirrored", "same_picture", "panorama")
 _DOUBT = -1.0  # log-odds of another camera given the matches, above which they are refined
 _ACCURATE_DEG = 1.0  # expected errors below which the pose of a coarse pass is kept
 _LOOSE_DEG = 5.0  # expected errors above which `auto` runs "guided" even for a certain pose
@@ -132,15 +135,16 @@ def solve_pair(
     found: MatchResult | None = None
     seconds = {} if start is None else {"load": begun - start}
     estimating = 0.0
-    # "refine" and "guided" need the matches of an earlier step. Each effort has the step "full".
+    # Steps that need the matches of an earlier one come after it. Each effort has the step "full".
     matching: dict[Step, Callable[[], MatchResult | None]] = {
         "coarse": lambda: matcher.coarse(image1, image2),
         "refine": lambda: found and matcher.refined(image1, image2, found),
         "full": lambda: matcher.match(image1, image2),
         "guided": lambda: found and matcher.guided(image1, image2, found, _views(pose, cameras)),
+        "second": lambda: found and matcher.second(image1, image2, found),
     }
     for step in STEPS[options.effort]:
-        if not may_change(step, pose, options.effort):
+        if not may_change(step, pose, options):
             continue
         before = time.perf_counter()
         result = matching[step]()
@@ -167,7 +171,7 @@ def _views(pose: RelativePose | None, cameras: tuple[Camera, Camera]) -> list[Tw
     return [TwoViews(*(pose.cameras or cameras), h.R, h.t) for h in pose.hypotheses]
 
 
-def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
+def may_change(step: Step, pose: RelativePose | None, options: EstimationOptions) -> bool:
     """Whether a step may change the answer. pose: after the steps before it; None if there is none.
 
     The few matches of a coarse pass hardly distinguish a wrong camera from the right one: they are
@@ -179,8 +183,11 @@ def may_change(step: Step, pose: RelativePose | None, effort: Effort) -> bool:
     if step == "refine":
         return is_certain and not (_is_accurate(pose, _ACCURATE_DEG) and _agrees_on_cameras(pose))
     if step == "full":
-        return effort != "fast" and not is_certain
-    limit_deg = _ACCURATE_DEG if effort == "thorough" else _LOOSE_DEG
+        return options.effort != "fast" and not is_certain
+    if step == "second":
+        is_wanted = options.second == "auto" and options.effort != "fast"
+        return is_wanted and (in_doubt(pose) or is_open(pose))
+    limit_deg = _ACCURATE_DEG if options.effort == "thorough" else _LOOSE_DEG
     return in_doubt(pose) or (pose.success and not _is_accurate(pose, limit_deg))
 
 
@@ -212,6 +219,11 @@ def in_doubt(pose: RelativePose) -> bool:
     share = pose.hypotheses[0].share
     of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
     return of_others > _MIN_SEARCHED and not _is_clear(pose)
+
+
+def is_open(pose: RelativePose) -> bool:
+    """Whether there is no pose, and a second matcher may find one."""
+    return not (pose.success or pose.status in _FINAL)
 
 
 @dataclass(frozen=True, eq=False)

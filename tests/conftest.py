@@ -1,7 +1,10 @@
 """How often hypothesis draws: always the same in the suite, anew in each round of `make fuzz`;
-the browser of the tests of pages; and signals as a terminal's shell leaves them."""
+the browser of the tests of pages; the second matcher; and signals as a terminal's shell leaves
+them."""
 
 import signal
+import sys
+from pathlib import Path
 
 import pytest
 from chromium import chromium_page, find_chromium
@@ -26,6 +29,16 @@ def browser():
         pytest.skip("no Chromium on this machine: install it, or name one in $CHROMIUM")
     with chromium_page(executable) as page:
         yield page
+
+
+@pytest.fixture(scope="module")
+def lightglue():
+    """ALIKED with LightGlue, which the environment of the tests lacks as a user's does, can be
+    imported in the module's tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(Path(__file__).resolve().parents[1] / "lightglue")
+        yield
+    sys.modules.pop("dgc_pose_lightglue", None)
 
 
 @pytest.fixture

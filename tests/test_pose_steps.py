@@ -64,6 +64,9 @@ class _Steps(dense_scene.MapMatcher):
         self.views = hypotheses
         return self.every("guided", 1)
 
+    def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult:
+        return self.every("second", 1)
+
 
 _FIRST, _SECOND = dense_scene.pictures()
 PICTURES = load_image(_FIRST), load_image(_SECOND)
@@ -124,17 +127,30 @@ OTHER_CAMERAS = CERTAIN | {"evidence": replace(GOOD_EVIDENCE, camera_agreement=0
     [
         ("auto", [CERTAIN], ["coarse"]),
         ("auto", [_doubt(0.9), CERTAIN], ["coarse", "full"]),
+        ("auto", [_doubt(0.9), _doubt(0.9), CERTAIN], ["coarse", "full", "guided"]),
         ("auto", [LOOSE], ["coarse", "refine"]),  # certain, but not accurate
         ("auto", [LOOSER], ["coarse", "refine", "guided"]),
         ("auto", [OTHER_CAMERAS], ["coarse", "refine"]),  # few matches tell cameras apart less
         ("auto", [_doubt(None)], ["coarse", "full"]),  # nothing to compare with
-        ("auto", [_doubt(0.5)], ["coarse", "full", "guided"]),  # a pose is of no mirror image
-        ("auto", [_doubt(0.5, 0.495)], ["coarse", "full", "guided"]),  # one of two is right
-        ("auto", [_refused(0.4)], ["coarse", "full", "guided", "mirrored"]),
-        ("auto", [_refused(0.001)], ["coarse", "full", "mirrored"]),  # hopeless
+        (
+            "auto",
+            [_doubt(0.5)],
+            ["coarse", "full", "guided", "second"],
+        ),  # a pose is of no mirror image
+        (
+            "auto",
+            [_doubt(0.5, 0.495)],
+            ["coarse", "full", "guided", "second"],
+        ),  # one of two is right
+        ("auto", [_refused(0.4)], ["coarse", "full", "guided", "second", "mirrored"]),
+        ("auto", [_refused(0.001)], ["coarse", "full", "second", "mirrored"]),  # hopeless
         # The camera is what is wrong.
-        ("auto", [_refused(0.4, camera_model="focal")], ["coarse", "full", "guided"]),
-        ("auto", [ROTATION | {"hypotheses": (_of_share(0.8),)}], ["coarse", "full", "guided"]),
+        ("auto", [_refused(0.4, camera_model="focal")], ["coarse", "full", "guided", "second"]),
+        (
+            "auto",
+            [ROTATION | {"hypotheses": (_of_share(0.8),)}],
+            ["coarse", "full", "guided", "second"],
+        ),
         ("auto", [ROTATION | {"hypotheses": (_of_share(1.0),)}], ["coarse", "full"]),
         ("fast", [_refused(0.4)], ["coarse", "mirrored"]),
         ("thorough", [CERTAIN], ["full"]),
@@ -152,7 +168,7 @@ def test_steps_are_done_as_long_as_they_may_change_the_answer(
     assert matcher.steps == steps and list(pose.seconds) == [*poses, "estimate"]
     assert len(estimated) == len(poses)
     assert last is estimated[-1] and len(pose.inliers) == len(last)
-    expected = {"coarse": 4, "refine": 3, "full": 2, "guided": 1}[poses[-1]]
+    expected = {"coarse": 4, "refine": 3, "full": 2, "guided": 1, "second": 1}[poses[-1]]
     assert len(last) == -(-len(matcher._match(*PICTURES).matches) // expected)
 
 
@@ -162,7 +178,7 @@ def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPat
     first, second = replace(EXACT, focal_std=0.05), EXACT
     matcher = _Steps()
     solve_pair(*PICTURES, (first, second), matcher, OPTIONS)
-    assert matcher.steps == ["coarse", "full", "guided", "mirrored"]
+    assert matcher.steps == ["coarse", "full", "guided", "second", "mirrored"]
     assert matcher.views
     for views in matcher.views:
         fitted = views.camera1

@@ -153,7 +153,7 @@ class _Affine(nn.Module):
 def _rows(features: Tensor, y: Tensor, x: Tensor) -> Tensor:
     """The features (..., C) of the pixels y, x (...) of a map (1, C, h, w)."""
     table = features[0].permute(1, 2, 0).flatten(0, 1)
-    return table[y * features.shape[3] + x]
+    return F.embedding(y * features.shape[3] + x, table)  # a Gather
 
 
 def _bilinear(features: Tensor, at: Grid) -> Tensor:
@@ -219,7 +219,7 @@ def _key_points(scores: Tensor) -> tuple[Tensor, Tensor]:
     steps = torch.arange(-_RADIUS, _RADIUS + 1)
     count = len(steps)
     down, across = steps.repeat_interleave(count), steps.repeat(count)
-    windows = flat[(y[:, None] + down) * scores.shape[1] + x[:, None] + across]
+    windows = flat.take((y[:, None] + down) * scores.shape[1] + x[:, None] + across)
     share = torch.softmax(windows / _TEMPERATURE, -1)
     offset = share @ torch.stack([across, down], -1).float()
     return torch.stack([x, y], -1) + offset, values

@@ -7,6 +7,7 @@ Needs torch, onnx and onnxscript. Export the graphs again if the network of a pr
 tests/runtime/test_engines.py fails until then.
 """
 
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -125,7 +126,9 @@ def onnx_graph(
     del model.metadata_props[:]
     for node in model.graph.node:
         node.doc_string = ""
-        del node.metadata_props[:]
+    parts = model.graph.node, model.graph.input, model.graph.output, model.graph.initializer
+    for part in itertools.chain(*parts):
+        del part.metadata_props[:]
     del model.graph.value_info[:]
     return model
 

@@ -23,11 +23,10 @@ import numpy as np
 
 from dgc_pose.batch.pairs import MIN_FOLDER_PROBABILITY, MatchedPair, PairRow
 from dgc_pose.batch.store import Plan
-from dgc_pose.cameras.camera import Camera
+from dgc_pose.cameras.camera import Camera, image_size
 from dgc_pose.estimation.evidence import log_rotation, rotation_corrected
 from dgc_pose.estimation.status import CONFIGURATIONS
 from dgc_pose.geometry.epipolar import depths
-from dgc_pose.geometry.pixels import Size
 
 MOST_PAIRS = 2000  # pairs with a pose in a folder; with more, the check is skipped
 CELLS = 80  # along the longer side of an image
@@ -98,8 +97,7 @@ class PlacedPair:
             with np.errstate(divide="ignore", invalid="ignore"):
                 along = [np.where(front & np.isfinite(z), np.log(z), np.nan) for z in along]
         for camera, of_image, values in zip(cameras, points, along, strict=True):
-            assert camera.size is not None
-            unique, first = np.unique(_cells(of_image, camera.size), return_index=True)
+            unique, first = np.unique(_cells(of_image, image_size(camera)), return_index=True)
             cells.append(unique)
             log_depths.append(values[first].astype(np.float32))
         errors = pose.rotation_error_90_deg or 0.0, pose.translation_error_90_deg or 0.0
@@ -148,7 +146,7 @@ def evidence_of_pairs(
     folder's quantile; NaN if unknown."""
     number = {name: k for k, name in enumerate(plan.names)}
     cameras, rows, placed = plan.final_cameras, list[PairRow](), list[PlacedPair]()
-    values = list[tuple[float, float]]()
+    values, key_points = list[tuple[float, float]](), list[bool]()
     posed = (p for p in pairs if p.row.pose is not None and p.row.pose.status in CONFIGURATIONS)
     for pair in islice(posed, most):
         row, pose = pair.row, pair.row.pose
@@ -161,10 +159,15 @@ def evidence_of_pairs(
         known = pose.one_place_probability if pose.success else pose.any_probability
         least = MIN_FOLDER_PROBABILITY if pose.success else _LEAST
         known = _UNKNOWN if known is None else min(max(known, least), _MOST)
-        around = pair.matches.context_ratio
+        # The check for repeats is fitted on poses that have a probability.
+        around = None if pose.any_probability is None else pair.matches.context_ratio
+        key_points.append(pair.matches.key_points)
         values.append((known, math.nan if around is None else rotation_corrected(around, pose.R)))
         rows.append(row)
     unshared = log_unshared_cells(placed)
+    # A map gives every pair about as many matches, spread over the images; a detector does not.
+    sizes = [np.mean([np.log1p(len(cells)) for cells in pair.cells]) for pair in placed]
+    unshared -= np.where(key_points, sizes, 0.0)
     if len({name for row in rows for name in row.names}) <= _SMALL_FOLDER:
         unshared += _FEWER_UNSHARED * np.array([log_rotation(pair.R) for pair in placed])
     found = np.column_stack([np.array(values).reshape(-1, 2), unshared])
@@ -237,7 +240,7 @@ def _propagate(
     return total(messages)
 
 
-def _cells(points: np.ndarray, size: Size) -> np.ndarray:
+def _cells(points: np.ndarray, size: tuple[float, float]) -> np.ndarray:
     """Cell indices (N,) of points (N, 2), row by row, in the image's grid padded by one cell."""
     x, y = np.floor((points + 0.5) * (CELLS / max(size))).astype(np.int64).T.clip(0, CELLS - 1)
     return (y + 1) * (CELLS + 2) + x + 1

@@ -18,6 +18,7 @@ import h5py
 import numpy as np
 
 from dgc_pose.batch.folder_cameras import PooledCamera
+from dgc_pose.batch.groups import connected
 from dgc_pose.batch.pairs import BAD_INPUT, FAILED, MatchedPair, PairRow
 from dgc_pose.batch.source import STORE
 from dgc_pose.batch.store import BatchStore, Plan, open_store
@@ -34,6 +35,7 @@ _COLUMNS = (
     *("lens_std", "aspect_std", "camera"),
     *("model", "coefficients"),  # of the lens
 )
+MISSING = "missing"  # in place of the second matcher's fingerprint, if it is not installed
 GROUP_BYTES = 4096  # more than HDF5 needs for a pair, without its arrays
 
 
@@ -140,11 +142,8 @@ def summary_of(
 def _rejected_between_groups(rows: Sequence[PairRow]) -> list[dict[str, Any]]:
     """The numbers of rejected pairs between groups of images, or within a group. Accepted pairs
     connect the images of a group."""
-    group = {name: frozenset([name]) for row in rows for name in row.names}
-    for row in rows:
-        first, second = (group[name] for name in row.names)
-        if row.folder_probability is not None and not row.rejected and first is not second:
-            group.update(dict.fromkeys(first | second, first | second))
+    accepted = (row for row in rows if row.folder_probability is not None and not row.rejected)
+    group = connected(rows, accepted)
     between = Counter(frozenset(group[n] for n in row.names) for row in rows if row.rejected)
     return [
         {"pairs": count, "groups": sorted(sorted(images) for images in groups)}

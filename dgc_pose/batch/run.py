@@ -15,11 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from dgc_pose.batch.folder_cameras import PooledCamera, by_image, folder_cameras
+from dgc_pose.batch.groups import joining
 from dgc_pose.batch.look_alikes import folder_probabilities
 from dgc_pose.batch.options import BatchOptions
 from dgc_pose.batch.pairs import FAILED, MatchedPair, PairRow
 from dgc_pose.batch.result import (
     MATCHES,
+    MISSING,
     PAIRS,
     SUMMARY,
     Batch,
@@ -46,6 +48,7 @@ from dgc_pose.cameras.by_image import Calibration
 from dgc_pose.errors import ArgumentName, InputError
 from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
+from dgc_pose.matching.lightglue import LightGlueMatcher, is_available
 from dgc_pose.network.weights import find_weights, shipped
 from dgc_pose.system.files import only_writer, read_bytes
 
@@ -92,6 +95,9 @@ def run_batch(
     digest = hashlib.sha256(read_bytes(file)).hexdigest()[:16] if file.is_file() else None
     if runtime == "auto" and digest is not None:  # the default differs between machines
         runtime = default_runtime(weights, matcher.device)
+    second = None
+    if source.given is None and matcher.is_network and estimation.second == "auto":
+        second = LightGlueMatcher().fingerprint if is_available() else MISSING
     settings = {
         "command": shlex.join(sys.argv),
         "pairs": "source" if choice is None else asdict(choice),
@@ -102,13 +108,15 @@ def run_batch(
         "device": device_type(matcher.device),
         "matching": asdict(matcher.matching),
         "estimation": asdict(estimation),
+        "given": source.given and source.given.state,
     }
     with _locked_folder(out):
         before: Plan | None = None
         again: set[int] = set()
         if (out / STORE).is_file():
             with open_store(out) as store:
-                before, is_finished = store.plan, store.summary is not None
+                before, summary = store.plan, store.summary
+                is_finished = summary is not None and summary.get("second") == second
                 if before is not None:
                     again = {row.index for row in store.rows("matched") if row.status == FAILED}
         if before is not None and not options.resume:
@@ -127,7 +135,9 @@ def run_batch(
             if is_finished and is_written and not again:
                 return read_batch(out)
         limit = options.worker_bytes
-        job = Job(plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks)
+        job = Job(
+            plan.root, plan.cameras, plan.bad, matcher, estimation, limit, masks, source.given
+        )
         # A matcher that cannot be loaded raises before anything is written.
         start_workers = ray_workers if options.engine == "ray" else local_workers
         with start_workers(job, options.worker_count) as run:
@@ -138,11 +148,14 @@ def run_batch(
                 store.begin(plan, again)
                 (out / SUMMARY).unlink(missing_ok=True)  # the old result is no longer valid
                 worked = _match(store, plan, run, options, progress)
+                if second not in (None, MISSING):
+                    _match_again(store, plan, run, options, progress)
                 poses = PoseRunner(store, run, options.worker_count)
                 with store.change():
                     plan, cameras = _pose(store, plan, poses, progress)
                     store.rewrite(folder_probabilities(store.pairs("result"), plan))
                     summary = summary_of(plan, store.rows("result"), cameras)
+                    summary["second"] = second
                     summary["matched_now"] = worked
                     summary["seconds"] = round(time.perf_counter() - start, 2)
                     store.finish(plan, summary)
@@ -256,19 +269,41 @@ def _with_similar(plan: Plan, number: int, run: Run, progress: Progress) -> Plan
 def _match(
     store: BatchStore, plan: Plan, run: Run, options: BatchOptions, progress: Progress
 ) -> int:
+    """Match the pairs that are not matched yet; return their number."""
     matched = set(store.indices("matched"))
-    left = np.array([i for i in range(len(plan.pairs)) if i not in matched], dtype=np.int64)
-    sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
-    largest = max((3 * width * height for width, height in sizes), default=1)
-    capacity = options.worker_bytes // (largest + FEATURE_BYTES)
-    order = left[tile_order(plan.pairs[left], capacity)]
-    named = [(index, plan.pair(index)) for index in order.tolist()]
+    left = [i for i in range(len(plan.pairs)) if i not in matched]
     done = len(matched)
     progress("pairs", done, len(plan.pairs))
-    size = block_size(len(left), options.worker_count)
-    for pairs in run(Worker.match, [(block,) for block in blocks_of(named, size)]):
+    for pairs in run(Worker.match, [(block,) for block in _blocks(plan, left, options)]):
         with store.change():
             store.add("matched", pairs)
         done += len(pairs)
         progress("pairs", done, len(plan.pairs))
     return len(left)
+
+
+def _match_again(
+    store: BatchStore, plan: Plan, run: Run, options: BatchOptions, progress: Progress
+) -> None:
+    """Match the pairs that would join two groups again, with the second matcher. They are stored
+    together: after a kill, the next run chooses the same pairs."""
+    left = [row.index for row in joining(store.rows("matched"))]
+    done = 0
+    with store.change():
+        for pairs in run(Worker.match, [(b, "auto") for b in _blocks(plan, left, options)]):
+            store.add("matched", pairs)
+            done += len(pairs)
+            progress("pairs in doubt", done, len(left))
+
+
+def _blocks(
+    plan: Plan, indices: Sequence[int], options: BatchOptions
+) -> list[Sequence[tuple[int, tuple[str, str]]]]:
+    """Blocks of pairs, by index and names, in working order."""
+    chosen = np.array(indices, dtype=np.int64)
+    sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
+    largest = max((3 * width * height for width, height in sizes), default=1)
+    capacity = options.worker_bytes // (largest + FEATURE_BYTES)
+    order = chosen[tile_order(plan.pairs[chosen], capacity)]
+    named = [(index, plan.pair(index)) for index in order.tolist()]
+    return blocks_of(named, block_size(len(named), options.worker_count))

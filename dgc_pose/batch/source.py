@@ -13,6 +13,7 @@ from typing import Literal, cast
 
 import numpy as np
 
+from dgc_pose.batch.given import GivenMatches
 from dgc_pose.cameras.by_image import Calibration, times
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.formats.colmap import read_database
@@ -47,6 +48,7 @@ class Source:
     skipped: tuple[str, ...] = ()  # skipped files of a folder, a line for each reason
     masks: Path | None = None  # folder of the images' masks
     bad: Mapping[str, str] = field(default_factory=dict)  # pictures that are not in `names`, why
+    given: GivenMatches | None = None  # matches to judge, instead of matching the photographs
 
 
 def open_source(path: Path, root: Path | None = None, masks: Path | None = None) -> Source:
@@ -76,16 +78,27 @@ def open_source(path: Path, root: Path | None = None, masks: Path | None = None)
             first, why = next(iter(source.bad.items()))
             lines.append(f"{len(source.bad)} cannot be read (first: {first}: {why})")
         raise InputError("; ".join(lines))
-    if not any(os.path.isfile(source.root / name) for name in source.names):
-        raise InputError(
-            _ROOT,
-            f"{source.root}: none of the {len(source.names)} images of {path} is there "
-            f"(first: {source.names[0]})",
-        )
+    _require_some(source.root, source.names, path, _ROOT)
     if masks is not None and not any(mask_file(masks, name) for name in source.names):
         missing = f"{masks}: no {source.names[0]}.png there, and no mask of another image"
         raise InputError(ArgumentName("masks"), missing)
     return replace(source, masks=masks)
+
+
+def given_source(given: GivenMatches, images: Path | None = None) -> Source:
+    """Matches to judge. images: folder of the photographs. Raises InputError if none is there."""
+    if images is not None:
+        _require_some(images, given.names, given.path, ArgumentName("images"))
+        given = replace(given, with_images=True)
+    root = images or (given.path if given.path.is_dir() else given.path.parent)
+    return Source(root, given.names, tuple(given.places), given.cameras, given=given)
+
+
+def _require_some(root: Path, names: Sequence[str], path: Path, argument: ArgumentName) -> None:
+    """Raise InputError, naming the argument, if none of the images of `path` is in `root`."""
+    if not any(os.path.isfile(root / name) for name in names):
+        missing = f"{root}: none of the {len(names)} images of {path} is there"
+        raise InputError(argument, f"{missing} (first: {names[0]})")
 
 
 def _of_folder(root: Path, masks: Path | None) -> Source:
@@ -126,15 +139,17 @@ def survey(
     bad = dict(source.bad)
     states: dict[str, FileState] = {}
     headers: dict[str, Header] = {}
+    failures = list[InputError]()
     for name in source.names:
         path = source.root / name
         with suppress(OSError):
             files = [file.stat() for file in (path, mask_file(source.masks, name)) if file]
             states[name] = tuple(n for s in files for n in (s.st_size, s.st_mtime_ns))
         try:
-            header = image_header(path)
-        except ImageError as error:
+            header = _header(source, calibration, name)
+        except (ImageError, InputError) as error:
             bad[name] = str(error)
+            failures += [error] if isinstance(error, InputError) else []
             continue
         if np.linalg.det(exif_turn(header.exif.orientation)) < 0:  # no model can hold that
             bad[name] = f"{path}: its pixels as stored are a mirror image, by EXIF"
@@ -143,7 +158,6 @@ def survey(
         else:
             headers[name] = header
     _require_one_size(source, calibration, headers)
-    failures = list[InputError]()
     for name, header in headers.items():
         of_image = calibration
         listed = source.cameras.get(name)
@@ -158,10 +172,19 @@ def survey(
             failures.append(error)
             bad[name] = str(error)
         else:
-            cameras[name] = replace(camera, size=header.size)
+            stated = of_image.stated(source.root, name)
+            known = source.given is None or source.given.has_size(name, stated)
+            cameras[name] = replace(camera, size=header.size if known else None)
     if failures and not cameras:
         raise failures[0]
     return _with_lines(source, cameras), bad, states
+
+
+def _header(source: Source, calibration: Calibration, name: str) -> Header:
+    path = source.root / name
+    if source.given is None:
+        return image_header(path)
+    return source.given.header(path, name, calibration.stated(source.root, name))
 
 
 def without_camera(source: Source, calibration: Calibration) -> list[str]:

@@ -16,15 +16,18 @@ from typing import Any, TypeVar
 import cv2
 import numpy as np
 
+from dgc_pose.batch.given import GivenMatches
 from dgc_pose.batch.pairs import BAD_INPUT, FAILED, MatchedPair, PairRow, row_of
 from dgc_pose.batch.store import BatchStore
 from dgc_pose.cameras.camera import Camera
-from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, reason, require
+from dgc_pose.errors import ArgumentName, DgcPoseError, ImageError, InputError, reason, require
 from dgc_pose.estimation import EstimationOptions, estimate_pose, reject_contradicted_K
 from dgc_pose.estimation.intrinsics_prior import may_be_crop
+from dgc_pose.estimation.options import Second
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, require_matchable
 from dgc_pose.matchers import MatcherOptions
+from dgc_pose.matching.surroundings import surroundings
 from dgc_pose.pose import solve_pair
 from dgc_pose.system.parallel import process_pool
 
@@ -55,6 +58,7 @@ class Job:
     estimation: EstimationOptions
     memory_bytes: int  # limit of the images and features that a worker keeps
     masks: Path | None = None  # folder of the images' masks
+    given: GivenMatches | None = None  # matches to judge, instead of matching the images
 
 
 class Worker:
@@ -80,10 +84,14 @@ class Worker:
                 described[name] = self.matcher.coarse_features(image).astype(np.float16)
         return described
 
-    def match(self, pairs: Sequence[tuple[int, tuple[str, str]]]) -> list[MatchedPair]:
+    def match(
+        self, pairs: Sequence[tuple[int, tuple[str, str]]], second: Second = "none"
+    ) -> list[MatchedPair]:
         """Match pairs, given by index and names, and estimate the pose of each on its own."""
         cameras = self.job.cameras
-        return [_done(index, names, self._matched, names, cameras) for index, names in pairs]
+        return [
+            _done(index, names, self._matched, names, cameras, second) for index, names in pairs
+        ]
 
     def estimate(
         self, pairs: Sequence[MatchedPair], cameras: Cameras, fit_cameras: bool
@@ -97,16 +105,42 @@ class Worker:
             for pair in pairs
         ]
 
-    def _matched(self, names: tuple[str, str], cameras: Cameras) -> MatchedPair:
+    def _matched(
+        self, names: tuple[str, str], cameras: Cameras, second: Second = "none"
+    ) -> MatchedPair:
+        if self.job.given is not None:
+            return self._judged(names, cameras, self.job.given)
         image1, image2 = (self._image(name) for name in names)
         if image1 is None or image2 is None:
-            bad = {name: self.bad[name] for name in names if name in self.bad}
-            return MatchedPair(PairRow(*names, BAD_INPUT, "; ".join(bad.values()), bad_images=bad))
+            return self._bad(names)
         pair = cameras[names[0]], cameras[names[1]]
-        solved = solve_pair(image1, image2, pair, self.matcher, self.job.estimation)
+        options = replace(self.job.estimation, second=second)
+        solved = solve_pair(image1, image2, pair, self.matcher, options)
         dense, exact = solved.correspondence_map, pair[0].exact and pair[1].exact
         row = row_of(names, reject_contradicted_K(solved.pose, pair), solved.matches.error_px)
         return MatchedPair(row, solved.matches, None if dense is None or exact else dense.sample)
+
+    def _judged(self, names: tuple[str, str], cameras: Cameras, given: GivenMatches) -> MatchedPair:
+        """The pose by the given matches; with photographs, also by what surrounds the matches."""
+        if any(name in self.bad for name in names):
+            return self._bad(names)
+        if names[0] == names[1]:
+            raise InputError(f"matches of {names[0]} with itself")
+        matches = given.read(names)
+        if given.with_images:
+            image1, image2 = (self.cache.read(self.job.root, name) for name in names)
+            upright = given.on_upright(matches, image1, image2)
+            around = surroundings(self.matcher, image1, image2, upright)
+            matches = replace(matches, context_ratio=around)
+        pair = cameras[names[0]], cameras[names[1]]
+        pose = estimate_pose(matches, *pair, self.job.estimation)
+        return MatchedPair(
+            row_of(names, reject_contradicted_K(pose, pair), matches.error_px), matches
+        )
+
+    def _bad(self, names: tuple[str, str]) -> MatchedPair:
+        bad = {name: self.bad[name] for name in names if name in self.bad}
+        return MatchedPair(PairRow(*names, BAD_INPUT, "; ".join(bad.values()), bad_images=bad))
 
     def _estimated(self, pair: MatchedPair, cameras: Cameras, fit_cameras: bool) -> MatchedPair:
         row, names = pair.row, pair.row.names
@@ -120,7 +154,9 @@ class Worker:
         # Errors of two cameras are independent, and so are those of images without an identity.
         known = camera1.identity is not None and camera1.identity == camera2.identity
         known &= all(c.focal_std <= KNOWN_FOCAL_STD and not may_be_crop(c) for c in both)
-        matches = replace(pair.matches, weights=self.matcher.fingerprint)
+        given = self.job.given
+        weights = self.matcher.fingerprint if given is None else given.read(names).weights
+        matches = replace(pair.matches, weights=weights)
         pose = estimate_pose(
             *(matches, *both, self.job.estimation),
             map_matches=pair.map_matches,

@@ -3,7 +3,8 @@
 A batch works on upright images. COLMAP reads the stored pixels, and the files refer to these.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -111,23 +112,31 @@ def write_database(
     Raises InputError if COLMAP cannot hold a camera; OSError, with the path, if the disk is full;
     DgcPoseError if pycolmap fails.
     """
-    # pycolmap omits the system's error, and SQLite may lose its log without an error.
     key_points, matches = (sum(map(len, m.values())) for m in (shared.key_points, shared.pairs))
-    require_room(path, _EMPTY_BYTES + _KEY_POINT_BYTES * key_points + _MATCH_BYTES * matches)
+    size = _EMPTY_BYTES + _KEY_POINT_BYTES * key_points + _MATCH_BYTES * matches
+    with written_database(path, size) as temporary:
+        # No pycolmap transaction: committing one kills the process when the disk is full. None
+        # is needed, because the file does not have its final name yet.
+        with pycolmap.Database.open(temporary) as database:
+            ids = _write_images(database, names, cameras)
+            for name, points in shared.key_points.items():
+                database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))
+            by_pair = {row.names: row for row in rows}
+            for pair, index in shared.pairs.items():
+                id1, id2 = (ids[name] for name in pair)
+                database.write_matches(id1, id2, index)
+                geometry = two_view_geometry(by_pair[pair], index)
+                database.write_two_view_geometry(id1, id2, geometry)
+
+
+@contextmanager
+def written_database(path: Path, size: int) -> Iterator[Path]:
+    """Yield the file of a new database, of at most `size` bytes, which then replaces `path`. Raises
+    what `write_database` raises."""
+    require_room(path, size)  # pycolmap omits the system's error; SQLite may lose its log without
     with replaced(path) as temporary:
         try:
-            # No pycolmap transaction: committing one kills the process when the disk is full. None
-            # is needed, because the file does not have its final name yet.
-            with pycolmap.Database.open(temporary) as database:
-                ids = _write_images(database, names, cameras)
-                for name, points in shared.key_points.items():
-                    database.write_keypoints(ids[name], (points + HALF_PIXEL).astype(np.float32))
-                by_pair = {row.names: row for row in rows}
-                for pair, index in shared.pairs.items():
-                    id1, id2 = (ids[name] for name in pair)
-                    database.write_matches(id1, id2, index)
-                    geometry = two_view_geometry(by_pair[pair], index)
-                    database.write_two_view_geometry(id1, id2, geometry)
+            yield temporary
         except RuntimeError as error:
             raise DgcPoseError(f"{path}: pycolmap: {reason(error)}") from error
         for ending in ("-wal", "-shm", "-journal"):

@@ -7,6 +7,7 @@ from dgc_pose.system.options import MAX_SEED, check_options, option
 
 # How much work goes into the matches of a pair; `dgc_pose.pose` lists the steps.
 Effort = Literal["fast", "auto", "thorough"]
+Second = Literal["auto", "none"]  # whether the steps of a pair include a second matcher
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,13 @@ class EstimationOptions:
         "fast: ends after a coarse pass if it has an answer; auto: more steps while the pose is "
         "uncertain; thorough: all steps.",
         metavar="HOW",
+    )
+    second: Second = option(
+        "auto",
+        "auto: for a pose in doubt, also matches of aliked-lightglue, if it is installed; none: no "
+        "second matcher.",
+        metavar="HOW",
+        section="matching",
     )
     runs: int = option(
         5, "Runs of RANSAC, the best kept.", metavar="N", min=1, max=10_000, section="estimation"

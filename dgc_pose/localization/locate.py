@@ -176,15 +176,39 @@ class Locator:
         seconds["describe"] = time.perf_counter() - start
 
         names.sort(key=lambda name: -scores[name])
-        search = LocationSearch(self.model, camera, self.options, names, whole=whole)
-        against_K = 0  # database images
         seconds |= {"match": 0.0, "estimate": 0.0}
+        first = replace(self.options, second="none")
+        location = self._searched(image, camera, names, first, seconds, whole=whole)
+        may_change = self.options.second == "auto" and self.matcher.second_matcher is not None
+        if may_change and not location.success:
+            location = self._searched(image, camera, names, self.options, seconds, whole=whole)
+        self.matcher.cache.forget(image)
+        return replace(
+            location,
+            warnings=(*warnings, *camera.warnings, *location.warnings),
+            seconds=seconds,
+        )
+
+    def _searched(
+        self,
+        image: Image,
+        camera: Camera,
+        names: Sequence[str],
+        estimation: EstimationOptions,
+        seconds: dict[str, float],
+        *,
+        whole: bool,
+    ) -> Location:
+        """The location of a query in a search. names: of the database images, the most similar
+        first. seconds: the seconds of the search are added to it."""
+        search = LocationSearch(self.model, camera, estimation, names, whole=whole)
+        against_K = 0  # database images
         while (name := search.next_image()) is not None:
             start = time.perf_counter()
             cameras = self.model.cameras[name], search.pair_camera
             # With a nearly certain location, a further pair needs no thorough search.
-            effort = "fast" if search.is_placed else self.options.effort
-            options = replace(self.options, effort=effort)
+            effort = "fast" if search.is_placed else estimation.effort
+            options = replace(estimation, effort=effort)
             pair = solve_pair(self.image(name), image, cameras, self.matcher, options)
             matched = time.perf_counter()
             pose = reject_contradicted_K(pair.pose, cameras)
@@ -194,16 +218,12 @@ class Locator:
             against_K = max(against_K, search.num_against_K)
             if search.contradicts_K:
                 (assumed,) = with_lines([auto_camera(image)], [image])
-                search = LocationSearch(self.model, assumed, self.options, names, whole=whole)
-        self.matcher.cache.forget(image)
+                search = LocationSearch(self.model, assumed, estimation, names, whole=whole)
         location = search.location()
-        if against_K and (not location.success or search.stated is not camera):
-            warnings.append(f"{image.name}: {_against(camera, location, against_K)}")
-        return replace(
-            location,
-            warnings=(*warnings, *camera.warnings, *location.warnings),
-            seconds=seconds,
-        )
+        if not against_K or (location.success and search.stated is camera):
+            return location
+        said = f"{image.name}: {_against(camera, location, against_K)}"
+        return replace(location, warnings=(said, *location.warnings))
 
     def _points(
         self, name: str, image: Image, pose: RelativePose, matches: Matches

@@ -10,7 +10,7 @@ fraction of a cell. Only the comparison at stride 16 is quadratic in the number 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import partial
 from itertools import chain
 
@@ -84,17 +84,37 @@ def feature_matches(
             comparisons.append((_squeezed(first, axis), second, None))
             comparisons.append((first, _squeezed(second, axis), None))
         comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
-    encoded: dict[Shown, Encoded] = {}
-    # One by one: an image occupies all processors, and only one needs memory.
-    for view, cells in dict.fromkeys(chain(*(comparison[:2] for comparison in comparisons))):
-        make = partial(_encode, engine, view, cells)
-        encoded[view, cells] = view, cache.get(view.image, (view, cells), make)
+    encoded = _encoded(engine, cache, chain(*(comparison[:2] for comparison in comparisons)))
 
     def compare(comparison: tuple[Shown, Shown, TwoViews | None]) -> Matches:
         source, target, hypothesis = comparison
         return _neighbours(engine, dense, encoded[source], encoded[target], hypothesis)
 
     return in_threads(compare, comparisons), [encoded[first], encoded[second]], scale
+
+
+def encoded_views(
+    engine: Engine,
+    image1: Image,
+    image2: Image,
+    dense: CorrespondenceMap,
+    cache: ImageCache,
+    long_side: int = LONG_SIDE,
+) -> tuple[list[Encoded], float]:
+    """The views that `feature_matches` compares, encoded, and their scale."""
+    first, second, scale = _compared_views(image1, image2, dense, long_side)
+    encoded = _encoded(engine, cache, (first, second))
+    return [encoded[first], encoded[second]], scale
+
+
+def _encoded(engine: Engine, cache: ImageCache, shown: Iterable[Shown]) -> dict[Shown, Encoded]:
+    """The views, encoded one by one: an image occupies all processors, and only one needs
+    memory."""
+    encoded: dict[Shown, Encoded] = {}
+    for view, cells in dict.fromkeys(shown):
+        make = partial(_encode, engine, view, cells)
+        encoded[view, cells] = view, cache.get(view.image, (view, cells), make)
+    return encoded
 
 
 def _compared_views(

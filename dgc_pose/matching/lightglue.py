@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.errors import WeightsError, require
+from dgc_pose.errors import WeightsError, is_installed, require
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.key_points import KeyPointMatcher, KeyPoints, Rows, input_size, mutual
-from dgc_pose.network.weights import check_state, fingerprint, read_tensors
-from dgc_pose.system.files import read_as
+from dgc_pose.network.weights import check_state, fingerprint, read_tensors, reading
 
 if TYPE_CHECKING:
     from dgc_pose.runtime.session import Session
 
 NAME = "aliked-lightglue"
+PACKAGE = "dgc_pose_lightglue"
 FORMAT = 1  # of the graphs and weights
 ALIKED, LAYER, WEIGHTS, SHAPES = "aliked.onnx", "layer.onnx", "weights.safetensors", "weights.json"
 LAYERS = 9
@@ -140,10 +140,11 @@ class LightGlueMatcher(KeyPointMatcher):
         from dgc_pose.runtime.session import Session
 
         def make() -> Session:
-            graph = ALIKED if part == "aliked" else LAYER
+            graph = self._folder / (ALIKED if part == "aliked" else LAYER)
             names = [name for name in self._weights if name.startswith(f"{part}.")]
             weights = {name.removeprefix(f"{part}."): self._weights[name] for name in names}
-            return Session(self._folder / graph, weights)
+            with reading("a graph", graph):
+                return Session(graph, weights)
 
         return self._sessions.get(part, make)
 
@@ -173,11 +174,16 @@ def _log_softmax(logits: np.ndarray, axis: int) -> np.ndarray:
     return shifted
 
 
+def is_available() -> bool:
+    """Whether the graphs and weights are installed."""
+    return is_installed(PACKAGE)
+
+
 def installed() -> Path:
     """The folder of the installed graphs and weights. Raises InputError if they are missing,
     WeightsError if they have another format."""
     require({NAME: "lightglue"})
-    package = import_module("dgc_pose_lightglue")
+    package = import_module(PACKAGE)
     folder = Path(str(package.__file__)).parent
     if (found := getattr(package, "FORMAT", None)) != FORMAT:
         raise WeightsError(folder, f"has format {found}; {NAME} needs format {FORMAT}")
@@ -186,11 +192,9 @@ def installed() -> Path:
 
 def read_weights(folder: Path) -> Mapping[str, np.ndarray]:
     """The weights in single precision. Raises WeightsError, with the file, if it is damaged."""
-    with read_as("a table of shapes", folder / SHAPES, WeightsError):
-        shapes = {
-            key: tuple(map(int, shape))
-            for key, shape in json.loads((folder / SHAPES).read_text("utf-8")).items()
-        }
+    with reading("a table of shapes", folder / SHAPES):
+        table = json.loads((folder / SHAPES).read_bytes())
+        shapes = {key: tuple(map(int, shape)) for key, shape in table.items()}
     _, state = read_tensors(folder / WEIGHTS)
     check_state(folder / WEIGHTS, NAME, state, shapes)
     return {key: value.astype(np.float32) for key, value in state.items()}

@@ -41,12 +41,17 @@ class MatchResult:
 class Matcher:
     """Anything that matches two images: the network, SIFT, a detector, or files.
 
-    `match` suffices for a pair. `coarse`, `refined` and `guided` are further steps of `solve_pair`;
-    each returns None if it has no new matches.
+    `match` suffices for a pair. `coarse`, `refined`, `guided` and `second` are further steps of
+    `solve_pair`; each returns None if it has no new matches.
     """
 
     name: str  # in results and tables
     engine: Engine | None = None  # the network of a `NetworkMatcher`, which has all steps
+
+    @property
+    def second_matcher(self) -> Matcher | None:
+        """The matcher of the step `second`, loaded on first use; None without one."""
+        return None
 
     @cached_property
     def cache(self) -> ImageCache:
@@ -73,6 +78,9 @@ class Matcher:
         self, image1: Image, image2: Image, result: MatchResult, hypotheses: Sequence[TwoViews]
     ) -> MatchResult | None:
         """Add to a result matches near the epipolar lines of hypotheses of the pose."""
+
+    def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
+        """Add to a result the matches of a second matcher."""
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
@@ -20,7 +21,8 @@ from dgc_pose.matching.correspondence_map import (
     select_matches,
 )
 from dgc_pose.matching.dense import dense_map, map_features
-from dgc_pose.matching.features import LONG_SIDE, feature_matches
+from dgc_pose.matching.features import LONG_SIDE, Encoded, encoded_views, feature_matches
+from dgc_pose.matching.lightglue import LightGlueMatcher, is_available
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import context_ratio
 from dgc_pose.matching.view import View
@@ -53,6 +55,10 @@ class NetworkMatcher(Matcher):
     @property
     def fingerprint(self) -> str:
         return self.engine.fingerprint
+
+    @cached_property
+    def second_matcher(self) -> Matcher | None:
+        return LightGlueMatcher(self.cache) if is_available() else None
 
     def coarse_features(self, image: Image) -> np.ndarray:
         (features,) = map_features(self.engine, self.cache, View.whole(image))
@@ -97,6 +103,23 @@ class NetworkMatcher(Matcher):
         first = result.aligned, result.matches
         return self._refined(image1, image2, dense, first=[first], hypotheses=hypotheses)
 
+    def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
+        """Add to a result the matches of `LightGlueMatcher`, refined as its own are. Returns None
+        if its distribution is not installed; raises WeightsError if that is damaged."""
+        dense = result.correspondence_map
+        if self.second_matcher is None or self.options.aligned == "none" or dense is None:
+            return None
+        found = self.second_matcher.match(image1, image2).matches
+        found = replace(found, key_points=False, weights=self.fingerprint)
+        part = refine(image1, image2, found, self.options.max_matches)
+        aligned, agreeing = self._joined(image1, image2, [part])
+        if not len(agreeing):
+            return None
+        if result.aligned is not None:
+            aligned = agreeing = Matches.joined([result.matches, aligned])
+        encoded = encoded_views(self.engine, image1, image2, dense, self.cache)
+        return self._selected(image1, image2, dense, aligned, agreeing, encoded)
+
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         dense = dense_map(self.engine, image1, image2, self.cache)
         matches = select_matches(dense, self.options)
@@ -126,14 +149,33 @@ class NetworkMatcher(Matcher):
             return refine(image1, image2, part, most, radius)
 
         parts = [*first, *in_threads(aligned_and_agreeing, found)]
-        aligned, agreeing = (
-            self._textured(image1, image2, Matches.joined(of) if len(of) > 1 else of[0])
-            for of in zip(*parts, strict=True)
-        )
+        aligned, agreeing = self._joined(image1, image2, parts)
         too_few = len(aligned) < MIN_ALIGNED and len(agreeing) < MIN_MATCHES
         if instead is not None and too_few:
-            part = aligned_and_agreeing(instead)
-            aligned, agreeing = (self._textured(image1, image2, of) for of in part)
+            aligned, agreeing = self._joined(image1, image2, [aligned_and_agreeing(instead)])
+        return self._selected(image1, image2, dense, aligned, agreeing, (views, scale))
+
+    def _joined(
+        self, image1: Image, image2: Image, parts: Sequence[tuple[Matches, Matches]]
+    ) -> tuple[Matches, Matches]:
+        """The aligned and the agreeing matches of all parts, where both images have structure."""
+        aligned, agreeing = (
+            self._textured(image1, image2, Matches.joined(some) if len(some) > 1 else some[0])
+            for some in zip(*parts, strict=True)
+        )
+        return aligned, agreeing
+
+    def _selected(
+        self,
+        image1: Image,
+        image2: Image,
+        dense: CorrespondenceMap,
+        aligned: Matches,
+        agreeing: Matches,
+        encoded: tuple[Sequence[Encoded], float],
+    ) -> MatchResult | None:
+        """The result of aligned and agreeing matches (see `refine`), evenly spread; None if too few
+        agree. encoded: the views of both images with their scale, see `encoded_views`."""
         # Patches of views far apart often differ too much. Few aligned matches are more accurate,
         # but cannot distinguish a pose from chance. All agreeing matches are then used, with the
         # error that they had before alignment.
@@ -141,7 +183,9 @@ class NetworkMatcher(Matcher):
         chosen = aligned if enough else agreeing
         if len(chosen) < MIN_MATCHES:
             return None
+        most = self.options.max_matches
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
+        views, scale = encoded
         share = context_ratio(views, self._textures(image1, image2), chosen, scale)
         chosen = replace(chosen, context_ratio=share)
         return MatchResult(chosen, dense, chosen if enough else aligned)

@@ -57,7 +57,9 @@ def test_all_outputs_are_written_and_json_has_the_pose(folder, network):
         assert np.allclose(camera["K"], dense_scene.K)
         assert camera["focal_std"] == 0 and camera["focal_source"] == "given"
     with np.load("m.npz", allow_pickle=False) as file:
-        assert sorted(file) == ["confidence", "inliers", "points1", "points2"]
+        points = {"confidence", "inliers", "points1", "points2"}
+        assert {*file} == points | {"error_px", "key_points", "image1", "image2", "weights"}
+        assert (file["image1"], file["image2"]) == ("one.png", "two.png")
         assert file["points1"].shape == file["points2"].shape == (data["num_matches"], 2)
         assert file["confidence"].shape == (data["num_matches"],)
         assert file["inliers"].dtype == bool and file["inliers"].sum() == data["num_inliers"]

@@ -11,9 +11,11 @@ import PIL.Image
 import pycolmap
 import torch
 from command_line import run
+from given_world import given_world, write_hloc, write_npz, write_with_pycolmap
 from PIL.TiffImagePlugin import IFDRational
 from worlds import world_scene, write_colmap
 
+from dgc_pose.batch.given import read_given
 from dgc_pose.batch.result import read_batch
 from dgc_pose.benchmarks.other_matchers import FileMatcher
 from dgc_pose.cameras.calibration import parse_camera, read_calibration
@@ -149,11 +151,27 @@ def make_batch(folder):
     assert done.exit_code == 0, done.output
 
 
+def _make_given(folder):
+    """The matches of another program, of each kind."""
+    world = given_world(count=2, points=30, unrelated=0)
+    for name, write in (("hloc", write_hloc), ("npz", write_npz)):
+        write(world, folder / name)
+    (folder / "database").mkdir()
+    write_with_pycolmap(world, folder / "database/given.db")
+
+
+def _read_given(path):
+    given = read_given(path if path.suffix == ".db" else path.parent)
+    for pair in given.places:
+        given.read(pair)
+
+
 READERS = {
     "images": (_make_images, image_size, load_image, read_pixels, _camera_of_image),
     "calibrations": (_make_calibrations, _read_calibration),
     "lists": (_make_lists, _read_list),
     "weights": (_make_weights, load_network),
     "matches": (_make_matches, _read_matches),
+    "given": (_make_given, _read_given),
     "batches": (make_batch, lambda path: pair_geometries(read_batch(path.parent))),
 }

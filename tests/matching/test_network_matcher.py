@@ -13,7 +13,14 @@ from dgc_pose.estimation import estimate_pose
 from dgc_pose.images.image import Image, flipped
 from dgc_pose.matchers import load_matcher
 from dgc_pose.matches import Matches
-from dgc_pose.matching import CorrespondenceMap, MatchingOptions, NetworkMatcher, network_matcher
+from dgc_pose.matching import (
+    CorrespondenceMap,
+    Matcher,
+    MatchingOptions,
+    MatchResult,
+    NetworkMatcher,
+    network_matcher,
+)
 from dgc_pose.matching.dense import dense_map
 from dgc_pose.matching.view import View
 from dgc_pose.metrics import rotation_error_deg, translation_error_deg
@@ -124,6 +131,75 @@ def test_guided_matches_join_the_first(
     else:
         assert more.matches.error_px == 1.0 and len(more.matches) > 1.5 * len(first.matches)
         assert more.aligned.error_px == 0.5 and len(more.aligned) < len(more.matches)
+
+
+class _OtherMatcher(Matcher):
+    """In place of `LightGlueMatcher`: these key points."""
+
+    def __init__(self, matches: Matches) -> None:
+        self.matches = matches
+
+    def _match(self, image1: Image, image2: Image) -> MatchResult:
+        return MatchResult(self.matches, None)
+
+
+def _second(monkeypatch: pytest.MonkeyPatch, matches: Matches) -> None:
+    other = _OtherMatcher(replace(matches, key_points=True))
+    monkeypatch.setattr(network_matcher, "is_available", lambda: True)
+    monkeypatch.setattr(network_matcher, "LightGlueMatcher", lambda cache: other)
+    views = [(View.whole(Image(np.zeros((9, 9, 3), np.uint8))), None)] * 2
+    monkeypatch.setattr(network_matcher, "encoded_views", lambda *arguments: (views, 1.0))
+
+
+@pytest.mark.parametrize("min_aligned", [100, 10_000])
+def test_the_aligned_matches_of_a_second_matcher_join_the_first(
+    images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch, min_aligned: int
+) -> None:
+    """Whether the first are aligned or only agree with their neighbours."""
+    _features(monkeypatch, _points((60, 150), (40, 200), 250, 0))
+    _second(monkeypatch, _points((170, 260), (40, 200), 250, 1))
+    monkeypatch.setattr(network_matcher, "MIN_ALIGNED", min_aligned)
+    matcher = dense_scene.MapMatcher(_NOISY, _OPTIONS)
+    first = matcher.match(*images)
+    more = matcher.second(*images, first)
+    assert more is not None and more.correspondence_map is first.correspondence_map
+    assert _rows(first.matches) < _rows(more.matches)
+    added = more.matches.subset(more.matches.points2[:, 0] > 160)
+    assert len(added) > 60 and np.median(_errors(added)) < 0.1
+    assert more.matches.error_px == first.matches.error_px
+    assert not more.matches.key_points and more.matches.weights == first.matches.weights
+
+
+def test_a_second_matcher_answers_where_nothing_could_be_refined(
+    images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its matches alone, then: those of the map have an error of several pixels."""
+    _features(monkeypatch, _points((60, 260), (40, 200), 0, 0))
+    _second(monkeypatch, _points((60, 260), (40, 200), 300, 1))
+    matcher = dense_scene.MapMatcher(dense_scene.noise_map(), _OPTIONS)
+    first = matcher.match(*images)
+    more = matcher.second(*images, first)
+    assert first.aligned is None and more is not None
+    assert more.matches.error_px == 0.5 and np.median(_errors(more.matches)) < 0.1
+
+
+def test_there_are_no_second_matches_without_refinement_agreement_or_the_distribution(
+    images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _features(monkeypatch, _points((60, 150), (40, 200), 250, 0))
+    rng = np.random.default_rng(0)
+    right = _points((60, 260), (40, 200), 300, 1)
+    wrong = replace(right, points1=rng.permutation(right.points1))
+    _second(monkeypatch, wrong)
+    matcher = dense_scene.MapMatcher(_NOISY, _OPTIONS)
+    assert matcher.second(*images, matcher.match(*images)) is None
+    _second(monkeypatch, right)
+    plain = dense_scene.MapMatcher(_NOISY, _PLAIN)
+    assert plain.second(*images, plain.match(*images)) is None
+    monkeypatch.setattr(network_matcher, "is_available", lambda: False)
+    without = dense_scene.MapMatcher(_NOISY, _OPTIONS)
+    assert without.second(*images, without.match(*images)) is None
+    assert without.second_matcher is None
 
 
 def test_a_coarse_pass_ends_at_a_weak_map_of_30_cells_if_the_next_would_go_on_from_it(

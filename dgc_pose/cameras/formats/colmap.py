@@ -12,10 +12,10 @@ from __future__ import annotations
 import re
 import sqlite3
 import struct
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -45,10 +45,11 @@ _PROGRAMS = """
     WHERE tables.type = 'table' AND hidden
 """
 _IMAGES = """
-    SELECT image_id, CAST(name AS TEXT), model, width, height, params FROM images
-    LEFT JOIN cameras ON cameras.camera_id = images.camera_id AND prior_focal_length
+    SELECT image_id, CAST(name AS TEXT), model, width, height, params, prior_focal_length
+    FROM images LEFT JOIN cameras ON cameras.camera_id = images.camera_id
 """
 _FILES = ("cameras", "images", "points3D", "rigs", "frames")  # of a model, without endings
+Table = Literal["matches", "two_view_geometries"]  # of a database, with matches by pair
 _MAX_IMAGES = 2**31 - 1  # COLMAP's pair_id is id1 * _MAX_IMAGES + id2
 
 
@@ -187,12 +188,10 @@ def _camera(model: str, size: Size, parameters: list[float]) -> Camera:
     return Camera(K, size, distortion)
 
 
-def read_database(path: Path) -> PairList:
-    """Read the images, the cameras with a known focal length and the matched pairs of a COLMAP
-    database, including those in SQLite's log beside it. The file is not modified.
-
-    Raises InputError, with the path, if the database cannot be read.
-    """
+@contextmanager
+def open_database(path: Path) -> Iterator[sqlite3.Connection]:
+    """A COLMAP database to read, including what is in SQLite's log beside it. The file is not
+    modified. Raises InputError, with the path, for whatever the block cannot read."""
     open_file(path).close()
     file = path.resolve()
     logs = [log for end in ("-wal", "-journal") if (log := Path(f"{file}{end}")).is_file()]
@@ -202,24 +201,48 @@ def read_database(path: Path) -> PairList:
         read_as(" with ".join(["a COLMAP database", *names]), path),
         closing(sqlite3.connect(uri, uri=True)) as database,
     ):
+        for (program,) in database.execute(_PROGRAMS):
+            raise ValueError(f"the database computes {program}, and only stored tables are read")
         try:
-            return _database_content(database)
+            yield database
         except InputError as error:
             raise ValueError(str(error)) from None
 
 
-def _database_content(database: sqlite3.Connection) -> PairList:
-    for (program,) in database.execute(_PROGRAMS):
-        raise ValueError(f"the database computes {program}, and only stored tables are read")
-    names: dict[int, str] = {}
+def read_database(path: Path) -> PairList:
+    """Read the images, the cameras with a known focal length and the matched pairs of a COLMAP
+    database. Raises InputError, with the path, if the database cannot be read."""
+    with open_database(path) as database:
+        ids, _, cameras = read_images(database)
+        pairs = sorted(read_pairs(database, ids, "matches"))
+        return PairList(tuple(sorted(ids)), tuple(pairs), cameras)
+
+
+def read_images(
+    database: sqlite3.Connection,
+) -> tuple[dict[str, int], dict[str, Size], dict[str, Camera]]:
+    """By the name of an image: its id, its size, and its camera if its focal length is known."""
+    ids: dict[str, int] = {}
+    sizes: dict[str, Size] = {}
     cameras: dict[str, Camera] = {}
-    for image_id, name, model_id, width, height, parameters in database.execute(_IMAGES):
-        names[image_id] = name
+    for image_id, name, model_id, width, height, parameters, is_known in database.execute(_IMAGES):
+        ids[name] = image_id
         if model_id is not None:
+            sizes[name] = int(width), int(height)
+        if model_id is not None and is_known:
             model, count = colmap_camera.model_of_id(model_id)
             values = struct.unpack_from(f"<{count}d", parameters)
-            cameras[name] = _camera(model, (int(width), int(height)), list(values))
-    keys = database.execute("SELECT pair_id FROM matches WHERE rows > 0")
-    ids = [divmod(key, _MAX_IMAGES) for (key,) in keys]
-    pairs = sorted((names[first], names[second]) for first, second in ids)
-    return PairList(tuple(sorted(names.values())), tuple(pairs), cameras)
+            cameras[name] = _camera(model, sizes[name], list(values))
+    return ids, sizes, cameras
+
+
+def read_pairs(
+    database: sqlite3.Connection, ids: Mapping[str, int], table: Table
+) -> dict[tuple[str, str], int]:
+    """The pairs with matches in a table, by the names of their images, and their `pair_id`."""
+    names = {image_id: name for name, image_id in ids.items()}
+    pairs = {}
+    for (key,) in database.execute(f"SELECT pair_id FROM {table} WHERE rows > 0"):
+        first, second = divmod(key, _MAX_IMAGES)
+        pairs[names[first], names[second]] = key
+    return pairs

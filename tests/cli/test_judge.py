@@ -1,0 +1,192 @@
+"""`dgc-pose judge`: its table, its files, and unusable input in one line."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+import pytest
+from batch_runs import view_folder
+from command_line import assert_refused, contents, run
+from given_world import given_world, write_hloc, write_npz, write_with_pycolmap
+from worlds import K_text
+
+from dgc_pose import load_image
+from dgc_pose.batch.result import read_batch
+from dgc_pose.cameras.pair_list import rendered_pair
+from dgc_pose.geometry.rotation import rotation_of_quaternion
+from dgc_pose.matching.key_points import SiftMatcher
+
+WORLD = given_world(count=4)
+QUICK = ("--runs", "1", "--iterations", "300", "--workers", "1")
+
+
+@pytest.fixture(scope="module")
+def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_with_pycolmap(WORLD, tmp_path_factory.mktemp("given") / "a.db")
+
+
+def test_a_table_and_its_files(database: Path, tmp_path: Path) -> None:
+    """The claimed pairs come first, in the table as in the files."""
+    files = ("--csv", tmp_path / "p.csv", "--json", tmp_path / "p.json")
+    done = run("judge", database, *files, "--batch", tmp_path / "batch", *QUICK)
+    assert done.exit_code == 0, done.output
+    (said,) = done.stderr.splitlines()
+    assert said.startswith(f"{database}: COLMAP's key points") and "0.5 is subtracted" in said
+    _, *shown, _, counts = done.stdout.splitlines()
+    assert counts.startswith(f"{database}: 3 poses of 6 pairs (")
+    pairs = json.loads((tmp_path / "p.json").read_text())["pairs"]
+    rows = list(csv.DictReader((tmp_path / "p.csv").open()))
+    assert [row["claimed"] for row in rows] == ["1"] * 3 + ["0"] * 3
+    for line, pair, row in zip(shown, pairs, rows, strict=True):
+        names = pair["name1"], pair["name2"]
+        assert line.startswith(" ".join(names)) and (row["name1"], row["name2"]) == names
+        assert row["status"] == pair["status"] and int(row["num_inliers"]) == pair["num_inliers"]
+        if pair["success"]:
+            R = rotation_of_quaternion(np.array([float(row[f"q{axis}"]) for axis in "wxyz"]))
+            t = np.array([float(row[f"t{axis}"]) for axis in "xyz"])
+            assert np.allclose(R, pair["R"]) and np.allclose(t, pair["t"])
+            assert max(WORLD.errors_deg(names, R, t)) < 1.5
+            assert float(row["rotation_error_90_deg"]) == pair["rotation_error_90_deg"]
+        else:
+            assert row["qw"] == row["tx"] == ""
+    stored = (tmp_path / "batch/pairs.jsonl").read_text().splitlines()
+    assert sorted(map(json.dumps, pairs)) == sorted(json.dumps(json.loads(line)) for line in stored)
+    only = run("judge", database, "--json", "-", *QUICK)
+    assert json.loads(only.stdout)["pairs"] == pairs
+
+
+def test_a_stopped_run_goes_on(database: Path, tmp_path: Path) -> None:
+    """A finished one is read; one of another source, or of one that has changed, is not."""
+    source = tmp_path / "a.db"
+    shutil.copy2(database, source)
+    words = ("--batch", tmp_path / "batch", *QUICK)
+    assert run("judge", source, *words).exit_code == 0
+    assert_refused(run("judge", source, *words), "has a batch already", "--resume continues it")
+    again = run("judge", source, *words, "--resume", "--csv", tmp_path / "p.csv")
+    assert again.exit_code == 0 and (tmp_path / "p.csv").is_file()
+    with pycolmap.Database.open(source) as changed:
+        changed.clear_two_view_geometries()
+    source.touch()
+    refused = run("judge", source, *words, "--resume")
+    assert_refused(refused, "--resume needs the same")
+
+
+def test_cameras_that_are_not_known(database: Path, tmp_path: Path) -> None:
+    """One line states it."""
+    source = write_with_pycolmap(WORLD, tmp_path / "a.db", known=False)
+    done = run("judge", source, *QUICK)
+    said = "K is not stated: the focal lengths are estimated (--K auto)"
+    assert done.exit_code in (0, 3) and done.stderr.splitlines()[0] == said
+    with_K = run("judge", source, "--K", "900,905,500,390", *QUICK)
+    known = run("judge", database, *QUICK)
+    assert with_K.stdout.splitlines()[:-1] == known.stdout.splitlines()[:-1]
+
+
+def test_no_pair_with_a_pose(tmp_path: Path) -> None:
+    write_npz(given_world(count=3, unrelated=3), tmp_path / "n")
+    done = run("judge", tmp_path / "n", "--K", "900,905,500,390", *QUICK)
+    assert done.exit_code == 3 and ": 0 poses of 3 pairs (" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Rendered views, and SIFT's matches of them as .npz. The second one is stored on its side."""
+    folder = tmp_path_factory.mktemp("photographs")
+    view_folder(folder, 3)
+    images = {path.name: load_image(path) for path in sorted(folder.glob("*.png"))}
+    names = [*images]
+    (folder / "npz").mkdir()
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        pair = names[first], names[second]
+        found = SiftMatcher().match(*(images[name] for name in pair)).matches
+        arrays = {"points1": found.points1, "points2": found.points2}
+        np.savez(folder / "npz" / f"{'_'.join(pair)}.npz", **arrays)
+    return folder
+
+
+def test_photographs_tell_what_surrounds_the_matches(photographs: Path, tmp_path: Path) -> None:
+    words = ("--images", photographs, "--K", K_text(), "--batch", tmp_path / "b")
+    done = run("judge", photographs / "npz", *words, *QUICK)
+    assert done.exit_code == 0 and ": 3 poses of 3 pairs" in done.stdout, done.output
+    for pair in read_batch(tmp_path / "b").pairs():
+        around = pair.matches.context_ratio
+        assert around is not None and around > 0.3
+
+
+def test_the_matches_that_estimate_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have a probability, as matches of our network without their map."""
+    monkeypatch.chdir(tmp_path)
+    pair = rendered_pair()
+    K1, K2 = (camera.K[(0, 1, 0, 1), (0, 1, 2, 2)] for camera in (pair.camera1, pair.camera2))
+    lines = [",".join(map(str, (path, *K))) for path, K in ((pair.path1, K1), (pair.path2, K2))]
+    Path("K.csv").write_text("\n".join(["name,fx,fy,cx,cy", *lines, ""]))
+    (tmp_path / "npz").mkdir()
+    words = (
+        pair.path1,
+        pair.path2,
+        "--K",
+        "K.csv",
+        "--json",
+        "pose.json",
+        "--matches",
+        "npz/any.npz",
+    )
+    assert run("estimate", *words).exit_code == 0
+    done = run("judge", "npz", "--K", "K.csv", "--json", "-", "--workers", "1")
+    (judged,) = json.loads(done.stdout)["pairs"]
+    pose = json.loads(Path("pose.json").read_text())
+    assert (judged["name1"], judged["name2"]) == (str(pair.path1), str(pair.path2))
+    assert np.allclose(judged["R"], pose["R"], atol=1e-3)
+    assert judged["probability"] > 0.9 and pose["probability"] > 0.9
+
+
+def test_photographs_that_do_not_fit(photographs: Path, database: Path, tmp_path: Path) -> None:
+    words = ("judge", photographs / "npz", "--K", K_text(), *QUICK)
+    (tmp_path / "none").mkdir()
+    refused = run(*words, "--images", tmp_path / "none")
+    assert refused.exit_code == 2
+    assert "--images" in refused.stderr and "none of the 3 images" in refused.stderr
+    some = tmp_path / "some"
+    shutil.copytree(photographs, some)
+    (some / "view2.png").unlink()
+    done = run(*words, "--images", some)
+    assert done.exit_code == 0 and "bad_input 2, ok 1" in done.stdout
+    assert done.stderr.splitlines()[-1].startswith("bad image view2.png: ")
+    rows = tmp_path / "other/rows"
+    rows.mkdir(parents=True)
+    for name in WORLD.names:  # of another size than the database states
+        cv2.imwrite(str(rows.parent / name), np.zeros((90, 120, 3), np.uint8))
+    refused = run("judge", database, "--images", rows.parent, *QUICK)
+    assert refused.exit_code == 2 and "120x90 pixels, and " in refused.stderr
+    assert "states 1000x800" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("none.db",), "none.db"),
+        (("text.db",), "cannot be read as a COLMAP database"),
+        (("empty",), "holds neither hloc's .h5 nor an .npz"),
+        (("h", "--K", "nothing"), "--K: 'nothing' is neither"),
+        (("h", "--K", "900,905,500,390", "--resume"), "--resume needs --batch"),
+        (("h", "--K", "900,905,500,390", "--images", "nowhere"), "none of the 4 images of h"),
+    ],
+    ids=str,
+)
+def test_unusable_input_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], reason: str
+) -> None:
+    """And nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    Path("text.db").write_text("no database\n" * 99)
+    Path("empty").mkdir()
+    write_hloc(WORLD, Path("h"), sizes=False)
+    before = contents(tmp_path)
+    files = ("--out", "o.db", "--csv", "p.csv", "--json", "p.json")
+    done = run("judge", *words, *files, *QUICK)
+    assert_refused(done, reason)
+    assert contents(tmp_path) == before

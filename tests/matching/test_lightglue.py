@@ -1,0 +1,254 @@
+"""ALIKED and LightGlue against the released networks, and against a plain computation."""
+
+import multiprocessing
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+from scipy.special import erf, log_expit, log_softmax, softmax
+
+from dgc_pose import load_matcher
+from dgc_pose.errors import InputError, WeightsError
+from dgc_pose.images.image import Image, load_image, masked
+from dgc_pose.matching.key_points import KeyPoints
+from dgc_pose.matching.lightglue import NAME, LightGlueMatcher
+
+PHOTOGRAPHS = Path(str(files("dgc_pose") / "data" / "photographs"))
+PACKAGE = "dgc_pose_lightglue"
+
+
+@pytest.fixture(scope="module")
+def matcher(lightglue: None) -> LightGlueMatcher:
+    matcher = load_matcher(NAME)
+    assert isinstance(matcher, LightGlueMatcher)
+    return matcher
+
+
+@pytest.fixture(scope="module")
+def photographs() -> list[Image]:
+    return [load_image(PHOTOGRAPHS / f"image{k}.jpg") for k in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def small(photographs: list[Image]) -> list[Image]:
+    return [Image(cv2.resize(one.pixels, (160, 120))) for one in photographs]
+
+
+@pytest.fixture(scope="module")
+def found(matcher: LightGlueMatcher, photographs: list[Image]) -> list[KeyPoints]:
+    return [matcher._detect(photograph) for photograph in photographs]
+
+
+def test_key_points_and_matches_are_those_of_the_released_networks(
+    matcher: LightGlueMatcher, photographs: list[Image], found: list[KeyPoints]
+) -> None:
+    """By `wheel_lightglue.py`. The weights here have half the digits."""
+    wheel = np.load(Path(__file__).parent / "wheel_lightglue.npz")
+    rows = []
+    for key_points, expected in zip(found, (wheel["points1"], wheel["points2"]), strict=True):
+        off = np.linalg.norm(key_points.points[:, None] - expected, axis=-1)
+        assert key_points.size == (1024, 768) and len(key_points.points) == 2048
+        assert (off.min(0) < 0.5).mean() > 0.99 and (off.min(1) < 0.5).mean() > 0.99
+        rows.append(off.argmin(1))
+    rows1, rows2, confidence = matcher._matched(*found)
+    ours = set(zip(rows[0][rows1], rows[1][rows2], strict=True))
+    theirs = {(i, j) for i, j in wheel["matches"]}
+    assert len(ours & theirs) > 0.95 * max(len(ours), len(theirs)) > 500
+    of_pair = dict(zip(map(tuple, wheel["matches"]), wheel["scores"], strict=True))
+    pairs = zip(rows[0][rows1], rows[1][rows2], confidence, strict=True)
+    differences = [abs(score - of_pair[i, j]) for i, j, score in pairs if (i, j) in of_pair]
+    assert np.median(differences) < 0.01
+    matches = matcher.match(*photographs).matches
+    assert matches.key_points and matches.error_px == 1280 / 1024
+    expected = (found[0].points[rows1] + 0.5) * 1.25 - 0.5
+    assert {*map(tuple, matches.points1)} <= {*map(tuple, expected)} and len(matches) > 500
+
+
+def plain_matches(
+    weights: Mapping[str, np.ndarray], found: list[KeyPoints]
+) -> Iterator[dict[tuple[int, int], float]]:
+    """The scores of the matches after each layer, of all key points, in double precision."""
+    w = {name: value.astype(np.float64) for name, value in weights.items()}
+
+    def affine(name: str, x: np.ndarray) -> np.ndarray:
+        return x @ w[f"{name}.weight"] + w[f"{name}.bias"]
+
+    def heads(x: np.ndarray) -> np.ndarray:
+        return x.reshape(len(x), 4, 64).transpose(1, 0, 2)
+
+    def attention(query: np.ndarray, key: np.ndarray, value: np.ndarray) -> np.ndarray:
+        shares = softmax(heads(query) @ heads(key).transpose(0, 2, 1) / 8, -1)
+        return (shares @ heads(value)).transpose(1, 0, 2).reshape(len(query), 256)
+
+    def updated(name: str, x: np.ndarray, attended: np.ndarray) -> np.ndarray:
+        wide = affine(f"{name}.widen", np.hstack([x, affine(f"{name}.message", attended)]))
+        wide -= wide.mean(1, keepdims=True)
+        wide /= np.sqrt((wide**2).mean(1, keepdims=True) + 1e-5)
+        wide = wide * w[f"{name}.norm.weight"] + w[f"{name}.norm.bias"]
+        return x + affine(f"{name}.narrow", wide * (1 + erf(wide / np.sqrt(2))) / 2)
+
+    def turned(x: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        parts = x.reshape(len(x), 4, 2, 32)
+        z = (parts[:, :, 0] + 1j * parts[:, :, 1]) * np.exp(1j * angles)[:, None]
+        return np.stack([z.real, z.imag], 2).reshape(len(x), 256)
+
+    x, angles = [], []
+    for one in found:
+        size = np.array(one.size)
+        x.append(affine("input", one.descriptors))
+        angles.append((2 * one.points - size) / size.max() @ w["angles"])
+    for layer in range(9):
+        name = f"layers.{layer}.self_attn"
+        for k in range(2):
+            query, key = (turned(affine(f"{name}.{p}", x[k]), angles[k]) for p in ("query", "key"))
+            attended = attention(query, key, affine(f"{name}.value", x[k]))
+            x[k] = updated(f"{name}.update", x[k], attended)
+        name = f"layers.{layer}.cross_attn"
+        queries = [affine(f"{name}.query", one) for one in x]
+        values = [affine(f"{name}.value", one) for one in x]
+        x = [
+            updated(f"{name}.update", x[k], attention(queries[k], queries[1 - k], values[1 - k]))
+            for k in range(2)
+        ]
+        name = f"decisions.{layer}"
+        projected = [affine(f"{name}.project", one) / 4 for one in x]
+        similarity = projected[0] @ projected[1].T
+        z1, z2 = (log_expit(affine(f"{name}.matchable", one)) for one in x)
+        scores = np.exp(log_softmax(similarity, 0) + log_softmax(similarity, 1) + z1 + z2.T)
+        best = (scores == scores.max(0)) & (scores == scores.max(1, keepdims=True)) & (scores > 0.1)
+        yield {(i, j): scores[i, j] for i, j in zip(*np.nonzero(best), strict=True)}
+
+
+def test_matches_are_those_of_a_plain_computation_with_pruning_or_without(
+    matcher: LightGlueMatcher, found: list[KeyPoints], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After one of the layers: where the loop stops is not seen from outside."""
+    few = [
+        one._replace(points=one.points[:600], descriptors=one.descriptors[:600]) for one in found
+    ]
+    pruned, pruned_rows2, _ = matcher._matched(*few)
+    monkeypatch.setattr("dgc_pose.matching.lightglue._MATCHABLE", 0.0)
+    rows1, rows2, confidence = matcher._matched(*few)
+    ours = dict(zip(zip(rows1, rows2, strict=True), confidence, strict=True))
+    shares, worst = [], []
+    for plain in plain_matches(matcher._weights, few):
+        common = plain.keys() & ours.keys()
+        shares.append(len(common) / max(len(plain), len(ours)))
+        worst.append(max(abs(plain[match] - ours[match]) for match in common))
+    layer = int(np.argmin(worst))
+    assert len(ours) > 100 and shares[layer] > 0.98 and worst[layer] < 1e-3 and 0 < layer < 8
+    kept = ours.keys() & zip(pruned, pruned_rows2, strict=True)
+    assert len(kept) > 0.97 * max(len(ours), len(pruned))
+
+
+def test_threads_and_forked_processes_find_the_same(
+    matcher: LightGlueMatcher, small: list[Image]
+) -> None:
+    alone = [matcher._detect(one).descriptors for one in small]
+    with ThreadPoolExecutor(3) as pool:
+        threaded = [one.descriptors for one in pool.map(matcher._detect, small * 3)]
+    assert all(np.array_equal(one, alone[k % 2]) for k, one in enumerate(threaded))
+    expected = len(matcher.match(*small).matches)
+    context = multiprocessing.get_context("fork")
+    queue = context.SimpleQueue()
+    others = [Image(one.pixels.copy()) for one in small]  # not in the cache
+    child = context.Process(target=lambda: queue.put(len(matcher.match(*others).matches)))
+    child.start()
+    child.join(120)
+    assert child.exitcode == 0 and queue.get() == expected > 50
+
+
+def test_matches_lie_on_no_masked_pixel(matcher: LightGlueMatcher, small: list[Image]) -> None:
+    mask = np.ones((120, 160), bool)
+    mask[:, ::2] = False
+    both = [masked(one, mask) for one in small]
+    matches = matcher.match(*both).matches
+    for points in (matches.points1, matches.points2):
+        assert (np.floor(points[:, 0] + 0.5) % 2 == 1).all() and len(points) > 10
+
+
+def test_an_image_turned_by_its_exif_data_is_as_the_upright_one(
+    matcher: LightGlueMatcher, small: list[Image], tmp_path: Path
+) -> None:
+    exif = PIL.Image.Exif()
+    exif[0x0112] = 6  # the upper row as stored is the right column
+    stored = PIL.Image.fromarray(np.rot90(small[0].pixels).copy())
+    stored.save(tmp_path / "turned.png", exif=exif)
+    matches = matcher.match(small[0], small[1]).matches
+    turned = matcher.match(load_image(tmp_path / "turned.png"), small[1]).matches
+    np.testing.assert_array_equal(turned.points1, matches.points1)
+    np.testing.assert_array_equal(turned.points2, matches.points2)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (20, 33), (40, 300), (64, 64)])
+def test_small_and_empty_images_have_no_match(
+    matcher: LightGlueMatcher, small: list[Image], size: tuple[int, int]
+) -> None:
+    grey = Image(np.full((*size, 3), 128, np.uint8))
+    assert len(matcher.match(grey, grey).matches) == 0
+    assert len(matcher.match(small[0], grey).matches) == 0
+
+
+def test_small_images_match(matcher: LightGlueMatcher, small: list[Image]) -> None:
+    """Of fewer pixels than there are key points."""
+    part = Image(np.ascontiguousarray(small[0].pixels[100:140, 100:140]))
+    matches = matcher.match(part, part).matches
+    assert len(matcher._detect(part).points) < 400
+    assert len(matches) > 5 and np.array_equal(matches.points1, matches.points2)
+
+
+@pytest.fixture
+def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a copy of the distribution, which is imported in place of it."""
+    package = import_module(PACKAGE)
+    folder = tmp_path / PACKAGE
+    shutil.copytree(Path(str(package.__file__)).parent, folder)
+    monkeypatch.delitem(sys.modules, PACKAGE)
+    monkeypatch.syspath_prepend(tmp_path)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "name", ["aliked.onnx", "layer.onnx", "weights.json", "weights.safetensors"]
+)
+def test_a_damaged_file_is_named(copy: Path, name: str) -> None:
+    data = (copy / name).read_bytes()
+    for damaged in (b"", data[: len(data) // 2], b"\xff" * len(data)):
+        (copy / name).write_bytes(damaged)
+        with pytest.raises(WeightsError, match=name):
+            load_matcher(NAME)
+    (copy / name).unlink()
+    with pytest.raises(WeightsError, match=name):
+        load_matcher(NAME)
+
+
+def test_weights_that_do_not_fit_are_named(copy: Path) -> None:
+    shapes = (copy / "weights.json").read_text("utf-8")
+    (copy / "weights.json").write_text(shapes.replace('"angles"', '"angels"'), "utf-8")
+    with pytest.raises(WeightsError, match=r"weights.safetensors does .* it lacks angels"):
+        load_matcher(NAME)
+    (copy / "weights.json").write_text("[1]", "utf-8")
+    with pytest.raises(WeightsError, match=r"weights.json cannot be read as a table"):
+        load_matcher(NAME)
+
+
+def test_another_format_is_refused(copy: Path) -> None:
+    (copy / "__init__.py").write_text("FORMAT = 2\n")
+    with pytest.raises(WeightsError, match=f"{PACKAGE} has format 2; {NAME} needs format 1"):
+        load_matcher(NAME)
+
+
+def test_a_missing_distribution_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, PACKAGE, None)
+    with pytest.raises(InputError) as caught:
+        load_matcher(NAME)
+    told = f"{NAME} needs {PACKAGE}, which is not installed: pip install ./lightglue"
+    assert str(caught.value) == told
