@@ -20,6 +20,7 @@ from packaging.requirements import Requirement
 from worlds import K_text, render_views, write_views
 
 from dgc_pose import errors
+from dgc_pose.matching.lightglue import FORMAT
 from dgc_pose.version import version
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -147,6 +148,21 @@ def test_an_installed_wheel_runs(release: tuple[Path, str], tmp_path: Path) -> N
     assert "the known pose:" in run(own, "-m", "dgc_pose", "demo", cwd=tmp_path)
 
 
+def test_the_wheel_of_lightglue_holds_its_data_and_the_licences(tmp_path: Path) -> None:
+    source = tmp_path / "lightglue"
+    unwanted = shutil.ignore_patterns("__pycache__", "build", "*.egg-info")
+    shutil.copytree(ROOT / "lightglue", source, ignore=unwanted)
+    wheel = build(source, "wheel")
+    assert wheel.name == f"dgc_pose_lightglue-{FORMAT}.0.0-py3-none-any.whl"
+    files = set(zipfile.ZipFile(wheel).namelist())
+    data = {path.name for path in (source / "dgc_pose_lightglue").iterdir()}
+    assert {"aliked.onnx", "layer.onnx", "weights.json", "weights.safetensors"} <= data
+    assert {f"dgc_pose_lightglue/{name}" for name in data} <= files
+    licences = wheel.name.replace("-py3-none-any.whl", ".dist-info/licenses/")
+    assert {f"{licences}{name}" for name in ("LICENSE", "LICENSE-ALIKED", "NOTICE")} <= files
+    assert {name.split("/")[0] for name in files} == {"dgc_pose_lightglue", licences.split("/")[0]}
+
+
 # Read by each Python process that starts, also by the workers of a command.
 _SITE = """
 import os, sys
@@ -168,7 +184,8 @@ def bare(tmp_path: Path) -> dict[str, str]:
     site = tmp_path / "site"
     site.mkdir()
     (site / "sitecustomize.py").write_text(_SITE)
-    hidden = ",".join(name for modules in errors.EXTRAS.values() for name in modules)
+    modules = *errors.EXTRAS.values(), *errors.FOLDERS.values()
+    hidden = ",".join(name for names in modules for name in names)
     return os.environ | {"PYTHONPATH": str(site), "HIDDEN_PACKAGES": hidden}
 
 
@@ -198,8 +215,13 @@ _K = ("--K1", "820,820,404.3,296.8", "--K2", "760,760,352.1,325.4")
             ("estimate", "{}/1.heic", "{}/1.heic", *_K),
             "{}/1.heic is HEIC, which needs pillow-heif: pip install '.[heic]'",
         ),
+        (
+            ("estimate", *_PAIR, *_K, "--weights", "aliked-lightglue"),
+            "aliked-lightglue needs dgc_pose_lightglue, which is not installed: "
+            "pip install ./lightglue",
+        ),
     ],
-    ids=("torch", "serve", "heic"),
+    ids=("torch", "serve", "heic", "lightglue"),
 )
 def test_what_a_command_lacks_is_told_with_the_command_that_installs_it(
     bare: dict[str, str], tmp_path: Path, words: tuple[str, ...], told: str

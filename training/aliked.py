@@ -15,6 +15,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from dgc_pose.training.lightglue import Affine
+
 POINTS = 2048  # key points of an image
 _RADIUS = 2  # pixels around a key point that contain no higher score
 _TEMPERATURE = 0.1  # of the softmax that finds the point within a pixel
@@ -119,8 +121,8 @@ class _Descriptors(nn.Module):
     def __init__(self, channels: int = 128, samples: int = 16) -> None:
         super().__init__()
         self.samples = samples
-        self.offset1 = _Affine(9 * channels, 2 * samples)
-        self.offset2 = _Affine(2 * samples, 2 * samples)
+        self.offset1 = Affine(9 * channels, 2 * samples)
+        self.offset2 = Affine(2 * samples, 2 * samples)
         self.sample = nn.Parameter(torch.empty(channels, channels))
         self.join = nn.Parameter(torch.empty(samples * channels, channels))
 
@@ -138,16 +140,6 @@ class _Descriptors(nn.Module):
         samples = _unit_samples(levels, points[:, :, None] + offsets)
         joined = F.selu(samples @ self.sample).flatten(1) @ self.join
         return F.normalize(joined, dim=-1)
-
-
-class _Affine(nn.Module):
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.empty(inputs, outputs))
-        self.bias = nn.Parameter(torch.empty(outputs))
-
-    def forward(self, inputs: Tensor) -> Tensor:
-        return inputs @ self.weight + self.bias
 
 
 def _rows(features: Tensor, y: Tensor, x: Tensor) -> Tensor:

@@ -69,4 +69,6 @@ def _write(path: Path, module: nn.Module, inputs: list[Any], shapes: list[Any]) 
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
     export(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -55,6 +55,7 @@ from dgc_pose.system.files import only_writer, read_bytes
 Progress = Callable[[str, int, int], None]  # stage, items done, all items
 _RESUME = ArgumentName("resume")
 _EXHAUSTIVE_UP_TO = 20  # images
+_MOST_SECOND = 4  # blocks for the second matcher: each worker that gets one needs 1 GB for it
 _MIN_KEPT_INLIERS = 0.5  # of the inliers that a pair had on its own: with fewer there is a warning
 
 
@@ -274,7 +275,9 @@ def _match(
     left = [i for i in range(len(plan.pairs)) if i not in matched]
     done = len(matched)
     progress("pairs", done, len(plan.pairs))
-    for pairs in run(Worker.match, [(block,) for block in _blocks(plan, left, options)]):
+    size = block_size(len(left), options.worker_count)
+    ordered = _ordered(plan, left, options)
+    for pairs in run(Worker.match, [(block,) for block in blocks_of(ordered, size)]):
         with store.change():
             store.add("matched", pairs)
         done += len(pairs)
@@ -288,22 +291,23 @@ def _match_again(
     """Match the pairs that would join two groups again, with the second matcher. They are stored
     together: after a kill, the next run chooses the same pairs."""
     left = [row.index for row in joining(store.rows("matched"))]
+    size = -(-len(left) // _MOST_SECOND) or 1
+    blocks = blocks_of(_ordered(plan, left, options), size)
     done = 0
     with store.change():
-        for pairs in run(Worker.match, [(b, "auto") for b in _blocks(plan, left, options)]):
+        for pairs in run(Worker.match, [(block, "auto") for block in blocks]):
             store.add("matched", pairs)
             done += len(pairs)
             progress("pairs in doubt", done, len(left))
 
 
-def _blocks(
+def _ordered(
     plan: Plan, indices: Sequence[int], options: BatchOptions
-) -> list[Sequence[tuple[int, tuple[str, str]]]]:
-    """Blocks of pairs, by index and names, in working order."""
+) -> list[tuple[int, tuple[str, str]]]:
+    """Pairs by index and names, in working order."""
     chosen = np.array(indices, dtype=np.int64)
     sizes = [camera.size for camera in plan.cameras.values() if camera.size is not None]
     largest = max((3 * width * height for width, height in sizes), default=1)
     capacity = options.worker_bytes // (largest + FEATURE_BYTES)
     order = chosen[tile_order(plan.pairs[chosen], capacity)]
-    named = [(index, plan.pair(index)) for index in order.tolist()]
-    return blocks_of(named, block_size(len(named), options.worker_count))
+    return [(index, plan.pair(index)) for index in order.tolist()]

@@ -206,7 +206,7 @@ def test_small_images_match(matcher: LightGlueMatcher, small: list[Image]) -> No
 
 
 @pytest.fixture
-def copy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def copy(lightglue: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The folder of a copy of the distribution, which is imported in place of it."""
     package = import_module(PACKAGE)
     folder = tmp_path / PACKAGE

@@ -244,5 +244,7 @@ def read_pairs(
     pairs = {}
     for (key,) in database.execute(f"SELECT pair_id FROM {table} WHERE rows > 0"):
         first, second = divmod(key, _MAX_IMAGES)
+        if lacking := {first, second} - names.keys():
+            raise ValueError(f"{table} has a pair of image {min(lacking)}, which images lacks")
         pairs[names[first], names[second]] = key
     return pairs
