@@ -49,6 +49,9 @@ def pose_text(pose: RelativePose, priors: tuple[Camera, Camera] | None = None) -
         )
     if pose.t is not None:
         lines.append(probability_text(pose.probability, "that R and t are within 10 deg"))
+        if pose.tested_matchers:
+            names = ", ".join(pose.tested_matchers)
+            lines.append(f"the probability of key points was tested for {names}")
     for number, alternative in enumerate(pose.alternatives, start=1):
         likely = probability_text(alternative.probability)
         lines.append(f"alternative {number}: {alternative.num_inliers} inliers, {likely}")

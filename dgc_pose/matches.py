@@ -24,11 +24,13 @@ class Matches:
         points1: Points (N, 2) float64 in image 1, pixels of the original.
         points2: Points (N, 2) float64 in image 2, pixels of the original.
         confidence: Confidence (N,) float64 in [0, 1]; for matches of a map, the matchability.
-        error_px: Expected error of a good match, pixels of the original images; positive.
+        error_px: Expected error of a good match, pixels of the original images; positive. If it is
+            not known, one pixel of the image that the matcher saw.
         key_points: Whether the matches are independent detections (key points). In matches of a
             dense map, errors of neighbours are correlated.
         weights: Fingerprint of the weights of the network that made the matches; None for other
-            matchers. The probability of a pose is fitted on the matches of certain weights.
+            matchers. The probability of a pose is fitted on key points of any detector, and on
+            matches of the dense maps of certain weights.
         context_ratio: Similarity of the images around the matches divided by that at the matches,
             any finite number; None if it is unknown or nothing surrounds the matches.
     """

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, special
 from sklearn.linear_model import LogisticRegression, QuantileRegressor
 from sklearn.model_selection import LeaveOneGroupOut, cross_val_predict
 
@@ -25,6 +25,7 @@ from dgc_pose.estimation.probability import (
     FEATURES,
     FITTED_FOCAL_FEATURES,
     MAP_FEATURES,
+    MATCHER_FEATURES,
     MatchKind,
     choice_shares,
     log_error,
@@ -42,6 +43,7 @@ _LEAST_SLOPE = 0.2  # of the calibration
 _RIDGE = 1e-3  # on the weights of the choice
 _LAPSE, _MOST_LAPSE = 0.05, 0.5  # lapse of the choice: start value and upper bound
 _SHARPNESSES, _CHANCES = (1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 6.0), (0.01, 0.02, 0.03, 0.05, 0.1, 0.2)
+_NEWTON_STEPS, _LONGEST_STEP, _SMALL_STEP = 100, 2.0, 1e-9
 Samples = Sequence[tuple[Record, Evidence]]
 
 
@@ -65,6 +67,7 @@ def fit_model(rows: Sequence[Record], kind: MatchKind) -> dict[str, Any]:
         )
     left_out = (
         *(() if kind.startswith("network") else MAP_FEATURES),
+        *(MATCHER_FEATURES if kind.startswith("key_points") else ()),
         *(() if kind.endswith("auto") else FITTED_FOCAL_FEATURES),
     )
     names = [name for name in FEATURES if name not in left_out]
@@ -182,13 +185,30 @@ def _logistic(
     used = np.arange(X.shape[1])
     while True:
         mean, deviation = X[:, used].mean(0), np.maximum(X[:, used].std(0), 1e-6)
-        fitted = regression(strength).fit((X[:, used] - mean) / deviation, right)
-        signed = fitted.coef_[0] * signs[used]
+        coefficients, intercept = _ridge_fit((X[:, used] - mean) / deviation, right, strength)
+        signed = coefficients * signs[used]
         if (signed >= 0).all() or len(used) == 1:
             weights = np.zeros(X.shape[1])
             weights[used] = np.maximum(signed, 0) * signs[used] / deviation
-            return weights, float(fitted.intercept_[0] - weights[used] @ mean)
+            return weights, intercept - float(weights[used] @ mean)
         used = np.delete(used, int(np.argmin(signed)))
+
+
+def _ridge_fit(X: np.ndarray, right: np.ndarray, strength: float) -> tuple[np.ndarray, float]:
+    """As `regression`, by Newton's method: coefficients (F,) and the intercept. Cross-validation
+    makes a thousand such fits; the checks of scikit-learn would take longer than these."""
+    columns = np.column_stack([X, np.ones(len(X))])
+    penalty = np.append(np.full(X.shape[1], 1 / strength), 0.0)
+    weights = np.zeros(len(penalty))
+    for _ in range(_NEWTON_STEPS):
+        chance = special.expit(columns @ weights)
+        slope = columns.T @ (chance - right) + penalty * weights
+        curvature = columns.T * (chance * (1 - chance)) @ columns + np.diag(penalty)
+        step = np.linalg.solve(curvature, slope)
+        weights -= step * min(1.0, _LONGEST_STEP / max(np.abs(step).max(), 1e-12))
+        if np.abs(step).max() < _SMALL_STEP:
+            break
+    return weights[:-1], float(weights[-1])
 
 
 def _cross_validated_log_odds(

@@ -65,15 +65,16 @@ class PlanEntry:
     kind: EntryKind = option()
     path: Path = Path()  # within the data folder
     pairs: int = option(60, min=1)  # number of pairs, for kinds without a list
+    each: int = option(0, min=0)  # most pairs of a scene, spread over all of them; 0: all pairs
     seed: int = option(0, min=0)
     scene_by_folder: bool = False  # for lists: the scene is the first folder of an image's name
     altered: bool = False  # whether each pair is changed by one of ALTERATIONS, in turn
     # Scenes whose true poses come from a tracker and are off by a degree or more: they separate
     # right poses from wrong ones, but do not measure accuracy.
     rough: Sequence[str] = ()
-    # Whether its pairs are also estimated without K. A plane does not determine the focal length,
-    # so many planes would add little to the fit.
-    withheld: bool = True
+    # Each of so many pairs of a scene is also estimated without K; 0: none is. A plane does not
+    # determine the focal length, so many planes would add little to the fit.
+    withheld: int = option(1, min=0)
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -103,6 +104,7 @@ class PlannedPair:
     number: int
     scene: str
     make: Callable[[], PosedPair]
+    turn: int = 0  # number among the pairs of its scene
 
 
 def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
@@ -137,7 +139,14 @@ def planned(entry: PlanEntry, data: Path, lists: Path) -> list[PlannedPair]:
         pair, way = make(number), ALTERATIONS[number % len(ALTERATIONS)]
         return altered(pair, way) if entry.altered else pair
 
-    return [PlannedPair(entry, k, name, partial(made, k)) for k, name in enumerate(scenes)]
+    found = []
+    for scene in dict.fromkeys(scenes):
+        numbers = np.flatnonzero(np.equal(scenes, scene))
+        if 0 < entry.each < len(numbers):
+            numbers = numbers[np.linspace(0, len(numbers) - 1, entry.each).round().astype(int)]
+        for turn, number in enumerate(numbers.tolist()):
+            found.append(PlannedPair(entry, number, scene, partial(made, number), turn))
+    return found
 
 
 def altered(pair: PosedPair, way: Alteration) -> PosedPair:

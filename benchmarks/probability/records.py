@@ -107,7 +107,7 @@ def collect(
                 matches = pooled  # the pose was in doubt: these include matches searched again
         of_map = found.map_matches
         results[name] = [record(posed, "exact", matches, cameras, of_map, options)]
-        if entry.withheld and not matches.key_points:
+        if entry.withheld and pair.turn % entry.withheld == 0:
             results[name].append(record(posed, "auto", found.matches, withheld, of_map, options))
     focals = []
     if entry.part == "fit" and entry.kind == "list":
@@ -168,10 +168,11 @@ def record(
 def records(
     pieces: Iterable[Mapping[str, Any]], method: str, entries: Sequence[PlanEntry]
 ) -> list[Record]:
-    """The records of a method and of these entries, from the results of `collect`."""
+    """The records of a method and of these entries, from the results of `collect`. Pieces of runs
+    that are joined may lack a method."""
     by_name, rows = {entry.name: entry for entry in entries}, []
     for piece in pieces:
-        for fields in piece["records"][method]:
+        for fields in piece["records"].get(method, ()):
             evidence = fields["evidence"]
             if evidence is not None:
                 evidence = Evidence(**{**evidence, "rotation": np.array(evidence["rotation"])})

@@ -1,9 +1,9 @@
 """The fit from collected records, and its evaluation on scenes outside of the fit."""
 
 import json
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,76 +15,34 @@ from dgc_pose.benchmarks.probability.fitting import (
     fit_model,
     fit_same_place,
 )
+from dgc_pose.benchmarks.probability.generality import (
+    are_key_points,
+    generality_text,
+    one_place,
+)
+from dgc_pose.benchmarks.probability.judging import Judged, judged
 from dgc_pose.benchmarks.probability.planned import PlanEntry
 from dgc_pose.benchmarks.probability.records import Record, records
 from dgc_pose.benchmarks.report import calibration_error, reliability, shares
 from dgc_pose.errors import InputError
-from dgc_pose.estimation import EstimationOptions
 from dgc_pose.estimation.probability import (
     FORMAT,
     MatchKind,
-    ProbabilityModel,
-    bound_if_right,
-    choice_shares,
     match_kind,
     parse_models,
-    utility,
+    shipped_text,
 )
-from dgc_pose.estimation.status import STATUSES
-from dgc_pose.estimation.verdict import judge
 from dgc_pose.system.texts import aligned
 from dgc_pose.viz.figure import new_figure
 
 _KINDS: dict[MatchKind, str] = {
     "network": "matches of a network, with its dense map",
     "matches": "the same matches without the map",
-    "key_points": "key points",
     "network_auto": "matches of a network, K withheld",
     "matches_auto": "the same without the map, K withheld",
+    "key_points": "key points",
+    "key_points_auto": "key points, K withheld",
 }
-
-
-@dataclass(frozen=True, eq=False)
-class Judged:
-    """A record with the verdict of the fitted model."""
-
-    record: Record
-    by_probability: bool
-    probability: float  # 0 if the evidence does not determine the translation
-    rotation_90_deg: float
-    translation_90_deg: float
-    ambiguous: bool = False
-
-    @property
-    def right(self) -> bool:
-        return self.record.best.right
-
-
-def judged(record: Record, model: ProbabilityModel) -> Judged:
-    """The verdict of a model on a record."""
-    evidence = record.evidence
-    if evidence is None:
-        return Judged(record, False, 0.0, math.nan, math.nan)
-    any_right = model.probability(evidence)
-    utilities = [utility(p.likelihood, p.map_agreement, model.choice) for p in record.poses]
-    of_poses = choice_shares(utilities, model.choice["lapse"])
-    order = np.argsort(-of_poses, kind="stable")
-    share = float(of_poses[order[0]])
-    rotation, translation = model.errors_90_deg(evidence)
-    same_place = model.same_place.probability(evidence)
-    verdict = judge(
-        *(evidence, EstimationOptions().min_probability, any_right, (), of_poses[order].tolist()),
-        same_place,
-    )
-    known = STATUSES[verdict.status]
-    return Judged(
-        replace(record, poses=tuple(record.poses[k] for k in order)),
-        known.has_t,
-        0.0 if verdict.status == "rotation_only" else same_place * share * any_right,
-        bound_if_right(rotation),
-        bound_if_right(translation),
-        verdict.status == "ambiguous",
-    )
 
 
 def report_text(poses: Sequence[Judged]) -> str:
@@ -145,13 +103,14 @@ def plot_reliability(reported: Mapping[MatchKind, Sequence[Judged]]) -> Figure:
 
 def fit_all(
     pieces: Sequence[Mapping[str, Any]],
-    engines: Mapping[str, Any],
+    settings: Mapping[str, Mapping[str, Any]],
     entries: Sequence[PlanEntry],
 ) -> tuple[str, str, Figure]:
     """Fit a model for each kind of matches that the methods make.
 
-    pieces: results of `collect`; engines: name and fingerprint of each method's matcher. Returns
-    `probability.json`, the report and its figure. Raises InputError if there are too few poses.
+    pieces: results of `collect`; settings: of their run, by name the networks ("engines") and the
+    other matchers ("others"). Returns `probability.json`, the report and its figure. Kinds without
+    records stay as in the package. Raises InputError if there are too few poses.
     """
     order = {entry.name: number for number, entry in enumerate(entries)}
     pieces = sorted(
@@ -160,20 +119,52 @@ def fit_all(
     )
     used: dict[str, Any] = {}
     by_kind: dict[MatchKind, list[Record]] = {}
-    for method, engine in engines.items():
+    for method, engine in settings["engines"].items():
         kinds = _by_kind(records(pieces, method, entries))
         if kinds.keys() - by_kind.keys():  # of several networks, the first is used
             used[method] = engine
         by_kind = {**kinds, **by_kind}
-    if not by_kind:
+    by_matcher = _by_matcher(pieces, settings["others"], entries)
+    joined = {
+        kind: [*chain(*(members for members in rows.values() if are_key_points(members)))]
+        for kind, rows in by_matcher.items()
+    }
+    if not by_kind and not joined:
         raise InputError("no pose was found in any pair")
-    of_images = fit_lines(pieces)
-    focal_error = fit_focal_error([row for rows in by_kind.values() for row in rows])
-    fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
-    data = {"format": FORMAT, "engine": used, "focal_error": focal_error}
-    certain = fit_same_place(np.zeros(0), np.zeros(0, bool))
-    one_place = parse_models(json.dumps({**data, "same_place": certain, "models": fitted})).by_kind
-    claims = [judged(row, one_place["network"]) for row in by_kind.get("network", [])]
+    data = json.loads(shipped_text())
+    kept = ("key_points", "key_points_auto") if by_kind else [*_KINDS]
+    models = {kind: fields for kind, fields in data["models"].items() if kind in kept}
+    if by_kind:
+        fitted = {kind: fit_model(rows, kind) for kind, rows in by_kind.items()}
+        data |= {
+            "format": FORMAT,
+            "engine": used,
+            "focal_error": fit_focal_error([row for rows in by_kind.values() for row in rows]),
+            "same_place": _fit_place(by_kind.get("network", []), fitted),
+        }
+        models = {**fitted, **models}
+    for kind, rows in joined.items():
+        tested = [name for name, own in by_matcher[kind].items() if are_key_points(own)]
+        models[kind] = {**fit_model(rows, kind), "tested": tested}
+    data["models"] = models
+    text = json.dumps(data, indent=1) + "\n"
+    parsed = parse_models(text).by_kind
+    reported = {
+        kind: [judged(row, parsed[kind]) for row in rows if row.entry.part == "report"]
+        for kind, rows in {**by_kind, **joined}.items()
+    }
+    parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
+    parts += [
+        f"{_KINDS[kind]}, by matcher\n\n{generality_text(rows, kind)}"
+        for kind, rows in by_matcher.items()
+    ]
+    lines = f"lines of the images: {fit_lines(pieces)}"
+    return text, "\n\n\n".join([*parts, lines]), plot_reliability(reported)
+
+
+def _fit_place(rows: Sequence[Record], fitted: Mapping[MatchKind, Any]) -> dict[str, float]:
+    """The `SamePlace` of a network's records, by the claims of its model."""
+    claims = [judged(row, one_place(fitted["network"], "network")) for row in rows]
     known = [
         (claim.record.evidence.context_ratio, claim.right)
         for claim in claims
@@ -184,31 +175,42 @@ def fit_all(
         and claim.record.evidence.context_ratio is not None
     ]
     around, right = np.array(known, float).reshape(-1, 2).T
-    data |= {"same_place": fit_same_place(around, right > 0), "models": fitted}
-    text = json.dumps(data, indent=1) + "\n"
-    models = parse_models(text).by_kind
-    reported = {
-        kind: [judged(row, models[kind]) for row in rows if row.entry.part == "report"]
-        for kind, rows in by_kind.items()
-    }
-    parts = [f"{_KINDS[kind]}\n\n{report_text(rows)}" for kind, rows in reported.items()]
-    lines = f"lines of the images: {of_images}"
-    return text, "\n\n\n".join([*parts, lines]), plot_reliability(reported)
+    return fit_same_place(around, right > 0)
 
 
 def _by_kind(rows: Sequence[Record]) -> dict[MatchKind, list[Record]]:
-    """A method's records by kind of matches and cameras; a network's also without their map. A
-    record without evidence belongs to every kind with its cameras."""
-    blank = {"map_matchability": None, "map_agreement": None, "map_chance": None}
+    """A network's records by kind of matches and cameras, also without their map. A record without
+    evidence belongs to every kind with its cameras."""
     kinds: dict[MatchKind, list[Record]] = {}
     for cameras in ("exact", "auto"):
         members = [row for row in rows if row.cameras == cameras]
         known = [row.evidence for row in members if row.evidence is not None]
-        for key_points, with_map in {(e.key_points, e.map_agreement is not None) for e in known}:
-            of = {"key_points": key_points, "fitted": cameras == "auto"}
+        for with_map in {e.map_agreement is not None for e in known}:
+            of = {"key_points": False, "fitted": cameras == "auto"}
             kinds[match_kind(with_map=with_map, **of)] = members
             if with_map:
-                without = [e and replace(e, **blank) for e in (row.evidence for row in members)]  # type: ignore[arg-type]
-                pairs = zip(members, without, strict=True)
-                kinds[match_kind(with_map=False, **of)] = [replace(r, evidence=e) for r, e in pairs]
+                kinds[match_kind(with_map=False, **of)] = _without_map(members)
     return kinds
+
+
+def _by_matcher(
+    pieces: Sequence[Mapping[str, Any]], names: Iterable[str], entries: Sequence[PlanEntry]
+) -> dict[MatchKind, dict[str, list[Record]]]:
+    """The records of the matchers that are no network, by kind and matcher, without their map."""
+    by_name = {name: _without_map(records(pieces, name, entries)) for name in names}
+    kinds: dict[MatchKind, dict[str, list[Record]]] = {}
+    for cameras in ("exact", "auto"):
+        own = {name: [r for r in rows if r.cameras == cameras] for name, rows in by_name.items()}
+        if any(map(are_key_points, own.values())):
+            kind = match_kind(key_points=True, with_map=False, fitted=cameras == "auto")
+            kinds[kind] = own
+    return kinds
+
+
+def _without_map(rows: Iterable[Record]) -> list[Record]:
+    """The records as if there were no dense map."""
+    none = {"map_matchability": None, "map_agreement": None, "map_chance": None}
+    return [
+        replace(row, evidence=row.evidence and replace(row.evidence, **none))  # type: ignore[arg-type]
+        for row in rows
+    ]

@@ -13,7 +13,7 @@ from dgc_pose.benchmarks.report import split_names
 from dgc_pose.benchmarks.store import open_run, read_run
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import dataclass_options
-from dgc_pose.errors import InputError, require
+from dgc_pose.errors import require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.config import DEFAULT_WEIGHTS
@@ -39,7 +39,9 @@ class FitChoice:
     )
     methods: str = option(
         f"{DEFAULT_WEIGHTS},sift",
-        "Comma-separated networks and sift; of the networks the first is fitted.",
+        "Comma-separated matchers: networks, of which the first is fitted, and others (sift, dis, "
+        "MODEL.onnx, ...), whose matches are fitted together.",
+        metavar="NAMES",
     )
     collected: bool = option(False, "Match no further pairs: fit on the records that are there.")
     device: str = option("auto", DEVICE_HELP, metavar="NAME")
@@ -65,7 +67,7 @@ def fit_probability(choice: FitChoice) -> None:
     from dgc_pose.benchmarks.probability.report import fit_all
     from dgc_pose.viz import save_figure
 
-    models, report, figure = fit_all(pieces, settings["engines"], entries)
+    models, report, figure = fit_all(pieces, settings, entries)
     names = "probability.json", "report.txt", "reliability.png"
     paths = [str(choice.out / name) for name in names]
     with staged(*paths) as stage:  # writes all three files or none
@@ -80,23 +82,25 @@ def _collected(
     choice: FitChoice, lists: Path, entries: list[PlanEntry]
 ) -> tuple[dict[str, Any], list[Any]]:
     """The settings of the run, and the records of all pairs; collects the missing records."""
+    from dgc_pose.benchmarks.methods import load_matchers, parse_methods
     from dgc_pose.benchmarks.probability.records import collect
-    from dgc_pose.matchers import load_matcher
 
-    methods = split_names(choice.methods)
-    if not methods:
-        raise InputError("no methods named")
+    methods = parse_methods(split_names(choice.methods))
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
-    matchers = {name: load_matcher(name, device=choice.device) for name in methods}
-    engines = {
-        name: {"name": matcher.name, "fingerprint": matcher.fingerprint}
-        for name, matcher in matchers.items()
+    loaded = load_matchers(methods, device=choice.device)
+    matchers = {matcher.name: matcher for matcher in loaded}
+    settings = {
+        part: {
+            name: {"name": name, "fingerprint": matcher.fingerprint}
+            for name, matcher in matchers.items()
+            if (matcher.engine is not None) == is_network
+        }
+        for part, is_network in (("engines", True), ("others", False))
     }
-    settings = {"engines": engines}
     with open_run(choice.out / _RECORDS, settings, resume=True) as (pieces, add):
         done = {(piece["entry"], piece["number"]) for piece in pieces}
         # One pair of each scene in turn, so that a killed collection has pairs of every scene.
-        pairs.sort(key=lambda pair: pair.number)
+        pairs.sort(key=lambda pair: pair.turn)
         for pair in tqdm(pairs, unit="pair", disable=None):
             if (pair.entry.name, pair.number) not in done:
                 add(collect(pair, matchers, EstimationOptions()))

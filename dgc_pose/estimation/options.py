@@ -19,7 +19,7 @@ class EstimationOptions:
         refine: Whether to refine the best hypothesis on its inliers; the paper does not.
         min_probability: The probability decides, and the gates of `dgc_pose.estimation.verdict`
             name the reason of a failure. With None, and for matches without a fitted probability
-            such as key points, the gates decide.
+            such as those of an unknown dense map, the gates decide.
     """
 
     effort: Effort = option(

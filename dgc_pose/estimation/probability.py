@@ -20,7 +20,9 @@ from dgc_pose.estimation.evidence import Evidence
 
 RIGHT_DEG = 10.0  # a pose is right if R and t are both off by no more
 FORMAT = 5  # of the file
-MatchKind = Literal["network", "matches", "key_points", "network_auto", "matches_auto"]
+MatchKind = Literal[
+    "network", "matches", "key_points", "network_auto", "matches_auto", "key_points_auto"
+]
 _MAX_REASONS = 2
 # 8 % of the pairs of the fit show two places, and 2 % of the pairs in use.
 _FEWER_TWO_PLACES = math.log((0.98 / 0.02) / (0.92 / 0.08))
@@ -35,7 +37,7 @@ def match_kind(*, key_points: bool, with_map: bool, fitted: bool) -> MatchKind:
     """The kind of model for matches with a dense map, without one, or of key points; `_auto` if the
     focal lengths are fitted."""
     if key_points:
-        return "key_points"
+        return "key_points_auto" if fitted else "key_points"
     if fitted:
         return "network_auto" if with_map else "matches_auto"
     return "network" if with_map else "matches"
@@ -108,6 +110,8 @@ FEATURES: Mapping[str, Feature] = {
 }
 FITTED_FOCAL_FEATURES = ("camera_agreement", "focal_error")  # features of fitted focal lengths
 MAP_FEATURES = ("matchability", "map_agreement", "map_over_chance")
+# They depend on the matcher more than on the pose, so the model of key points does without.
+MATCHER_FEATURES = ("confidence", "threshold")
 
 
 CHOICE_FEATURES = ("likelihood", "map_agreement")
@@ -165,6 +169,8 @@ class ProbabilityModel:
     translation_error: ErrorModel
     choice: Mapping[str, float]  # log-odds per unit of each of `CHOICE_FEATURES`, and "lapse"
     same_place: SamePlace
+    # Names of the matchers that the model of key points was tested on; () for others.
+    tested: tuple[str, ...] = ()
 
     def probability(self, evidence: Evidence) -> float:
         """The probability that a pose with R and t within 10 degrees is among those that explain
@@ -243,8 +249,12 @@ class FittedModels(NamedTuple):
 @cache
 def shipped_models() -> FittedModels:
     """The models in the package."""
-    file = files("dgc_pose.estimation").joinpath("probability.json")
-    return parse_models(file.read_text("utf-8"))
+    return parse_models(shipped_text())
+
+
+def shipped_text() -> str:
+    """The package's `probability.json`."""
+    return files("dgc_pose.estimation").joinpath("probability.json").read_text("utf-8")
 
 
 def parse_models(text: str) -> FittedModels:
@@ -259,6 +269,7 @@ def parse_models(text: str) -> FittedModels:
             ErrorModel(**values["translation_error"]),
             values["choice"],
             SamePlace(**data["same_place"]),
+            tuple(values.get("tested", ())),
         )
         for kind, values in data["models"].items()
     }

@@ -66,6 +66,8 @@ class RelativePose:
             similar part, from the surroundings of the matches; 1 if unknown. The probabilities of a
             success and its alternatives, or of the poses of an ambiguous pair, add up to this times
             `any_probability`.
+        tested_matchers: Names of the matchers that the probability of key points was tested on;
+            () for a network's matches and without a probability.
         alternatives: Poses more than 10 degrees from this one that explain the matches about as
             well, the likeliest first: from a plane, repeated structure, mirrored depth or another
             motion. With "ambiguous" all poses, none if an image may be mirrored; with any other
@@ -94,6 +96,7 @@ class RelativePose:
     probability: float | None = 0.0
     any_probability: float | None = 0.0
     same_place_probability: float = 1.0
+    tested_matchers: tuple[str, ...] = ()
     alternatives: tuple[Hypothesis, ...] = ()
     hypotheses: tuple[Hypothesis, ...] = ()
     cameras: tuple[Camera, Camera] | None = None
@@ -260,6 +263,7 @@ class RelativePose:
         of_alternative = ("R", "t", "num_inliers", "probability")
         return {
             **{name: plain(getattr(self, name)) for name in _PLAIN},
+            "tested_matchers": list(self.tested_matchers),
             "alternatives": [
                 {name: plain(getattr(other, name)) for name in of_alternative}
                 for other in self.alternatives
@@ -286,6 +290,7 @@ class RelativePose:
             return cls(
                 **_parsed(data, [of.name for of in fields(cls) if of.name in _PLAIN]),
                 reason=facts.meaning if facts.has_t else said[0],
+                tested_matchers=tuple(data.get("tested_matchers", ())),  # older results have none
                 alternatives=tuple(Hypothesis(**o, in_front=np.zeros(0, bool)) for o in others),
                 warnings=said[not facts.has_t :],
                 seconds=data["seconds"],

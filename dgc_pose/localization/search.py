@@ -234,7 +234,9 @@ class LocationSearch:
         if reason := self._why_picture():
             return Location("nowhere", reason, none_agree, camera=self.camera)
         if pose is not None and self.covariance is not None and self._is_located():
-            is_known = all(pair.pose.any_probability is not None for pair in self.pairs)
+            # The probability of a location is tested for the network's matches alone.
+            poses = [pair.pose for pair in self.pairs]
+            is_known = not any(p.any_probability is None or p.tested_matchers for p in poses)
             return Location(
                 "located",
                 "",

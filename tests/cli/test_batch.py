@@ -15,6 +15,7 @@ from command_line import assert_all_bad, assert_refused, run
 from worlds import K_text
 
 from dgc_pose.batch.result import read_batch
+from dgc_pose.estimation.status import percent_text
 
 SIFT = ("--weights", "sift", "--runs", "1", "--iterations", "300", "--workers", "1")
 
@@ -60,8 +61,9 @@ def test_a_batch_ends_with_a_table_and_its_files(
         angle = np.linalg.norm(row.pose.rotvec) * 180 / np.pi
         errors = (row.pose.rotation_error_90_deg, row.pose.translation_error_90_deg)
         shown = " ".join(f"{value:.2f} deg" for value in (angle, *errors))
-        assert row.probability is None  # SIFT's matches have no model of it
-        expected = f"{row.name1} {row.name2} {row.status} - {shown}"
+        assert row.probability is not None and row.probability > 0.9
+        likely = percent_text(row.probability)
+        expected = f"{row.name1} {row.name2} {row.status} {likely} {shown}"
         assert " ".join(line.split()) == f"{expected} {row.num_inliers} of {row.num_matches}"
     assert more == "... and 1 more" and counts.startswith(f"{out}: 3 poses of 3 pairs (ok 3), ")
     command = "for COLMAP: dgc-pose "

@@ -15,7 +15,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 KEYS = """status success R t length length_std quaternion_wxyz E camera1 camera2 num_matches
     num_inliers inlier_ratio median_triangulation_angle_deg rotation_error_90_deg
     translation_error_90_deg covariance probability any_probability same_place_probability
-    alternatives warnings seconds""".split()
+    tested_matchers alternatives warnings seconds""".split()
 # Later ones override these.
 FAST = ("--runs", "1", "--iterations", "200", "--max-matches", "1000", "--refine", "none")
 

@@ -4,19 +4,24 @@ import dataclasses
 import json
 import math
 import re
+from typing import get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from results import GOOD_EVIDENCE
+from scenes import two_view_scene
 from scipy.stats import norm
 
-from dgc_pose import load_matcher
+from dgc_pose import estimate_pose, estimate_relative_pose, load_matcher
+from dgc_pose.cameras.pair_list import bundled_photographs
+from dgc_pose.cli.output import pose_text
 from dgc_pose.estimation.evidence import Evidence
 from dgc_pose.estimation.probability import (
     CHOICE_FEATURES,
     FEATURES,
+    MatchKind,
     bound_if_right,
     match_kind,
     parse_models,
@@ -44,8 +49,8 @@ MODEL = {
 
 
 def _text(**changes: object) -> str:
-    models = {"network": MODEL | changes, "key_points": MODEL}
-    engines = {"net": {"fingerprint": "abc"}, "sift": {"fingerprint": None}}
+    models = {"network": MODEL | changes, "key_points": {**MODEL, "tested": ["sift", "xfeat"]}}
+    engines = {"net": {"fingerprint": "abc"}}
     data = {"engine": engines, "focal_error": ERROR, "same_place": SAME_PLACE, "models": models}
     return json.dumps(data)
 
@@ -165,7 +170,8 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
         for key_points in (False, True)
         for with_map, fitted in ((True, False), (False, False), (True, True), (False, True))
     ]
-    assert kinds == ["network", "matches", "network_auto", "matches_auto"] + 4 * ["key_points"]
+    assert kinds[:4] == ["network", "matches", "network_auto", "matches_auto"]
+    assert kinds[4:] == 2 * ["key_points"] + 2 * ["key_points_auto"]
 
 
 @pytest.mark.parametrize(
@@ -174,13 +180,48 @@ def test_the_kind_of_matches_chooses_the_model() -> None:
     + [(weights, True, "key_points") for weights in ("abc", "def", None)],
 )
 def test_a_model_is_of_the_networks_that_it_is_fitted_on(weights, key_points, kind) -> None:
-    """And one of key points of any detector."""
+    """And one of key points of any detector, which names those that it was tested on."""
     models = parse_models(_text())
     found = models.model(weights, key_points=key_points, with_map=True, fitted=False)
     assert found is (kind and models.by_kind[kind])
+    assert found is None or found.tested == (("sift", "xfeat") if key_points else ())
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["K", "auto"])
+def test_key_points_of_any_detector_have_a_probability(known: bool) -> None:
+    """Also those that nothing describes; matches of an unknown dense map have none."""
+    tested = shipped_models().by_kind["key_points"].tested
+    for seed in range(2):
+        scene = two_view_scene("skew", seed=seed, count=600, sigma_px=0.3, outliers=0.3)
+        cameras = scene.cameras if known else scene.auto()
+        matches = dataclasses.replace(scene.matches, key_points=True)
+        pose = estimate_pose(matches, *cameras)
+        assert pose.success and pose.probability > (0.95 if known else 0.5)
+        assert max(scene.errors_deg(pose)) < (1 if known else 10)
+        assert pose.tested_matchers == tested
+        assert pose.to_dict()["tested_matchers"] == [*tested]
+        text = pose_text(pose)
+        assert f"the probability of key points was tested for {', '.join(tested)}" in text
+        # Whatever the confidence: a detector's own scale does not count.
+        doubted = dataclasses.replace(matches, confidence=0.1 * matches.confidence)
+        assert estimate_pose(doubted, *cameras).probability == pose.probability
+        rng = np.random.default_rng(seed)
+        points2 = rng.permutation(matches.points2)
+        wrong = estimate_pose(dataclasses.replace(matches, points2=points2), *cameras)
+        assert not wrong.success and wrong.probability < 0.3
+    dense = dataclasses.replace(matches, key_points=False)
+    pose = estimate_pose(dense, *cameras)
+    assert pose.probability is None and pose.tested_matchers == ()
+    assert "tested" not in pose_text(pose)
+
+
+def test_sift_has_a_probability_on_photographs() -> None:
+    pose = estimate_relative_pose(*bundled_photographs(), matcher="sift")
+    assert pose.success and 0.8 < pose.probability < 1 and "sift" in pose.tested_matchers
 
 
 def test_the_package_s_own_file_can_be_read() -> None:
+    assert {*shipped_models().by_kind} == {*get_args(MatchKind)}
     assert shipped_models().weights == {load_matcher().fingerprint}
     for model in shipped_models().by_kind.values():
         assert all(FEATURES[name].sign * w >= 0 for name, w in model.weights.items())

@@ -13,18 +13,20 @@ from scenes import pinhole, two_view_scene
 
 from dgc_pose.benchmarks.posed_pairs import PosedPair
 from dgc_pose.benchmarks.probability.fitting import fit_lines, fit_model, fit_same_place
+from dgc_pose.benchmarks.probability.judging import judged
 from dgc_pose.benchmarks.probability.planned import Part, PlanEntry, PlannedPair
 from dgc_pose.benchmarks.probability.records import PoseRecord, Record, collect, records
-from dgc_pose.benchmarks.probability.report import fit_all, judged, report_text
+from dgc_pose.benchmarks.probability.report import fit_all, report_text
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.cameras.lines import LOG_FOCALS, focal_scores
 from dgc_pose.errors import InputError
 from dgc_pose.estimation import EstimationOptions
-from dgc_pose.estimation.probability import FEATURES, parse_models
+from dgc_pose.estimation.probability import FEATURES, parse_models, shipped_text
 from dgc_pose.images.image import Image
 from dgc_pose.matching import Matcher, MatchResult
 
 OPTIONS = EstimationOptions(runs=2, iterations=100)
+BOTH = ("report", "scenes")  # rows of a matcher in the table by matcher
 PARTS: tuple[Part, ...] = ("fit", "report")
 FOCAL_ERROR = {"slope": 0.0, "intercept": 0.0}
 SAME_PLACE = {"slope": 0.0, "intercept": 30.0}
@@ -45,7 +47,7 @@ class _Scenes(Matcher):
 
 def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[PlanEntry, list[PlannedPair]]:
     """Every second pair has a scene, some of them a plane; the matches of the others are random."""
-    source = PlanEntry(part, part, "list")
+    source = PlanEntry(part, part, "list", withheld=0)
 
     def make(number: int) -> PosedPair:
         kind = ("random", "general", "random", "planar")[number % 4]
@@ -55,7 +57,7 @@ def _pairs(matcher: _Scenes, part: Part, count: int) -> tuple[PlanEntry, list[Pl
         blank = [Image(np.zeros((*camera.size[::-1], 3), np.uint8)) for camera in scene.cameras]
         return PosedPair(*blank, *scene.cameras, scene.R, t)
 
-    own = [PlannedPair(source, k, f"{part} {k % 3}", lambda k=k: make(k)) for k in range(count)]
+    own = [PlannedPair(source, k, f"{part} {k % 5}", lambda k=k: make(k)) for k in range(count)]
     return source, own
 
 
@@ -69,19 +71,28 @@ def test_models_and_report_come_of_records_alone():
     matcher, sources, pieces = _Scenes(), [], []
     for part in PARTS:
         source, pairs = _pairs(matcher, part, 88 if part == "fit" else 24)
-        pieces += [collect(pair, {"sift": matcher}, OPTIONS) for pair in pairs]
+        pieces += [collect(pair, {"a": matcher}, OPTIONS) for pair in pairs]
         sources.append(source)
-    engines = {"sift": {"name": "scenes", "fingerprint": None}}
-    text, report, figure = fit_all(_stored(pieces), engines, sources)
+    for piece in pieces:
+        piece["records"]["b"] = piece["records"]["a"]
+    settings = {"engines": {}, "others": {"a": {}, "b": {}}}
+    text, report, figure = fit_all(_stored(pieces), settings, sources)
     models = parse_models(text).by_kind
-    assert set(models) == {"key_points"}
+    assert models["key_points"].tested == ("a", "b")
+    shipped = json.loads(shipped_text())
+    del shipped["models"]["key_points"]
+    own = json.loads(text)
+    del own["models"]["key_points"]
+    assert own == shipped  # without a network's records, its models stay
     weights = models["key_points"].weights
     assert weights and all(FEATURES[name].sign * w >= 0 for name, w in weights.items())
-    assert "calibration error" in report and "key points" in report
+    assert "calibration error" in report and "key points, by matcher" in report
     assert "lines of the images: {'sharpness': " in report
-    assert json.loads(text)["engine"] == engines
+    by_matcher = [line.split()[:3] for line in report.splitlines() if line[:2] in ("a ", "b ")]
+    rows = [[name, out, part] for name, out in ("a-", "b-", "aa", "bb") for part in BOTH]
+    assert by_matcher == rows and report.count("\nall  ") == 2 * len(BOTH) + 1
     assert len(figure.axes[0].lines) > 1
-    known = [row for row in records(pieces, "sift", sources) if row.evidence is not None]
+    known = [row for row in records(pieces, "a", sources) if row.evidence is not None]
     likely = [models["key_points"].probability(row.evidence) >= 0.5 for row in known]
     assert np.mean(np.equal(likely, [row.best.right for row in known])) > 0.95
 
@@ -109,7 +120,7 @@ def test_a_map_is_evidence():
     matcher = dense_scene.MapMatcher(dense_scene.true_map())
     camera = Camera(dense_scene.K, dense_scene.SIZE)
     images = [Image(pixels) for pixels in dense_scene.pictures()]
-    source = PlanEntry("one", "report", "list", withheld=False)
+    source = PlanEntry("one", "report", "list", withheld=0)
     posed = PosedPair(*images, camera, camera, dense_scene.R, dense_scene.T)
     pair = PlannedPair(source, 0, "one", lambda: posed)
     piece = collect(pair, {"net": matcher}, OPTIONS)

@@ -54,6 +54,10 @@ def test_a_plan_names_its_sources_and_has_their_lists(tmp_path):
     packed = tmp_path / "a.txt.gz"
     packed.write_bytes(gzip.compress((tmp_path / "a.txt").read_bytes()))
     assert [one.scene for one in planned(found[0], tmp_path, tmp_path)] == ["x", "y"]
+    entry = PlanEntry("c", "report", "unrelated", each=3)
+    (tmp_path / "c.txt.gz").write_bytes(gzip.compress(b"1.jpg 2.jpg\n" * 9))
+    few = planned(entry, tmp_path, tmp_path)
+    assert [(one.number, one.turn) for one in few] == [(0, 0), (4, 1), (8, 2)]
     packed.write_bytes(packed.read_bytes()[:-20])
     with pytest.raises(InputError, match=r"a\.txt\.gz cannot be read as a packed list of pairs"):
         planned(found[0], tmp_path, tmp_path)
