@@ -260,7 +260,7 @@ def collected(name: str, data: Path, out: Path) -> dict[str, Pairs]:
             PairChoice("exhaustive"),
             folder,
             matcher=MatcherOptions(),
-            estimation=EstimationOptions(),
+            estimation=EstimationOptions(second="none"),  # whatever is installed
             options=BatchOptions(resume=True),
         )
         posed = (pair for pair in batch.pairs() if pair.row.pose and pair.row.pose.R is not None)

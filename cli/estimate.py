@@ -117,7 +117,7 @@ def estimate(
     if cameras.k is None and cameras.k1 is None and cameras.fov is None:
         name = "K" if cameras.k2 is None else "K1"
         to_stderr(f"{name} is not stated: the focal length is estimated (--{name} auto)")
-    if matcher.takes_second and may_change("second", pose, estimation):
+    if matcher.takes_second and not pose.success and may_change("second", pose, estimation):
         name_missing_second()
     if outputs.json != STDOUT:
         click.echo(pose_text(pose, (result.prior1, result.prior2)))

@@ -74,7 +74,7 @@ def name_bad_images(bad: Mapping[str, str], names: Iterable[str]) -> None:
 
 
 def name_missing_second() -> None:
-    """Print how the second matcher is installed, for a pose in doubt, if it is not."""
+    """Print how the second matcher is installed, if it is not."""
     if text := missing("a second matcher, for poses in doubt,", "lightglue"):
         to_stderr(text)
 

@@ -30,7 +30,7 @@ from dgc_pose.metrics import rotation_error_deg, translation_error_deg
 from dgc_pose.pose import solve_pair
 
 CameraCase = Literal["exact", "auto"]
-_THOROUGH = EstimationOptions(effort="thorough")
+_THOROUGH = EstimationOptions(effort="thorough", second="none")  # whatever is installed
 _SAME_FOCAL = 0.05  # difference of ln f below which one camera may have taken both images
 # Principal points farther from the middle, over the longer side, belong to synthetic cameras. The
 # error of a focal length is not measured on them.

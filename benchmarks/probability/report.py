@@ -109,8 +109,9 @@ def fit_all(
     """Fit a model for each kind of matches that the methods make.
 
     pieces: results of `collect`; settings: of their run, by name the networks ("engines") and the
-    other matchers ("others"). Returns `probability.json`, the report and its figure. Kinds without
-    records stay as in the package. Raises InputError if there are too few poses.
+    other matchers ("others"). Returns `probability.json`, the report and its figure. With
+    others alone, the models of networks stay as in the package; without others, those of key
+    points. Raises InputError if there are too few poses.
     """
     order = {entry.name: number for number, entry in enumerate(entries)}
     pieces = sorted(

@@ -13,7 +13,7 @@ from dgc_pose.benchmarks.report import split_names
 from dgc_pose.benchmarks.store import open_run, read_run
 from dgc_pose.cli.guard import OutputFolder
 from dgc_pose.cli.options import dataclass_options
-from dgc_pose.errors import require
+from dgc_pose.errors import ArgumentName, InputError, require
 from dgc_pose.estimation import EstimationOptions
 from dgc_pose.matchers import DEVICE_HELP
 from dgc_pose.network.config import DEFAULT_WEIGHTS
@@ -89,6 +89,9 @@ def _collected(
     pairs = [pair for entry in entries for pair in planned(entry, choice.data, lists)]
     loaded = load_matchers(methods, device=choice.device)
     matchers = {matcher.name: matcher for matcher in loaded}
+    if len(matchers) < len(loaded):
+        names = ", ".join(matcher.name for matcher in loaded)
+        raise InputError(ArgumentName("methods"), f"has two matchers of one name: {names}")
     settings = {
         part: {
             name: {"name": name, "fingerprint": matcher.fingerprint}

@@ -189,3 +189,21 @@ def test_demo_prints_both_pairs_with_their_commands_and_the_known_pose(tmp_path)
     for flag, camera in zip(("--K1", "--K2"), (pair.camera1, pair.camera2), strict=True):
         fx, fy, cx, cy = map(float, second[second.index(flag) + 1].split(","))
         assert np.array_equal(camera.K, [[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("options", "is_told"),
+    [((), True), (("--second", "none"), False), (("--effort", "fast"), False)],
+)
+def test_a_pair_without_a_pose_is_told_how_the_second_matcher_is_installed(
+    tmp_path, options, is_told
+):
+    """Where it is not installed, and the steps include it."""
+    noise = np.random.default_rng(0).integers(0, 256, (2, 120, 160, 3), dtype=np.uint8)
+    paths = [tmp_path / f"{k}.png" for k in range(2)]
+    for path, pixels in zip(paths, noise, strict=True):
+        cv2.imwrite(str(path), pixels)
+    result = run("estimate", *paths, "--K", "150,150,80,60", *options)
+    assert result.exit_code == 3
+    assert ("is not installed: pip install ./lightglue" in result.stderr) == is_told
+    assert result.stderr.count("\n") == is_told

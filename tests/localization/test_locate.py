@@ -14,8 +14,11 @@ from worlds import known_model, render_views
 from dgc_pose.cameras.camera import Camera
 from dgc_pose.errors import ImageError, InputError
 from dgc_pose.estimation import EstimationOptions
+from dgc_pose.estimation.options import Second
 from dgc_pose.images.cache import ImageCache
+from dgc_pose.images.image import Image
 from dgc_pose.localization import locate
+from dgc_pose.localization.location import Location, LocationStatus
 from dgc_pose.matchers import load_matcher
 from dgc_pose.metrics import rotation_error_deg
 from dgc_pose.model import Model
@@ -127,3 +130,38 @@ def test_a_wrong_K_of_the_query_gives_way_and_is_told(tmp_path, monkeypatch) -> 
     assert warning.endswith(", and K states 452")
     assert [camera.focal_source for camera in cameras[:3]] == ["given", "given", "size"]
     assert len(cameras) == 2 + len(location.database_images)
+
+
+@pytest.mark.parametrize(
+    ("second", "is_there", "statuses", "searched"),
+    [
+        ("auto", True, ["nowhere", "located"], ["none", "auto"]),
+        ("auto", True, ["located"], ["none"]),
+        ("auto", False, ["nowhere"], ["none"]),
+        ("none", True, ["nowhere"], ["none"]),
+    ],
+)
+def test_a_query_that_is_not_placed_is_searched_again_with_the_second_matcher(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    second: Second,
+    is_there: bool,
+    statuses: list[LocationStatus],
+    searched: list[Second],
+) -> None:
+    done: list[Second] = []
+
+    def search(
+        self: locate.Locator, image: Image, camera: Camera, names: Any, *rest: Any, whole: bool
+    ) -> Location:
+        done.append(rest[0].second)
+        return Location(statuses[len(done) - 1], "", ())
+
+    monkeypatch.setattr(locate.Locator, "_searched", search)
+    query, *views = render_views(3, step=0.5)
+    matcher = load_matcher()
+    monkeypatch.setitem(vars(matcher), "second_matcher", matcher if is_there else None)
+    options = EstimationOptions(second=second)
+    locator = locate.Locator(known_model(tmp_path, views), matcher, options)
+    assert locator.locate(query.pixels, DATABASE_K).status == statuses[-1]
+    assert done == searched
