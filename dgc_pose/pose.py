@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 # - refine: more accurate matches from the map of the coarse step, for a pose that is certain
 # - full: `Matcher.match`
 # - guided: matches of squeezed images and near epipolar lines, pooled with the matches so far
-# - second: the matches of a second matcher, pooled as well
+# - second: the matches of a second matcher, pooled as well; the likelier pose stays
 Step = Literal["coarse", "refine", "full", "guided", "second"]
 STEPS: Mapping[Effort, Sequence[Step]] = {
     "fast": ("coarse", "full"),
@@ -151,12 +151,14 @@ def solve_pair(
         if result is None:
             continue
         matched = time.perf_counter()
-        found = result
-        pose = estimate_pose(found.matches, *cameras, options, map_matches=found.map_matches)
-        if step == "coarse":
-            coarse = pose
+        again = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
         seconds[step] = matched - before
         estimating += time.perf_counter() - matched
+        if step == "second" and _is_likelier(pose, again):
+            continue
+        found, pose = result, again
+        if step == "coarse":
+            coarse = pose
     assert pose is not None and found is not None
     verdict = if_mirrored(image1, image2, cameras, matcher, options, found.matches, pose, coarse)
     pose = pose if verdict is None else verdict
@@ -218,6 +220,11 @@ def in_doubt(pose: RelativePose) -> bool:
     share = pose.hypotheses[0].share
     of_others = likely * (1 - share) if pose.status == "rotation_only" else likely
     return of_others > _MIN_SEARCHED and not _is_clear(pose)
+
+
+def _is_likelier(pose: RelativePose | None, other: RelativePose) -> bool:
+    """Whether a pose is more probable than another; unknown probabilities count as 0."""
+    return pose is not None and (pose.probability or 0.0) > (other.probability or 0.0)
 
 
 def wants_second(options: EstimationOptions) -> bool:

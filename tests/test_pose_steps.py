@@ -172,6 +172,17 @@ def test_steps_are_done_as_long_as_they_may_change_the_answer(
     assert len(last) == -(-len(matcher._match(*PICTURES).matches) // expected)
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.9, 0.6), (0.6, 0.9)])
+def test_the_likelier_pose_stays_with_its_matches_after_the_second_step(
+    monkeypatch: pytest.MonkeyPatch, before: float, after: float
+) -> None:
+    estimated = _with(monkeypatch, *3 * [_doubt(before)], _doubt(after))
+    result = solve_pair(*PICTURES, (EXACT, EXACT), _Steps(), OPTIONS)
+    assert result.pose.probability == max(before, after)
+    assert result.matches is estimated[2 if before > after else 3]
+    assert list(result.pose.seconds) == ["coarse", "full", "guided", "second", "estimate"]
+
+
 def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The lines of the guided matches are of the cameras as fitted so far."""
     _with(monkeypatch, _refused(0.4))
