@@ -13,6 +13,8 @@ import cv2
 import dgc_pose
 from dgc_pose.errors import is_installed
 from dgc_pose.matchers import default_runtime
+from dgc_pose.matching.lightglue import NAME as LIGHTGLUE
+from dgc_pose.matching.lightglue import installed_fingerprint, is_available
 from dgc_pose.system.onnx_library import onnxruntime
 from dgc_pose.system.parallel import usable_cpus
 from dgc_pose.version import build, version
@@ -37,6 +39,7 @@ def info() -> None:
         "system": platform.platform(),
         "machine": f"{usable_cpus()} of {os.cpu_count()} processors usable, {memory:.1f} GiB",
         **{name: installed.get(name, "not installed") for name in _LIBRARIES},
+        LIGHTGLUE: installed_fingerprint() if is_available() else "not installed",
     }
     for file in sorted(package.glob("weights/*.safetensors")):
         facts[file.name] = f"sha256 {sha256(file.read_bytes()).hexdigest()[:16]}"

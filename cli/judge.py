@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from dgc_pose.batch.options import BatchOptions
-from dgc_pose.cli.batch import echo_pairs, report, run_source
+from dgc_pose.cli.batch import PAIRS_SHOWN, echo_pairs, report, run_source
 from dgc_pose.cli.estimate import NO_POSE
 from dgc_pose.cli.guard import STDOUT, NamedPath, OutputFolder
 from dgc_pose.cli.options import KChoice, dataclass_options, output_file
@@ -92,6 +92,7 @@ def judge(
     """
     from dgc_pose.batch.given import read_given
     from dgc_pose.batch.judge import by_doubt, require_judged
+    from dgc_pose.batch.pairs import BAD_INPUT
     from dgc_pose.batch.source import given_source
     from dgc_pose.colmap.judged import require_key_points, write_judged
 
@@ -122,6 +123,9 @@ def judge(
         click.echo(data, nl=False)
     else:
         echo_pairs(rows)
+        unusable = [row for row in rows if row.status == BAD_INPUT and not row.bad_images]
+        for row in unusable[:PAIRS_SHOWN]:
+            to_stderr(f"bad input {' '.join(row.names)}: {row.reason}")
         report(done, source)
         if outputs.out is not None:
             click.echo(f"{outputs.out}: {count} pairs, for `colmap mapper`")
@@ -154,5 +158,6 @@ def _table(rows: Sequence[PairRow]) -> str:
         along = [None] * 3 if t is None else t.tolist()
         claimed = int(row.success and not row.rejected)
         counts = row.folder_probability, row.num_inliers, row.num_matches
-        lines.writerow([*row.names, row.status, claimed, *numbers, *counts, *q, *along, row.reason])
+        reason = "the other pairs contradict it" if row.rejected else row.reason
+        lines.writerow([*row.names, row.status, claimed, *numbers, *counts, *q, *along, reason])
     return table.getvalue()

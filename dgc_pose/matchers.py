@@ -67,10 +67,13 @@ class MatcherOptions:
     def load(self, cache: ImageCache | None = None, engine: Engine | None = None) -> Matcher:
         """The matcher; see `load_matcher`. engine: the engine of a network, if it is loaded."""
         name = self.weights
-        if name in _NAMED:
-            return _NAMED[name](cache)
         if name.startswith(PREFIX):
             return VismatchMatcher(name, self.device)
+        if not self.is_network and self.device not in ("auto", "cpu"):
+            only = f"must be auto or cpu for {name}, not {self.device}"
+            raise InputError(ArgumentName("device"), only)
+        if name in _NAMED:
+            return _NAMED[name](cache)
         if name.endswith(_ONNX):
             return OnnxMatcher(name, cache)
         try:

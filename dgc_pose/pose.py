@@ -116,9 +116,9 @@ def solve_pair(
 
     cameras: of images 1 and 2, from `pair_cameras`. Each step of `options.effort` runs if it may
     change the answer; a pose is estimated after each. `pose.seconds` contains the steps that gave
-    matches, and "load" if `start` is given: the `time.perf_counter()` at which loading began.
-    Raises InputError for an argument of the wrong type, for a depth map that cannot be read, and
-    if the images have no marker in common.
+    matches, the search of a second matcher, and "load" if `start` is given: the
+    `time.perf_counter()` at which loading began. Raises InputError for an argument of the wrong
+    type, for a depth map that cannot be read, and if the images have no marker in common.
     """
     begun = time.perf_counter()
     options = EstimationOptions() if options is None else options
@@ -151,8 +151,10 @@ def solve_pair(
         if result is None:
             continue
         matched = time.perf_counter()
-        again = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
         seconds[step] = matched - before
+        if result is found:  # nothing was added
+            continue
+        again = estimate_pose(result.matches, *cameras, options, map_matches=result.map_matches)
         estimating += time.perf_counter() - matched
         if step == "second" and _is_likelier(pose, again):
             continue

@@ -183,6 +183,16 @@ def test_the_likelier_pose_stays_with_its_matches_after_the_second_step(
     assert list(result.pose.seconds) == ["coarse", "full", "guided", "second", "estimate"]
 
 
+def test_a_second_matcher_that_adds_nothing_has_its_seconds_and_no_estimate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    estimated = _with(monkeypatch, _doubt(0.9))
+    monkeypatch.setattr(_Steps, "second", lambda matcher, image1, image2, result: result)
+    result = solve_pair(*PICTURES, (EXACT, EXACT), _Steps(), OPTIONS)
+    assert len(estimated) == 3 and result.matches is estimated[-1]
+    assert list(result.pose.seconds) == ["coarse", "full", "guided", "second", "estimate"]
+
+
 def test_cameras_that_are_not_exact_have_all_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     """The lines of the guided matches are of the cameras as fitted so far."""
     _with(monkeypatch, _refused(0.4))

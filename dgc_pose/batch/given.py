@@ -31,6 +31,7 @@ from dgc_pose.images.image import Image, size_in_file
 from dgc_pose.matches import Matches
 from dgc_pose.system.arrays import read_arrays
 from dgc_pose.system.files import open_file, read_as
+from dgc_pose.system.options import check_type
 
 ERROR_PX = 1.0  # of a match along one axis, pixels, unless the source states it
 _HALF_PIXEL = 0.5  # COLMAP's centre of the first pixel
@@ -227,6 +228,9 @@ class HeldMatches(GivenMatches):
         """Raises InputError without a pair."""
         if not matches:
             raise InputError(ArgumentName("source"), "has no pairs")
+        for names, some in matches.items():
+            check_type(names, tuple[str, str], "source")
+            check_type(some, Matches, "source")
         return cls(Path("matches"), _images(matches), dict.fromkeys(matches, ""), (), held=matches)
 
     def files(self) -> list[Path]:
@@ -312,9 +316,8 @@ def _read_hloc(folder: Path) -> HlocMatches:
         *repeated,
     ]
     if odd:
-        said.append(
-            f"{matches}: {len(odd)} groups name no two images of {features.name} (first: {odd[0]})"
-        )
+        no_two = f"{matches}: groups that name no two images of {features.name}"
+        said.append(f"{no_two}: {len(odd)} (first: {odd[0]})")
     sizes = {}
     with read_as("hloc's features", features), h5py.File(features) as file:
         for name in names:
@@ -376,8 +379,8 @@ def _pair_names(file: Path) -> Names:
     halves = pictures or splits
     if len(halves) == 1:
         return halves[0]
-    ways = f"its name can be read as NAME1_NAME2.npz in {len(halves)} ways"
-    raise damage or InputError(file, f"has no image1 and image2, and {ways}")
+    ways = f"its name is NAME1_NAME2.npz in {len(halves)} ways, not in one"
+    raise damage or InputError(file, f"has no arrays image1 and image2, and {ways}")
 
 
 def _each_once(
@@ -390,7 +393,7 @@ def _each_once(
     for names, place in pairs:
         if places.setdefault(frozenset(names), (names, place)) != (names, place):
             repeated.append(place)
-    line = f"{path}: {len(repeated)} of pairs that have matches already are left out"
+    line = f"{path}: matches left out, as their pairs have some already: {len(repeated)}"
     lines = [f"{line} (first: {repeated[0]})"] if repeated else []
     return dict(places.values()), lines
 

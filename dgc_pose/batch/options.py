@@ -17,7 +17,7 @@ class BatchOptions:
     """How a batch is run; no option changes the result."""
 
     workers: int | None = option(
-        None, "Processes that match; default: one for each core.", metavar="N", min=1, max=1024
+        None, "Processes; default: one for each core.", metavar="N", min=1, max=1024
     )
     memory: float | None = option(
         None,
@@ -33,7 +33,7 @@ class BatchOptions:
         metavar="NAME",
         section="advanced",
     )
-    resume: bool = option(False, "Continue the batch in --out, if there is one.")
+    resume: bool = option(False, "Continue the batch that is there, if there is one.")
 
     def __post_init__(self) -> None:
         check_options(self)

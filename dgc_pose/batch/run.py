@@ -50,6 +50,7 @@ from dgc_pose.estimation import EstimationOptions, RelativePose
 from dgc_pose.matchers import MatcherOptions, default_runtime, device_type
 from dgc_pose.matching.lightglue import (
     LightGlueMatcher,
+    as_second,
     installed_fingerprint,
     is_available,
 )
@@ -103,7 +104,8 @@ def run_batch(
         runtime = default_runtime(weights, matcher.device)
     second = None
     if source.given is None and matcher.takes_second and wants_second(estimation):
-        second = installed_fingerprint() if is_available() else MISSING
+        with as_second():
+            second = installed_fingerprint() if is_available() else MISSING
     settings = {
         "command": shlex.join(sys.argv),
         "pairs": "source" if choice is None else asdict(choice),
@@ -301,7 +303,8 @@ def _match_again(
     left = [row.index for row in chosen if not row.second]
     if not left:
         return
-    LightGlueMatcher()  # raises if it is damaged
+    with as_second():
+        LightGlueMatcher()  # raises if it is damaged
     workers = options.worker_count
     size = block_size(len(left), workers)
     if workers > _MOST_SECOND:

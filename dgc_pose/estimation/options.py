@@ -30,8 +30,8 @@ class EstimationOptions:
     )
     second: Second = option(
         "auto",
-        "auto: for a pose in doubt, also matches of aliked-lightglue, if it is installed; none: no "
-        "second matcher.",
+        "auto: for a pose in doubt, also matches of aliked-lightglue, if it is installed; of a "
+        "folder, for pairs without a pose that would join two groups; none: no second matcher.",
         metavar="HOW",
         section="matching",
     )

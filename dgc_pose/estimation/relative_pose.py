@@ -316,6 +316,7 @@ def _judged(
         warnings += camera_warnings(evidence.camera_model, stated, known.cameras)
     has_t, ambiguous = STATUSES[status].has_t, status == "ambiguous"
     rotation_alone, unusable = status == "rotation_only", status == "panorama"
+    has_pose = status not in ("rotation_only", "ambiguous", "panorama", "chance_inliers")
     poses = [hypothesis for hypothesis in found.hypotheses if hypothesis.likely]
     # The matches do not show which motion is the camera's.
     if ambiguous and evidence.num_second_inliers and (second := found.second):
@@ -353,7 +354,7 @@ def _judged(
         camera2=camera2,
         camera_covariance=known.camera_covariance if has_t else None,
         evidence=evidence,
-        probability=0.0 if rotation_alone or ambiguous or unusable else poses[0].probability,
+        probability=poses[0].probability if has_pose else 0.0,
         any_probability=0.0 if unusable else probability,
         same_place_probability=same_place,
         tested_matchers=() if model is None else model.tested,

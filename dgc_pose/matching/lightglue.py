@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dgc_pose.errors import WeightsError, is_installed, require
+from dgc_pose.errors import ArgumentName, WeightsError, is_installed, reason, require
 from dgc_pose.images.cache import ImageCache
 from dgc_pose.images.image import Image, resize
 from dgc_pose.matching.key_points import KeyPointMatcher, KeyPoints, Rows, input_size, mutual
@@ -183,11 +184,25 @@ def installed() -> Path:
     """The folder of the installed graphs and weights. Raises InputError if they are missing,
     WeightsError if they have another format."""
     require({NAME: "lightglue"})
-    package = import_module(PACKAGE)
+    try:
+        package = import_module(PACKAGE)
+    except Exception as error:  # whatever is in it
+        raise WeightsError(f"{PACKAGE} cannot be imported ({reason(error)})") from error
     folder = Path(str(package.__file__)).parent
     if (found := getattr(package, "FORMAT", None)) != FORMAT:
         raise WeightsError(folder, f"has format {found}; {NAME} needs format {FORMAT}")
     return folder
+
+
+@contextmanager
+def as_second() -> Iterator[None]:
+    """An error of weights within the block says how to do without a second matcher."""
+    try:
+        yield
+    except WeightsError as error:
+        *parts, last = error.args
+        without = ArgumentName("second"), "none leaves out the second matcher"
+        raise WeightsError(*parts, f"{last};", *without) from error
 
 
 def installed_fingerprint() -> str:

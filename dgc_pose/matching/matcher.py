@@ -80,7 +80,7 @@ class Matcher:
         """Add to a result matches near the epipolar lines of hypotheses of the pose."""
 
     def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """Add to a result the matches of a second matcher."""
+        """Add to a result the matches of a second matcher; the result itself if it has none."""
 
     def coarse_features(self, image: Image) -> np.ndarray:
         """A network's coarsest features of an image (cells, C) float32, of unit length over C.

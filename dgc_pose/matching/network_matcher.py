@@ -22,7 +22,7 @@ from dgc_pose.matching.correspondence_map import (
 )
 from dgc_pose.matching.dense import dense_map, map_features
 from dgc_pose.matching.features import LONG_SIDE, Encoded, encoded_views, feature_matches
-from dgc_pose.matching.lightglue import LightGlueMatcher, is_available
+from dgc_pose.matching.lightglue import LightGlueMatcher, as_second, is_available
 from dgc_pose.matching.matcher import Matcher, MatchResult
 from dgc_pose.matching.texture import context_ratio
 from dgc_pose.matching.view import View
@@ -60,7 +60,8 @@ class NetworkMatcher(Matcher):
     def second_matcher(self) -> Matcher | None:
         if self.options.aligned == "none" or not is_available():
             return None
-        return LightGlueMatcher(self.cache)
+        with as_second():
+            return LightGlueMatcher(self.cache)
 
     def coarse_features(self, image: Image) -> np.ndarray:
         (features,) = map_features(self.engine, self.cache, View.whole(image))
@@ -106,8 +107,9 @@ class NetworkMatcher(Matcher):
         return self._refined(image1, image2, dense, first=[first], hypotheses=hypotheses)
 
     def second(self, image1: Image, image2: Image, result: MatchResult) -> MatchResult | None:
-        """Add to a result the matches of `LightGlueMatcher`, refined as its own are. Returns None
-        if its distribution is not installed; raises WeightsError if that is damaged."""
+        """Add to a result the matches of `LightGlueMatcher`, refined as its own are. Returns the
+        result itself if none agree, None if the distribution is not installed; raises WeightsError
+        if that is damaged."""
         dense = result.correspondence_map
         if self.second_matcher is None or dense is None:
             return None
@@ -116,11 +118,11 @@ class NetworkMatcher(Matcher):
         part = refine(image1, image2, found, self.options.max_matches)
         aligned, agreeing = self._joined(image1, image2, [part])
         if not len(agreeing):
-            return None
+            return result
         if result.aligned is not None:
             aligned = agreeing = Matches.joined([result.matches, aligned])
         encoded = encoded_views(self.engine, image1, image2, dense, self.cache)
-        return self._selected(image1, image2, dense, aligned, agreeing, encoded)
+        return self._selected(image1, image2, dense, aligned, agreeing, encoded) or result
 
     def _match(self, image1: Image, image2: Image) -> MatchResult:
         dense = dense_map(self.engine, image1, image2, self.cache)

@@ -242,7 +242,7 @@ def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
     assert [*given.places] == [("a", "b"), ("c", "a")]
     first, second = given.said
     assert first.startswith("3 .npz: ")
-    assert second.endswith("1 of pairs that have matches already are left out (first: b_a.npz)")
+    assert second.endswith("left out, as their pairs have some already: 1 (first: b_a.npz)")
     write_hloc(WORLD, tmp_path / "h")
     with h5py.File(tmp_path / "h/feats-any_matches-any.h5", "r+") as file:
         names = [name.replace("/", "-") for name in PAIR]
@@ -321,7 +321,7 @@ def _other_features(path: Path) -> Path:
         (lambda path: _without("two_view_geometries", _without_matches(path)), "no such table"),
         (_without_matches, "cannot be read as a COLMAP database (it has no matches)"),
         (_folder, "holds neither hloc's .h5 nor an .npz"),
-        (lambda path: _folder(path, "one.npz"), "one.npz has no image1 and image2, and its name"),
+        (lambda path: _folder(path, "one.npz"), "one.npz has no arrays image1 and image2, and its"),
         (_features_alone, "needs one .h5 with matches0, and no file has it"),
         (_other_features, "has no pair of images of feats-any.h5 (first: rows-photo 0.jpg/"),
     ],

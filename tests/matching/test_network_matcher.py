@@ -183,7 +183,7 @@ def test_a_second_matcher_answers_where_nothing_could_be_refined(
     assert more.matches.error_px == 0.5 and np.median(_errors(more.matches)) < 0.1
 
 
-def test_there_are_no_second_matches_without_refinement_agreement_or_the_distribution(
+def test_nothing_is_added_without_agreement_refinement_or_the_distribution(
     images: tuple[Image, Image], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _features(monkeypatch, _points((60, 150), (40, 200), 250, 0))
@@ -192,7 +192,8 @@ def test_there_are_no_second_matches_without_refinement_agreement_or_the_distrib
     wrong = replace(right, points1=rng.permutation(right.points1))
     _second(monkeypatch, wrong)
     matcher = dense_scene.MapMatcher(_NOISY, _OPTIONS)
-    assert matcher.second(*images, matcher.match(*images)) is None
+    first = matcher.match(*images)
+    assert matcher.second(*images, first) is first
     _second(monkeypatch, right)
     plain = dense_scene.MapMatcher(_NOISY, _PLAIN)
     assert plain.second(*images, plain.match(*images)) is None
