@@ -248,7 +248,7 @@ def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
         names = [name.replace("/", "-") for name in PAIR]
         file.copy("/".join(names), "/".join(reversed(names)))
     given = read_given(tmp_path / "h")
-    assert len(given.places) == len(WORLD.matches) and "1 of pairs" in given.said[1]
+    assert len(given.places) == len(WORLD.matches) and "some already: 1" in given.said[1]
 
 
 def test_the_state_changes_with_a_file(tmp_path: Path) -> None:

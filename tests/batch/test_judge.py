@@ -142,7 +142,9 @@ def test_the_pairs_in_doubt_come_first() -> None:
     [
         (({},), "source has no pairs"),
         ((3,), "source must be"),
-        (({("a", "b"): 3}, Camera(np.eye(3))), "no pair can be judged"),
+        (({("a", "b"): 3}, Camera(np.eye(3))), "source must be a Matches, not 3"),
+        (({"a": 3}, Camera(np.eye(3))), "source must be a tuple of 2, not 'a'"),
+        (({(1, 2): 3}, Camera(np.eye(3))), "source must be a text, not 1"),
     ],
 )
 def test_unusable_arguments(arguments: tuple[object, ...], reason: str) -> None:
