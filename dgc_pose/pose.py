@@ -239,6 +239,11 @@ def is_open(pose: RelativePose) -> bool:
     return not (pose.success or pose.status in _FINAL)
 
 
+def is_hopeless(pose: RelativePose) -> bool:
+    """Whether the matches hardly leave a chance of a right pose, as those of unrelated images."""
+    return pose.any_probability is not None and pose.any_probability <= _MIN_SEARCHED
+
+
 @dataclass(frozen=True, eq=False)
 class PairResult:
     """The result of `solve_pair`: a pose with everything that it was computed from.
