@@ -185,9 +185,12 @@ class HlocMatches(IndexedMatches):
             return KeyPoints(points, float(stored.attrs.get("uncertainty", ERROR_PX)))
 
     def indices(self, names: Names) -> tuple[np.ndarray, np.ndarray]:
+        count = len(self.key_points(names[0]).points)
         with read_as("hloc's matches", self.matches), h5py.File(self.matches) as file:
             group = file[self.places[names]]
             second = np.asarray(group["matches0"]).astype(np.int64)
+            if len(second) != count:
+                raise ValueError(f"matches0 has {len(second)} rows for {count} key points")
             kept = np.flatnonzero(second >= 0)
             scores = group.get("matching_scores0", np.ones(len(second)))
             return np.column_stack([kept, second[kept]]), np.asarray(scores, np.float64)[kept]

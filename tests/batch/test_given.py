@@ -251,6 +251,21 @@ def test_a_pair_that_is_there_twice_is_told(tmp_path: Path) -> None:
     assert len(given.places) == len(WORLD.matches) and "some already: 1" in given.said[1]
 
 
+@pytest.mark.parametrize("rows", [-1, 1])
+def test_matches_of_other_key_points_are_no_matches(tmp_path: Path, rows: int) -> None:
+    """hloc has one row for each key point of image 1."""
+    given = read_given(write_hloc(WORLD, tmp_path / "h"))
+    with h5py.File(tmp_path / "h/feats-any_matches-any.h5", "r+") as file:
+        group = file["/".join(name.replace("/", "-") for name in PAIR)]
+        stored = group["matches0"][:]
+        del group["matches0"]
+        group["matches0"] = np.resize(stored, len(stored) + rows)
+    with pytest.raises(
+        InputError, match=rf"matches0 has {len(stored) + rows} rows for {len(stored)}"
+    ):
+        given.read(PAIR)
+
+
 def test_the_state_changes_with_a_file(tmp_path: Path) -> None:
     given = read_given(write_npz(WORLD, tmp_path / "n"))
     before = given.state
