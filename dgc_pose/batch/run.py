@@ -283,15 +283,10 @@ def _match(
     """Match the pairs that are not matched yet; return their number."""
     matched = set(store.indices("matched"))
     left = [i for i in range(len(plan.pairs)) if i not in matched]
-    done = len(matched)
-    progress("pairs", done, len(plan.pairs))
     size = block_size(len(left), options.worker_count)
-    ordered = _ordered(plan, left, options)
-    for pairs in run(Worker.match, [(block,) for block in blocks_of(ordered, size)]):
-        with store.change():
-            store.add("matched", pairs)
-        done += len(pairs)
-        progress("pairs", done, len(plan.pairs))
+    blocks = blocks_of(_ordered(plan, left, options), size)
+    found = run(Worker.match, [(block,) for block in blocks])
+    _store_each(store, found, partial(progress, "pairs"), len(matched), len(plan.pairs))
     return len(left)
 
 
@@ -309,14 +304,26 @@ def _match_again(
     size = block_size(len(left), workers)
     if workers > _MOST_SECOND:
         size = -(-len(left) // _MOST_SECOND)
-    done = len(chosen) - len(left)
-    progress("pairs in doubt", done, len(chosen))
     blocks = blocks_of(_ordered(plan, left, options), size)
-    for pairs in run(Worker.match, [(block, "auto") for block in blocks]):
+    found = run(Worker.match, [(block, "auto") for block in blocks])
+    before = len(chosen) - len(left)
+    _store_each(store, found, partial(progress, "pairs in doubt"), before, len(chosen))
+
+
+def _store_each(
+    store: BatchStore,
+    found: Iterable[Sequence[MatchedPair]],
+    progress: Callable[[int, int], None],
+    done: int,
+    total: int,
+) -> None:
+    """Store matched pairs, block by block. done: pairs of the total that were matched before."""
+    progress(done, total)
+    for pairs in found:
         with store.change():
             store.add("matched", pairs)
         done += len(pairs)
-        progress("pairs in doubt", done, len(chosen))
+        progress(done, total)
 
 
 def _ordered(

@@ -84,7 +84,7 @@ def feature_matches(
             comparisons.append((_squeezed(first, axis), second, None))
             comparisons.append((first, _squeezed(second, axis), None))
         comparisons += [(first, second, views) for views in hypotheses[:MOST_HYPOTHESES]]
-    encoded = _encoded(engine, cache, chain(*(comparison[:2] for comparison in comparisons)))
+    encoded = encode_each(engine, cache, chain(*(comparison[:2] for comparison in comparisons)))
 
     def compare(comparison: tuple[Shown, Shown, TwoViews | None]) -> Matches:
         source, target, hypothesis = comparison
@@ -103,11 +103,11 @@ def encoded_views(
 ) -> tuple[list[Encoded], float]:
     """The views that `feature_matches` compares, encoded, and their scale."""
     first, second, scale = _compared_views(image1, image2, dense, long_side)
-    encoded = _encoded(engine, cache, (first, second))
+    encoded = encode_each(engine, cache, (first, second))
     return [encoded[first], encoded[second]], scale
 
 
-def _encoded(engine: Engine, cache: ImageCache, shown: Iterable[Shown]) -> dict[Shown, Encoded]:
+def encode_each(engine: Engine, cache: ImageCache, shown: Iterable[Shown]) -> dict[Shown, Encoded]:
     """The views, encoded one by one: an image occupies all processors, and only one needs
     memory."""
     encoded: dict[Shown, Encoded] = {}
@@ -139,11 +139,11 @@ def _compared_views(
     full1, _ = equal_scales(view1.size, view2.size, scale, LONG_SIDE)
     if angle % 90:  # resize the image before it is rotated: mostly it is shrunk
         view2 = View.window(image2, *window2, angle, factor2)
-    first, second, full = _shown(view1, factor1), _shown(view2, factor2), _shown(view1, full1)
+    first, second, full = shown_at(view1, factor1), shown_at(view2, factor2), shown_at(view1, full1)
     return first, second, max(first[1]) / max(full[1])
 
 
-def _shown(view: View, factor: float) -> Shown:
+def shown_at(view: View, factor: float) -> Shown:
     """A view at a scale of about `factor`: its sides become the nearest multiples of 16."""
     columns, rows = (max(1, round(side * (factor / view.scale) / STRIDE)) for side in view.size)
     return view, (columns, rows)

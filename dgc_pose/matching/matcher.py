@@ -94,8 +94,9 @@ class Matcher:
     def _textured(self, image1: Image, image2: Image, matches: Matches) -> Matches:
         """The matches whose points have structure around them in both images, and no mask."""
         masked = image1.is_masked(matches.points1) | image2.is_masked(matches.points2)
-        return textured(matches.subset(~masked), *self._textures(image1, image2))
+        return textured(matches.subset(~masked), *self.textures(image1, image2))
 
-    def _textures(self, image1: Image, image2: Image) -> list[Texture]:
+    def textures(self, image1: Image, image2: Image) -> list[Texture]:
+        """Where both images have structure; kept for their next pairs."""
         made = [(image, "texture", partial(texture, image)) for image in (image1, image2)]
         return self.cache.get_all(made, in_turn=False)

@@ -190,6 +190,6 @@ class NetworkMatcher(Matcher):
         most = self.options.max_matches
         chosen = chosen.subset(spread(chosen.points2, chosen.confidence, image2.size, most))
         views, scale = encoded
-        share = context_ratio(views, self._textures(image1, image2), chosen, scale)
+        share = context_ratio(views, self.textures(image1, image2), chosen, scale)
         chosen = replace(chosen, context_ratio=share)
         return MatchResult(chosen, dense, chosen if enough else aligned)

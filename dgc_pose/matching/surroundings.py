@@ -6,20 +6,16 @@ between neighbouring matches give both.
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from dgc_pose.images.image import Image
 from dgc_pose.matches import Matches
 from dgc_pose.matching.correspondence_map import rotation_between
-from dgc_pose.matching.features import LONG_SIDE, equal_scales
+from dgc_pose.matching.features import LONG_SIDE, encode_each, equal_scales, shown_at
 from dgc_pose.matching.matcher import Matcher
 from dgc_pose.matching.patches import consistent
-from dgc_pose.matching.texture import Texture, context_ratio, texture
+from dgc_pose.matching.texture import context_ratio
 from dgc_pose.matching.view import View
-from dgc_pose.network.config import STRIDE
-from dgc_pose.runtime.engine import Engine, NativeFeatures
 
 _NEIGHBOURS = 8  # matches of an affinity
 _LEAST = 8  # matches that agree with their neighbours
@@ -37,16 +33,11 @@ def surroundings(matcher: Matcher, image1: Image, image2: Image, matches: Matche
     octave = round(float(np.log2(np.clip(np.median(areas), 0.01, 100))) / 2)
     angle = _STEP_DEG * round(rotation_between(near.points1, near.points2) / _STEP_DEG) % 360
     scales = equal_scales(image1.size, image2.size, 2.0**octave, LONG_SIDE)
-    views = list[tuple[View, NativeFeatures]]()
-    textures = list[Texture]()
-    for image, turn, scale in ((image1, 0.0, scales[0]), (image2, angle, scales[1])):
-        view = View.whole(image, turn, scale)
-        encode = partial(_encode, engine, view)
-        views.append((view, matcher.cache.get(image, (view, "around"), encode)))
-        textures.append(matcher.cache.get(image, "texture", partial(texture, image)))
-    return context_ratio(views, textures, matches)
-
-
-def _encode(engine: Engine, view: View) -> NativeFeatures:
-    columns, rows = (max(1, round(side / STRIDE)) for side in view.size)
-    return engine.native(view.pixels(), (columns, rows))
+    first, second = (
+        shown_at(View.whole(image, turn, scale), scale)
+        for image, turn, scale in ((image1, 0.0, scales[0]), (image2, angle, scales[1]))
+    )
+    encoded = encode_each(engine, matcher.cache, (first, second))
+    return context_ratio(
+        (encoded[first], encoded[second]), matcher.textures(image1, image2), matches
+    )
